@@ -1,0 +1,227 @@
+"""fleet.toml -> frozen structs. Every mistake is one line: the file, the key, and what to change."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+import tomli_w
+from msgspec import Meta
+
+Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
+Positive = Annotated[float, Meta(gt=0)]
+Share = Annotated[float, Meta(ge=0, lt=1)]
+Protocol = Literal["paper"]
+
+T = TypeVar("T")
+
+MAX_PORT = 32767  # ports above are handed out by the kernel as ephemeral source ports
+
+
+class ConfigError(ValueError):
+    """A file that a user wrote cannot be used; the message is one line that says what to change."""
+
+
+class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all configuration: immutable, and a key that nobody knows is an error."""
+
+
+class Tank(Struct, kw_only=True):
+    """Where an estimate can be. World frame: origin at the lower left corner of the floor, z up."""
+
+    size_m: tuple[Positive, Positive, Positive] = (1.5, 1.2, 0.8)
+    surface_m: Positive = 0.5  # height of the water surface above the floor
+
+
+class Water(Struct, kw_only=True):
+    refractive_index: Annotated[float, Meta(ge=1.0, le=1.5)] = 1.333
+    kind: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
+
+
+class Target(Struct, kw_only=True):
+    detector: Literal["ball"] = "ball"
+    radius_m: Positive
+
+
+class Estimation(Struct, kw_only=True):
+    protocol: Protocol = "paper"
+    iteration_s: Positive = 1.0  # the paper's t -> t + 1: one attempt to measure, one update
+    validity_s: Positive = 0.5  # a neighbour unheard for longer leaves the valid set
+
+
+class Link(Struct, kw_only=True):
+    send_hz: Positive = 10.0
+    loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
+    loss_seed: int = 0
+
+
+class Camera(Struct, kw_only=True):
+    width_px: Annotated[int, Meta(ge=64)] = 640
+    height_px: Annotated[int, Meta(ge=64)] = 480
+    settle_s: Positive = 0.05  # lens at rest after a focus command
+    sweep_steps: Annotated[int, Meta(ge=8)] = 30
+    enhance: bool = False  # white balance before detection; clarity is always taken on the raw frame
+
+
+class Body(Struct, kw_only=True):
+    """Where the camera sits and how its gimbal turns, the same on every robot of the fleet."""
+
+    camera_m: tuple[float, float, float] = (0.10, 0.0, 0.0)  # gimbal pivot, body frame
+    servo_centre_us: float = 1500.0
+    servo_us_per_deg: Positive = 2000.0 / 180.0
+    pan_limit_deg: tuple[float, float] = (-90.0, 90.0)
+    tilt_limit_deg: tuple[float, float] = (-60.0, 30.0)
+
+
+class Pose(Struct, kw_only=True):
+    """Surveyed pose of the body's centre; height, roll and pitch come from the pressure sensors."""
+
+    x_m: float
+    y_m: float
+    yaw_deg: float
+
+
+class Look(Struct, kw_only=True):
+    """Gimbal direction while nothing is known: pan positive to the left, tilt positive upwards."""
+
+    pan_deg: float = 0.0
+    tilt_deg: float = 0.0
+
+
+class Robot(Struct, kw_only=True):
+    neighbours: tuple[Name, ...] = ()
+    listen: str
+    serial: str
+    camera: str
+    pose: Pose
+    depth_m: Positive = 0.40  # hover set-point
+    look: Look = Look()
+    calibration: str
+
+
+class Twin(Struct, kw_only=True):
+    """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
+
+    scene: str = "tank"
+    seed: int = 0
+    dir: str | None = None
+
+
+class Fleet(Struct, kw_only=True):
+    fleet: Name
+    tank: Tank = Tank()
+    water: Water = Water()
+    target: dict[Name, Target]
+    estimation: Estimation = Estimation()
+    link: Link = Link()
+    camera: Camera = Camera()
+    body: Body = Body()
+    robot: dict[Name, Robot]
+    twin: Twin = Twin()
+
+
+def load_fleet(path: Path) -> Fleet:
+    """Read and check a fleet file. Raises ConfigError with one line."""
+    fleet = convert(read_toml(path), Fleet, path)
+    _check(fleet, path)
+    return fleet
+
+
+def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
+    """The robot called `name`, or ConfigError naming those that exist."""
+    if name not in fleet.robot:
+        raise ConfigError(f"{path}: no robot '{name}'; the file has {', '.join(fleet.robot)}")
+    return fleet.robot[name]
+
+
+def dump(struct: msgspec.Struct) -> str:
+    """The TOML text from which the same struct is read again."""
+
+    def drop_none(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: drop_none(v) for k, v in value.items() if v is not None}
+        return value
+
+    return tomli_w.dumps(drop_none(msgspec.to_builtins(struct)))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; every failure is a ConfigError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
+    """Check parsed TOML against a struct; the message names file, key and remedy."""
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        what, _, where = str(error).partition(" - at `$")
+        key = where.rstrip("`").lstrip(".") or "top level"
+        raise ConfigError(f"{path}: key '{key}': {_remedy(what)}") from None
+
+
+def _remedy(what: str) -> str:
+    if what.startswith("Object contains unknown field"):
+        return f"unknown key {what.rsplit(' ', 1)[-1]}; remove it or correct its spelling"
+    if what.startswith("Object missing required field"):
+        return f"required key {what.rsplit(' ', 1)[-1]} is missing; add it"
+    return what[0].lower() + what[1:] + "; correct the value"
+
+
+def _check(fleet: Fleet, path: Path) -> None:
+    """What a type cannot say: the graph is symmetric and the endpoints are distinct and usable."""
+    if not fleet.robot:
+        raise ConfigError(f"{path}: key 'robot': the fleet has no robot; add a table [robot.r1]")
+    owner: dict[str, str] = {}
+    for name, robot in fleet.robot.items():
+        key = f"robot.{name}"
+        for other in robot.neighbours:
+            if other == name:
+                raise ConfigError(f"{path}: key '{key}.neighbours': '{name}' names itself; remove it")
+            if other not in fleet.robot:
+                raise ConfigError(
+                    f"{path}: key '{key}.neighbours': no robot '{other}'; "
+                    f"remove it or add a table [robot.{other}]"
+                )
+            if name not in fleet.robot[other].neighbours:
+                raise ConfigError(
+                    f"{path}: key 'robot.{other}.neighbours': '{name}' has '{other}' as a neighbour "
+                    f"but not the other way round; add '{name}'"
+                )
+        if len(set(robot.neighbours)) != len(robot.neighbours):
+            raise ConfigError(f"{path}: key '{key}.neighbours': a name stands twice; remove one")
+        endpoint = _endpoint(robot.listen, f"{path}: key '{key}.listen'")
+        if endpoint in owner:
+            raise ConfigError(
+                f"{path}: key '{key}.listen': {robot.listen} is also the address of "
+                f"'{owner[endpoint]}'; give each robot its own port"
+            )
+        owner[endpoint] = name
+        if not all(math.isfinite(v) for v in (robot.pose.x_m, robot.pose.y_m, robot.pose.yaw_deg)):
+            raise ConfigError(f"{path}: key '{key}.pose': not a finite number; correct the value")
+        if robot.depth_m > fleet.tank.surface_m:
+            raise ConfigError(
+                f"{path}: key '{key}.depth_m': {robot.depth_m} is below the floor; "
+                f"the water is {fleet.tank.surface_m} m deep"
+            )
+
+
+def _endpoint(text: str, where: str) -> str:
+    """Check a Zenoh endpoint (tcp/HOST:PORT or tls/HOST:PORT) and return its HOST:PORT."""
+    protocol, _, address = text.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol not in ("tcp", "tls") or not host or not port.isdigit():
+        raise ConfigError(f"{where}: '{text}' is no endpoint; write tcp/HOST:PORT")
+    if not 1024 <= int(port) <= MAX_PORT:
+        raise ConfigError(f"{where}: port {port}; choose one from 1024 to {MAX_PORT}")
+    return address

@@ -1,0 +1,251 @@
+"""What is said: frozen structs, encode and decode side by side.
+
+Lengths are metres, angles degrees, times integer nanoseconds. `now_ns`, `sent_ns` and every `t_ns` count from
+the Unix epoch on the clock of the process that wrote them (sampled once at start, then monotonic).
+World frame: origin at the lower left corner of the tank floor, z up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
+
+import msgpack
+import msgspec
+from msgspec import Meta
+
+SCHEMA = 1  # raised whenever the meaning of a field changes; others are refused
+
+MAX_PAYLOAD = 16 * 1024  # bytes of any message; refused before it is decoded
+
+Vector = tuple[float, float, float]
+Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
+Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
+Count = Annotated[int, Meta(ge=0)]
+
+M = TypeVar("M", bound="Message")
+
+
+class Refusal(ValueError):
+    """A payload that is not a message of ours; the text says why."""
+
+
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of everything that is sent or logged."""
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if not _finite(getattr(self, name)):
+                raise ValueError(f"{name} is not finite")
+
+
+# --- between robots -------------------------------------------------------------------------------------------
+
+
+class Estimate(Message, kw_only=True):
+    """A robot's a-posteriori estimate to one neighbour; also its heartbeat, sent whether it knows anything or not."""
+
+    schema: int = SCHEMA
+    fleet: Id
+    src: Id
+    dst: Id
+    incarnation: Count  # which start of the sender this is
+    seq: Count
+    sent_ns: Count
+    target: Id
+    t: Count  # iteration
+    valid: bool  # the sender sees the target: it is in S^t
+    x_m: Vector | None = None  # posterior
+    cov_m2: Symmetric | None = None
+
+
+# --- to whoever looks -----------------------------------------------------------------------------------------
+
+
+class NeighbourState(Message, kw_only=True):
+    robot: Id
+    age_s: float | None = None  # since the newest message; none: never heard
+    valid: bool = False
+    used: bool = False  # took part in the last update
+    heard: Count = 0
+    gaps: Count = 0  # missing sequence numbers
+
+
+class State(Message, kw_only=True):
+    """What a robot knows, does and suffers from."""
+
+    schema: int = SCHEMA
+    fleet: Id
+    robot: Id
+    incarnation: Count
+    seq: Count
+    sent_ns: Count
+    mode: Literal["running", "stopped"] = "running"
+    target: Id
+    knows: Literal["blind", "told", "sees"]
+    t: Count
+    acquired_t: Count | None = None  # iteration of the first own view
+    measurements: Count = 0
+    prior_m: Vector | None = None
+    prior_sigma_m: float | None = None  # root of the covariance's trace
+    posterior_m: Vector | None = None
+    posterior_sigma_m: float | None = None
+    alpha: float | None = None  # step size of the last update
+    rule: str = ""  # which branch of the protocol fired
+    neighbours: tuple[NeighbourState, ...] = ()
+    depth_m: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    pan_deg: float = 0.0
+    tilt_deg: float = 0.0
+    focus: int | None = None
+    armed: bool = False
+    refused: dict[str, int] = {}  # reason -> count of messages not believed
+    faults: tuple[str, ...] = ()
+
+
+class LogLine(Message, kw_only=True):
+    schema: int = SCHEMA
+    robot: Id
+    sent_ns: Count
+    level: Literal["info", "warning", "error"]
+    text: Annotated[str, Meta(max_length=400)]
+
+
+# --- from the robot's own devices, inputs of Agent.step -------------------------------------------------------
+
+
+class Sighting(Message, kw_only=True):
+    """What vision found in one frame. Pixels: u right, v down, from the centre of the upper left pixel."""
+
+    t_ns: int  # middle of the exposure
+    frame: Count
+    sweep: Count = 0  # the plan this frame belongs to; 0: none
+    index: int = -1  # which position of that plan
+    focus: int | None = None  # lens position, once at rest
+    target: Id
+    found: bool
+    centre_px: tuple[float, float] | None = None  # where the ray to the target's centre meets the image
+    radius_px: float | None = None  # apparent radius
+    clarity: float | None = None  # Tenengrad per pixel over the inner disc
+    area_px: float | None = None  # pixels that clarity was taken over
+    score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape
+
+
+class Telemetry(Message, kw_only=True):
+    """One telemetry frame of the control module."""
+
+    t_ns: int  # arrival at the host
+    board_us: int  # the board's clock
+    depth_m: float
+    roll_deg: float
+    pitch_deg: float
+    sensor_depth_m: tuple[float, float, float, float]  # each sensor, below its tare
+    pulses_us: tuple[int, int, int, int, int, int, int, int]
+    servos_us: tuple[int, int, int, int]
+    battery_v: float
+    armed: bool
+    ladder: int  # failsafe level, 0 is normal
+    flags: int
+    loop_us: int
+
+
+class Heard(Message, kw_only=True):
+    """A payload as it came, not yet believed."""
+
+    arrived_ns: int
+    src: Id  # from the key it came on
+    payload: bytes
+
+
+class Refused(Message, kw_only=True):
+    """Payloads that transport turned away unread."""
+
+    reason: str
+    count: int
+
+
+class Inputs(Message, kw_only=True):
+    """All that arrived since the last step, in order of arrival."""
+
+    telemetry: tuple[Telemetry, ...] = ()
+    sightings: tuple[Sighting, ...] = ()
+    heard: tuple[Heard, ...] = ()
+    refused: tuple[Refused, ...] = ()
+
+
+# --- to the robot's own devices, outputs of Agent.step --------------------------------------------------------
+
+
+class SweepPlan(Message, kw_only=True):
+    """Lens positions to visit in this order; the first only brings the lens to its starting side."""
+
+    sweep: Count
+    focus: tuple[int, ...]
+
+
+class SetPoint(Message, kw_only=True):
+    """What the control module shall hold; repeated, it is the module's heartbeat."""
+
+    depth_m: float
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    force_n: tuple[float, float] = (0.0, 0.0)  # forward, left; open loop
+    yaw_moment_nm: float = 0.0  # open loop
+    servos_us: tuple[int, int, int, int] = (1500, 1500, 1500, 1500)  # camera pan, tilt, lamp pan, tilt
+    light: float = 0.0  # 0 to 1
+
+
+class Outputs(Message, kw_only=True):
+    set_point: SetPoint
+    sweep: SweepPlan | None = None
+    says: tuple[Estimate, ...] = ()
+    state: State | None = None
+    log: tuple[LogLine, ...] = ()
+
+
+# --- encode and decode ----------------------------------------------------------------------------------------
+
+
+def encode(message: Message) -> bytes:
+    """The msgpack map of a message, fields in the order of declaration: equal messages give equal bytes."""
+    return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,))))
+
+
+def decode(payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD) -> M:
+    """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and this schema."""
+    if len(payload) > limit:
+        raise Refusal(f"{len(payload)} bytes, limit {limit}")
+    try:
+        fields = msgpack.unpackb(payload, strict_map_key=True)
+    except (ValueError, msgpack.UnpackException, RecursionError):
+        raise Refusal("not msgpack") from None
+    if not isinstance(fields, dict):
+        raise Refusal("not a map")
+    if "schema" in kind.__struct_fields__ and fields.get("schema") != SCHEMA:
+        raise Refusal(f"schema {fields.get('schema')!r:.20}, ours is {SCHEMA}")
+    try:
+        return msgspec.convert(fields, kind, builtin_types=(bytes,))
+    except msgspec.ValidationError as error:
+        raise Refusal(str(error)) from None
+
+
+def encoding(kind: type[Message]) -> str:
+    """The encoding string that every sample of this kind carries."""
+    return f"application/msgpack;aucamp.{kind.__name__}"
+
+
+def _finite(value: Any) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, (tuple, list)):
+        return all(map(_finite, value))
+    return True
+
+
+def upper(matrix: Iterable[Iterable[float]]) -> Symmetric:
+    """The upper triangle of a symmetric 3x3 matrix, as it travels."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (tuple(map(float, row)) for row in matrix)
+    return (xx, xy, xz, yy, yz, zz)

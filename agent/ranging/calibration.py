@@ -1,0 +1,56 @@
+"""The calibration file of one robot: what `aucamp calibrate` measured and the agent relies on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agent.config import Positive, Struct, convert, read_toml
+from agent.messages import Symmetric
+
+
+class FocusFit(Struct, kw_only=True):
+    """h(rho) = u_inf + b / (rho - rho0): z-depth from the gimbal pivot, in water, against the lens position.
+
+    The three parameters that a table of (rho, u) can identify (paper, section 3: k, f, c in its own gauge).
+    """
+
+    u_inf_m: float
+    b_m: float  # metre times lens position; negative where larger positions focus farther
+    rho0: float  # lens position at which the range is infinite
+    covariance: Symmetric  # of (u_inf_m, b_m, rho0)
+    noise: Positive  # standard deviation of one peak, lens positions
+    width: Positive  # half width of the clarity peak, lens positions
+    lowest: int  # lens positions at which the farthest and nearest calibrated ranges lie
+    highest: int
+    r2: float
+    rmse_m: float
+    held_out_rmse_m: float
+
+
+class CameraFit(Struct, kw_only=True):
+    """Pinhole in water, and what the servos really do: angle = zero + gain * nominal angle of the pulse."""
+
+    width_px: int
+    height_px: int
+    f_px: Positive
+    cx_px: float
+    cy_px: float
+    pan_zero_deg: float = 0.0
+    tilt_zero_deg: float = 0.0
+    pan_gain: Positive = 1.0
+    tilt_gain: Positive = 1.0
+    noise_px: Positive = 0.5  # residual of the fit
+    noise_deg: Positive = 0.1  # repeatability of the gimbal
+
+
+class Calibration(Struct, kw_only=True):
+    robot: str
+    made: str  # date, UTC
+    source: str  # what was in front of which camera
+    focus: FocusFit
+    camera: CameraFit
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a calibration file. Raises ConfigError with one line."""
+    return convert(read_toml(path), Calibration, path)

@@ -1,0 +1,57 @@
+"""THE table of what is on the network: key, message, rate, QoS. Nothing else in the tree spells a key."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from agent.messages import Estimate, LogLine, Message, State
+
+
+class QoS(NamedTuple):
+    priority: Literal["INTERACTIVE_HIGH", "DATA"]
+    reliability: Literal["RELIABLE", "BEST_EFFORT"]
+    buffer: int  # samples kept for the reader, oldest dropped first
+
+
+class Topic(NamedTuple):
+    name: str
+    key: str  # {fleet}, {src}, {dst}, {robot} are filled in
+    message: type[Message]
+    hz: float  # nominal; 0: on events
+    qos: QoS
+    writer: str  # the chunk of the key that names the writer
+
+
+# Congestion control is DROP on every row: a put never blocks a control loop, the next message replaces a lost one.
+LINK = Topic("link", "aucamp/{fleet}/link/{src}/{dst}", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 64), "src")
+STATE = Topic("state", "aucamp/{fleet}/robot/{robot}/state", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot")
+LOG = Topic("log", "aucamp/{fleet}/robot/{robot}/log", LogLine, 0.0, QoS("DATA", "RELIABLE", 256), "robot")
+
+TOPICS = (LINK, STATE, LOG)
+
+ALIVE = "aucamp/{fleet}/alive/{robot}"  # liveliness token: who is listed, never whose word counts
+ALL = "aucamp/{fleet}/**"
+EVERY_FLEET = "aucamp/**"
+
+
+def key(topic: Topic, **chunks: str) -> str:
+    """The key of one stream; '*' is allowed as a chunk."""
+    return topic.key.format(**chunks)
+
+
+def match(key_text: str) -> tuple[Topic, dict[str, str]] | None:
+    """Which row a key belongs to and the values of its chunks; None for a key of nobody."""
+    parts = key_text.split("/")
+    for topic in TOPICS:
+        pattern = topic.key.split("/")
+        if len(pattern) != len(parts):
+            continue
+        chunks: dict[str, str] = {}
+        for want, got in zip(pattern, parts, strict=True):
+            if want.startswith("{"):
+                chunks[want[1:-1]] = got
+            elif want != got:
+                break
+        else:
+            return topic, chunks
+    return None

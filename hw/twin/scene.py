@@ -1,0 +1,46 @@
+"""A scene file -> frozen structs: the world that the twin simulates and the agents never see described."""
+
+from __future__ import annotations
+
+import zlib
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from agent.config import ConfigError, Positive, Struct, convert, read_toml
+
+
+class SceneWater(Struct, kw_only=True):
+    preset: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
+    grey_per_m: float = 0.15  # scattering by particles, the same in all colours
+
+
+class Solid(Struct, kw_only=True):
+    """An ellipsoid that stands where it is put. The agents' target is one of these."""
+
+    kind: Literal["ball", "stone"]
+    position_m: tuple[float, float, float]
+    radii_m: tuple[Positive, Positive, Positive]
+
+
+class Scene(Struct, kw_only=True):
+    name: str
+    water: SceneWater = SceneWater()
+    room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
+    camera: str = "imx519_640"  # preset of hw.twin.lens
+    solid: tuple[Solid, ...] = ()
+
+
+def load_scene(name: str) -> Scene:
+    """A scene that ships with the package, or the path of a TOML file. Raises ConfigError."""
+    path = Path(name) if name.endswith(".toml") else Path(str(resources.files("hw.twin") / "scenes" / f"{name}.toml"))
+    if not path.exists():
+        raise ConfigError(f"{path}: no such scene; give a name that ships with the package (tank) or the path of a file")
+    return convert(read_toml(path), Scene, path)
+
+
+def generator(seed: int, *names: str) -> np.random.Generator:
+    """The random stream of one purpose ('r1', 'lens'): adding a purpose never changes another's numbers."""
+    return np.random.Generator(np.random.PCG64([seed, *(zlib.crc32(name.encode()) for name in names)]))
