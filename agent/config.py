@@ -29,36 +29,36 @@ class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Base of all configuration: immutable, and a key that nobody knows is an error."""
 
 
-class Tank(Struct, kw_only=True):
+class Tank(Struct, frozen=True, kw_only=True):
     """Where an estimate can be. World frame: origin at the lower left corner of the floor, z up."""
 
     size_m: tuple[Positive, Positive, Positive] = (1.5, 1.2, 0.8)
     surface_m: Positive = 0.5  # height of the water surface above the floor
 
 
-class Water(Struct, kw_only=True):
+class Water(Struct, frozen=True, kw_only=True):
     refractive_index: Annotated[float, Meta(ge=1.0, le=1.5)] = 1.333
     kind: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
 
 
-class Target(Struct, kw_only=True):
+class Target(Struct, frozen=True, kw_only=True):
     detector: Literal["ball"] = "ball"
     radius_m: Positive
 
 
-class Estimation(Struct, kw_only=True):
+class Estimation(Struct, frozen=True, kw_only=True):
     protocol: Protocol = "paper"
     iteration_s: Positive = 1.0  # the paper's t -> t + 1: one attempt to measure, one update
     validity_s: Positive = 0.5  # a neighbour unheard for longer leaves the valid set
 
 
-class Link(Struct, kw_only=True):
+class Link(Struct, frozen=True, kw_only=True):
     send_hz: Positive = 10.0
     loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
     loss_seed: int = 0
 
 
-class Camera(Struct, kw_only=True):
+class Camera(Struct, frozen=True, kw_only=True):
     width_px: Annotated[int, Meta(ge=64)] = 640
     height_px: Annotated[int, Meta(ge=64)] = 480
     settle_s: Positive = 0.05  # lens at rest after a focus command
@@ -66,7 +66,7 @@ class Camera(Struct, kw_only=True):
     enhance: bool = False  # white balance before detection; clarity is always taken on the raw frame
 
 
-class Body(Struct, kw_only=True):
+class Body(Struct, frozen=True, kw_only=True):
     """Where the camera sits and how its gimbal turns, the same on every robot of the fleet."""
 
     camera_m: tuple[float, float, float] = (0.10, 0.0, 0.0)  # gimbal pivot, body frame
@@ -76,7 +76,7 @@ class Body(Struct, kw_only=True):
     tilt_limit_deg: tuple[float, float] = (-60.0, 30.0)
 
 
-class Pose(Struct, kw_only=True):
+class Pose(Struct, frozen=True, kw_only=True):
     """Surveyed pose of the body's centre; height, roll and pitch come from the pressure sensors."""
 
     x_m: float
@@ -84,14 +84,14 @@ class Pose(Struct, kw_only=True):
     yaw_deg: float
 
 
-class Look(Struct, kw_only=True):
+class Look(Struct, frozen=True, kw_only=True):
     """Gimbal direction while nothing is known: pan positive to the left, tilt positive upwards."""
 
     pan_deg: float = 0.0
     tilt_deg: float = 0.0
 
 
-class Robot(Struct, kw_only=True):
+class Robot(Struct, frozen=True, kw_only=True):
     neighbours: tuple[Name, ...] = ()
     listen: str
     serial: str
@@ -102,7 +102,7 @@ class Robot(Struct, kw_only=True):
     calibration: str
 
 
-class Twin(Struct, kw_only=True):
+class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
     scene: str = "tank"
@@ -110,7 +110,7 @@ class Twin(Struct, kw_only=True):
     dir: str | None = None
 
 
-class Fleet(Struct, kw_only=True):
+class Fleet(Struct, frozen=True, kw_only=True):
     fleet: Name
     tank: Tank = Tank()
     water: Water = Water()
@@ -190,8 +190,7 @@ def _check(fleet: Fleet, path: Path) -> None:
                 raise ConfigError(f"{path}: key '{key}.neighbours': '{name}' names itself; remove it")
             if other not in fleet.robot:
                 raise ConfigError(
-                    f"{path}: key '{key}.neighbours': no robot '{other}'; "
-                    f"remove it or add a table [robot.{other}]"
+                    f"{path}: key '{key}.neighbours': no robot '{other}'; remove it or add a table [robot.{other}]"
                 )
             if name not in fleet.robot[other].neighbours:
                 raise ConfigError(

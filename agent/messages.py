@@ -7,10 +7,9 @@ World frame: origin at the lower left corner of the tank floor, z up.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgpack
 import msgspec
@@ -28,8 +27,15 @@ Count = Annotated[int, Meta(ge=0)]
 M = TypeVar("M", bound="Message")
 
 
+RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place"]
+
+
 class Refusal(ValueError):
-    """A payload that is not a message of ours; the text says why."""
+    """A payload that is not believed: `kind` to count by, the text to read."""
+
+    def __init__(self, kind: RefusalKind, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,7 +50,7 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 # --- between robots -------------------------------------------------------------------------------------------
 
 
-class Estimate(Message, kw_only=True):
+class Estimate(Message, frozen=True, kw_only=True):
     """A robot's a-posteriori estimate to one neighbour; also its heartbeat, sent whether it knows anything or not."""
 
     schema: int = SCHEMA
@@ -55,7 +61,7 @@ class Estimate(Message, kw_only=True):
     seq: Count
     sent_ns: Count
     target: Id
-    t: Count  # iteration
+    t: Annotated[int, Meta(ge=0, le=10**9)]  # iteration
     valid: bool  # the sender sees the target: it is in S^t
     x_m: Vector | None = None  # posterior
     cov_m2: Symmetric | None = None
@@ -64,7 +70,7 @@ class Estimate(Message, kw_only=True):
 # --- to whoever looks -----------------------------------------------------------------------------------------
 
 
-class NeighbourState(Message, kw_only=True):
+class NeighbourState(Message, frozen=True, kw_only=True):
     robot: Id
     age_s: float | None = None  # since the newest message; none: never heard
     valid: bool = False
@@ -73,7 +79,7 @@ class NeighbourState(Message, kw_only=True):
     gaps: Count = 0  # missing sequence numbers
 
 
-class State(Message, kw_only=True):
+class State(Message, frozen=True, kw_only=True):
     """What a robot knows, does and suffers from."""
 
     schema: int = SCHEMA
@@ -106,7 +112,7 @@ class State(Message, kw_only=True):
     faults: tuple[str, ...] = ()
 
 
-class LogLine(Message, kw_only=True):
+class LogLine(Message, frozen=True, kw_only=True):
     schema: int = SCHEMA
     robot: Id
     sent_ns: Count
@@ -117,7 +123,7 @@ class LogLine(Message, kw_only=True):
 # --- from the robot's own devices, inputs of Agent.step -------------------------------------------------------
 
 
-class Sighting(Message, kw_only=True):
+class Sighting(Message, frozen=True, kw_only=True):
     """What vision found in one frame. Pixels: u right, v down, from the centre of the upper left pixel."""
 
     t_ns: int  # middle of the exposure
@@ -134,7 +140,7 @@ class Sighting(Message, kw_only=True):
     score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape
 
 
-class Telemetry(Message, kw_only=True):
+class Telemetry(Message, frozen=True, kw_only=True):
     """One telemetry frame of the control module."""
 
     t_ns: int  # arrival at the host
@@ -152,7 +158,7 @@ class Telemetry(Message, kw_only=True):
     loop_us: int
 
 
-class Heard(Message, kw_only=True):
+class Heard(Message, frozen=True, kw_only=True):
     """A payload as it came, not yet believed."""
 
     arrived_ns: int
@@ -160,14 +166,14 @@ class Heard(Message, kw_only=True):
     payload: bytes
 
 
-class Refused(Message, kw_only=True):
+class Refused(Message, frozen=True, kw_only=True):
     """Payloads that transport turned away unread."""
 
     reason: str
     count: int
 
 
-class Inputs(Message, kw_only=True):
+class Inputs(Message, frozen=True, kw_only=True):
     """All that arrived since the last step, in order of arrival."""
 
     telemetry: tuple[Telemetry, ...] = ()
@@ -179,14 +185,14 @@ class Inputs(Message, kw_only=True):
 # --- to the robot's own devices, outputs of Agent.step --------------------------------------------------------
 
 
-class SweepPlan(Message, kw_only=True):
+class SweepPlan(Message, frozen=True, kw_only=True):
     """Lens positions to visit in this order; the first only brings the lens to its starting side."""
 
     sweep: Count
     focus: tuple[int, ...]
 
 
-class SetPoint(Message, kw_only=True):
+class SetPoint(Message, frozen=True, kw_only=True):
     """What the control module shall hold; repeated, it is the module's heartbeat."""
 
     depth_m: float
@@ -198,7 +204,7 @@ class SetPoint(Message, kw_only=True):
     light: float = 0.0  # 0 to 1
 
 
-class Outputs(Message, kw_only=True):
+class Outputs(Message, frozen=True, kw_only=True):
     set_point: SetPoint
     sweep: SweepPlan | None = None
     says: tuple[Estimate, ...] = ()
@@ -217,19 +223,19 @@ def encode(message: Message) -> bytes:
 def decode(payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD) -> M:
     """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and this schema."""
     if len(payload) > limit:
-        raise Refusal(f"{len(payload)} bytes, limit {limit}")
+        raise Refusal("size", f"{len(payload)} bytes, limit {limit}")
     try:
         fields = msgpack.unpackb(payload, strict_map_key=True)
     except (ValueError, msgpack.UnpackException, RecursionError):
-        raise Refusal("not msgpack") from None
+        raise Refusal("garbage", "not msgpack") from None
     if not isinstance(fields, dict):
-        raise Refusal("not a map")
+        raise Refusal("garbage", "not a map")
     if "schema" in kind.__struct_fields__ and fields.get("schema") != SCHEMA:
-        raise Refusal(f"schema {fields.get('schema')!r:.20}, ours is {SCHEMA}")
+        raise Refusal("schema", f"schema {fields.get('schema')!r:.20}, ours is {SCHEMA}")
     try:
         return msgspec.convert(fields, kind, builtin_types=(bytes,))
     except msgspec.ValidationError as error:
-        raise Refusal(str(error)) from None
+        raise Refusal("content", str(error)[:200]) from None
 
 
 def encoding(kind: type[Message]) -> str:

@@ -1,0 +1,1 @@
+"""Agreement on where the target is: one face, one file per protocol."""

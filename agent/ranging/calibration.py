@@ -8,7 +8,7 @@ from agent.config import Positive, Struct, convert, read_toml
 from agent.messages import Symmetric
 
 
-class FocusFit(Struct, kw_only=True):
+class FocusFit(Struct, frozen=True, kw_only=True):
     """h(rho) = u_inf + b / (rho - rho0): z-depth from the gimbal pivot, in water, against the lens position.
 
     The three parameters that a table of (rho, u) can identify (paper, section 3: k, f, c in its own gauge).
@@ -27,7 +27,7 @@ class FocusFit(Struct, kw_only=True):
     held_out_rmse_m: float
 
 
-class CameraFit(Struct, kw_only=True):
+class CameraFit(Struct, frozen=True, kw_only=True):
     """Pinhole in water, and what the servos really do: angle = zero + gain * nominal angle of the pulse."""
 
     width_px: int
@@ -43,7 +43,7 @@ class CameraFit(Struct, kw_only=True):
     noise_deg: Positive = 0.1  # repeatability of the gimbal
 
 
-class Calibration(Struct, kw_only=True):
+class Calibration(Struct, frozen=True, kw_only=True):
     robot: str
     made: str  # date, UTC
     source: str  # what was in front of which camera

@@ -12,12 +12,12 @@ import numpy as np
 from agent.config import ConfigError, Positive, Struct, convert, read_toml
 
 
-class SceneWater(Struct, kw_only=True):
+class SceneWater(Struct, frozen=True, kw_only=True):
     preset: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
     grey_per_m: float = 0.15  # scattering by particles, the same in all colours
 
 
-class Solid(Struct, kw_only=True):
+class Solid(Struct, frozen=True, kw_only=True):
     """An ellipsoid that stands where it is put. The agents' target is one of these."""
 
     kind: Literal["ball", "stone"]
@@ -25,7 +25,7 @@ class Solid(Struct, kw_only=True):
     radii_m: tuple[Positive, Positive, Positive]
 
 
-class Scene(Struct, kw_only=True):
+class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
     room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
@@ -37,7 +37,9 @@ def load_scene(name: str) -> Scene:
     """A scene that ships with the package, or the path of a TOML file. Raises ConfigError."""
     path = Path(name) if name.endswith(".toml") else Path(str(resources.files("hw.twin") / "scenes" / f"{name}.toml"))
     if not path.exists():
-        raise ConfigError(f"{path}: no such scene; give a name that ships with the package (tank) or the path of a file")
+        raise ConfigError(
+            f"{path}: no such scene; give a name that ships with the package (tank) or the path of a file"
+        )
     return convert(read_toml(path), Scene, path)
 
 

@@ -1,0 +1,40 @@
+# Python >= 3.11 and make are enough; everything else comes into .venv.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: venv run test bench lint format clean
+
+venv: .venv/ready
+run: .venv/ready
+	$(BIN)/aucamp demo
+
+test: .venv/ready-test lint
+	$(BIN)/pytest
+
+bench: .venv/ready-test
+	$(BIN)/python -m tests.bench
+
+lint: .venv/ready-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: .venv/ready-test
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+.venv/bin/python:
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed: make PYTHON=python3.11')"
+	$(PYTHON) -m venv .venv
+
+.venv/ready: .venv/bin/python pyproject.toml constraints.txt
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+.venv/ready-test: .venv/bin/python pyproject.toml constraints.txt
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[test]'
+	touch .venv/ready $@
+
+clean:
+	rm -rf .venv runs

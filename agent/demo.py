@@ -1,0 +1,212 @@
+"""`aucamp demo`: the paper's localization experiment on the twin, through real processes.
+
+Calibrate each camera on the twin's bench, start the twin, a recorder and one agent per robot, watch what they say
+until they have settled, stop everything, and only then look at the truth.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from agent.config import ConfigError, Fleet, Protocol, dump, load_fleet
+from agent.launch import Crew, Failed, crew, free_ports, wait_for
+from agent.messages import Refusal, State, decode
+from agent.summary import History, control, reasons, score, settled
+from agent.topics import STATE
+from agent.transport import Observer
+from hw.twin.place import twin_dir
+
+CALIBRATE_S = 120.0  # a bench that takes longer is stuck; it needs about ten seconds
+READY_S = 120.0  # the first start compiles the twin's kernels
+SETTLE_ITERATIONS = 30  # after the last robot's first view
+SETTLE_WINDOW = 10
+SETTLE_M = 0.0015
+
+
+def demo(
+    robots: int,
+    protocol: Protocol,
+    loss: float,
+    seed: int,
+    duration_s: float,
+    enhance: bool,
+    out: Path | None,
+    console: Console,
+) -> dict[str, Any]:
+    """Run the experiment and return the content of summary.json. Raises ConfigError and Failed, one line each."""
+    started_s = time.monotonic()
+    run = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    if run.exists() and any(run.iterdir()):
+        raise ConfigError(f"{run}: not empty; give --out a new folder, recordings are never overwritten")
+    run.mkdir(parents=True, exist_ok=True)
+    with sockets_dir() as folder:
+        fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder)
+        path = run / "fleet.toml"
+        path.write_text(dump(fleet), encoding="utf-8")
+        with crew(run / "logs") as processes:
+            calibrate(fleet, path, processes, console)
+            histories, truth = dive(fleet, path, run, duration_s, processes, console)
+    summary = summarize(fleet, histories, truth, time.monotonic() - started_s)
+    (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    console.print(result_table(summary))
+    console.print(f"{summary['verdict']}: {'; '.join(summary['reasons']) or 'all below 0.4 %'}. Written to {run}")
+    return summary
+
+
+def demo_fleet(robots: int, protocol: Protocol, loss: float, seed: int, enhance: bool, folder: Path) -> Fleet:
+    """The tank's fleet file with its first robots only, on ports that are free now."""
+    shipped = Path(str(resources.files("agent") / "fleets" / "tank.toml"))
+    fleet = load_fleet(shipped)
+    if not 1 <= robots <= len(fleet.robot):
+        raise ConfigError(f"--robots {robots}: {shipped.name} has {len(fleet.robot)}; choose 1 to {len(fleet.robot)}")
+    names = list(fleet.robot)[:robots]
+    ports = free_ports(robots)
+    kept = {
+        name: msgspec.structs.replace(
+            fleet.robot[name],
+            neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names),
+            listen=f"tcp/127.0.0.1:{port}",
+        )
+        for name, port in zip(names, ports, strict=True)
+    }
+    replace = msgspec.structs.replace
+    return replace(
+        fleet,
+        robot=kept,
+        estimation=replace(fleet.estimation, protocol=protocol),
+        link=replace(fleet.link, loss=loss, loss_seed=seed),
+        camera=replace(fleet.camera, enhance=enhance),
+        twin=replace(fleet.twin, seed=seed, dir=str(folder)),
+    )
+
+
+def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> None:
+    """Each robot's camera and gimbal on the twin's bench, two at a time."""
+    with console.status("calibrating cameras on the bench: board at known distances"):
+        names = list(fleet.robot)
+        for pair in (names[k : k + 2] for k in range(0, len(names), 2)):
+            for name in pair:
+                out = path.parent / fleet.robot[name].calibration
+                processes.start(f"calibrate_{name}", "calibrate", "run", str(path), "--robot", name, "--out", str(out))
+            for name in pair:
+                processes.finish(f"calibrate_{name}", CALIBRATE_S)
+
+
+def dive(
+    fleet: Fleet, path: Path, run: Path, duration_s: float, processes: Crew, console: Console
+) -> tuple[dict[str, History], dict[str, Any]]:
+    """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
+    folder = twin_dir(fleet)
+    with console.status("starting the twin"):
+        processes.start("twin", "twin", str(path))
+        wait_for("the twin", (folder / "ready").exists, processes, READY_S)
+    truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    processes.start("recorder", "record", str(path), "--out", str(run / "fleet.mcap"))
+    for name in fleet.robot:
+        processes.start(name, "agent", str(path), "--robot", name, "--out", str(run), "--arm")
+    histories = {name: History([]) for name in fleet.robot}
+    until_s = time.monotonic() + duration_s
+    with Observer(fleet, time.monotonic_ns, (STATE,)) as observer, Live(console=console, refresh_per_second=2) as live:
+        while time.monotonic() < until_s:
+            for seen in observer.drain():
+                try:
+                    histories[seen.chunks["robot"]].states.append(decode(seen.payload, State))
+                except (Refusal, KeyError):
+                    continue  # a stranger's sample: the recorder has it
+            live.update(progress_table(histories, until_s - time.monotonic()))
+            if settled(histories.values(), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
+                break
+            processes.check()
+            time.sleep(0.1)
+    processes.stop(*fleet.robot)
+    processes.stop("recorder")
+    processes.stop("twin")
+    return histories, truth
+
+
+def summarize(fleet: Fleet, histories: dict[str, History], truth: dict[str, Any], wall_s: float) -> dict[str, Any]:
+    """The content of summary.json, schema 1."""
+    target_m = tuple(truth["targets"][next(iter(fleet.target))])
+    rows = {name: score(history, target_m) for name, history in histories.items()}
+    why = reasons(rows)
+    return {
+        "schema": 1,
+        "protocol": fleet.estimation.protocol,
+        "seed": fleet.twin.seed,
+        "loss": fleet.link.loss,
+        "wall_s": round(wall_s, 1),
+        "truth_m": list(target_m),
+        "agents": rows,
+        "control": control(histories.values(), next(iter(fleet.robot.values())).depth_m),
+        "verdict": "fail" if why else "pass",
+        "reasons": why,
+    }
+
+
+def progress_table(histories: dict[str, History], left_s: float) -> Table:
+    """What each robot says of itself now."""
+    table = Table(title=f"at most {left_s:.0f} s to go", title_justify="left")
+    for column in ("robot", "target", "iteration", "first view", "estimate mm", "sigma mm", "hears", "faults"):
+        table.add_column(column)
+    for name, history in histories.items():
+        state = history.newest
+        if state is None:
+            table.add_row(name, "…")
+            continue
+        where = " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "–"
+        table.add_row(
+            name,
+            state.knows,
+            str(state.t),
+            "–" if state.acquired_t is None else str(state.acquired_t),
+            where,
+            f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "–",
+            " ".join(n.robot for n in state.neighbours if n.used) or "–",
+            ", ".join(state.faults) or ("" if state.armed else "motors off"),
+        )
+    return table
+
+
+def result_table(summary: dict[str, Any]) -> Table:
+    """Prior and posterior against the truth."""
+    table = Table(title=f"target at {summary['truth_m']} m, protocol {summary['protocol']}, twin seed {summary['seed']}")
+    for column in ("robot", "first view", "iterations", "prior rms mm (x y z)", "posterior error mm (x y z)", "3-D", "%"):
+        table.add_column(column, justify="right")
+    for name, row in summary["agents"].items():
+        table.add_row(
+            name,
+            str(row["acquired_iteration"] or "never"),
+            str(row["iterations"]),
+            " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or []),
+            " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or []),
+            f"{row['error_mm']:.2f}" if row["error_mm"] is not None else "–",
+            f"{row['relative_error_percent']:.2f}" if row["relative_error_percent"] is not None else "–",
+        )
+    return table
+
+
+@contextmanager
+def sockets_dir() -> Iterator[Path]:
+    """A short path for the twin's sockets, which may not be longer than 107 bytes."""
+    folder = Path(tempfile.mkdtemp(prefix="aucamp-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+__all__ = ["Failed", "demo"]

@@ -1,0 +1,197 @@
+"""`aucamp depth-map SOURCE`: sweep the focus once, give every block of the picture the distance of its clarity peak.
+
+Blocks without a single clear peak (no texture, a depth edge, sharpest outside the sweep) get no distance. The grid of
+blocks stays where it is: with a lens whose picture grows during the sweep, use large blocks.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from agent.config import ConfigError
+from agent.perception.clarity import luminance, tenengrad_blocks
+from agent.ranging.calibration import Calibration, load_calibration
+from agent.ranging.focus import MIN_POSITIONS, Array, fit_peaks, h
+from hw.camera import Camera, CameraError, Image, nearest, open_camera
+from hw.camera_files import StackCamera
+
+SWEEP_STEPS = 30  # lens positions of a camera; of a stack every photograph is used
+HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small steps ring less
+SETTLE_S = 0.05
+MIN_BLOCK_PX = 8  # smaller ones hold more noise than texture
+
+OnStep = Callable[[int, int], None]  # lens positions done, in all
+
+
+class Sweep(NamedTuple):
+    focus: Array  # (n,) lens positions, as the driver reports them; of a stack in the unit of its positions.csv
+    clarity: Array  # (n, rows, cols)
+    sharp: Image  # (height, width, 3), each block from the frame in which it is sharpest
+
+
+class DepthMap(NamedTuple):
+    """Arrays are (rows, cols), row 0 on top; position and sigma in lens positions."""
+
+    block_px: int
+    position: Array
+    sigma: Array
+    quality: Array
+    accepted: NDArray[np.bool_]
+    range_m: Array | None  # z-depth from the gimbal pivot; NaN where there is none. None without a calibration
+    sharp: Image
+
+
+def depth_map(
+    source: str, out: Path, block: int, twin_dir: Path, calibration: Calibration | None, progress: OnStep
+) -> DepthMap:
+    """Sweep `source` (a camera address, or a directory of photographs), write the PNG `out` and a CSV beside it.
+
+    block: edge in pixels. Raises CameraError and ConfigError, each one line.
+    """
+    if out.suffix.lower() != ".png" or not out.parent.is_dir():
+        raise ConfigError(f"{out}: give a name that ends in .png, in a directory that exists")
+    camera = open_camera(f"stack:{source}" if Path(source).is_dir() else source, twin_dir, None)
+    try:
+        result = measure(sweep(camera, block, progress), block, calibration)
+    finally:
+        camera.close()
+    try:
+        write_csv(result, out.with_suffix(".csv"))
+        draw(result, out)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}; choose another place") from None
+    return result
+
+
+def run(source: str, out: Path, block: int, calibration: Path | None) -> str:
+    """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera."""
+    known = None if calibration is None else load_calibration(calibration)
+    with Progress(transient=True) as bar:
+        task = bar.add_task("focus sweep", total=None)
+        result = depth_map(
+            source, out, block, Path(), known, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    found, blocks = np.count_nonzero(result.accepted), result.accepted.size
+    return f"{found} of {blocks} blocks have a clear peak: {out}, {out.with_suffix('.csv')}"
+
+
+def sweep(camera: Camera, block: int, progress: OnStep) -> Sweep:
+    """Clarity of every block at every lens position, from the lowest upwards: one direction, one hysteresis."""
+    width, height = camera.size
+    if not MIN_BLOCK_PX <= block <= min(width, height):
+        raise ConfigError(
+            f"--block {block}: the picture is {width}x{height}; choose {MIN_BLOCK_PX} to {min(width, height)}"
+        )
+    positions = _positions(camera)
+    camera.set_focus(positions[0])
+    camera.read(settle_s=HOME_SETTLE_S)
+    focus, clarity = [], []
+    sharp = best = None
+    for done, position in enumerate(positions, start=1):
+        focus.append(float(camera.set_focus(position)))
+        image = camera.read(settle_s=SETTLE_S).image
+        energy = tenengrad_blocks(luminance(image), block)
+        clarity.append(energy)
+        if sharp is None or best is None:
+            sharp, best = image.copy(), energy
+        else:
+            better = energy > best
+            best = np.where(better, energy, best)
+            pixels = better.repeat(block, axis=0).repeat(block, axis=1)
+            inner = (slice(pixels.shape[0]), slice(pixels.shape[1]))
+            sharp[inner][pixels] = image[inner][pixels]
+        progress(done, len(positions))
+    assert sharp is not None  # there were positions
+    scale = np.array(camera.positions) if isinstance(camera, StackCamera) else np.array(focus)
+    return Sweep(scale, np.array(clarity), sharp)
+
+
+def _positions(camera: Camera) -> list[int]:
+    focus = camera.focus_range()
+    if focus is None:
+        raise CameraError("the focus of this source cannot be set; a depth map needs a camera or a stack: that can")
+    if isinstance(camera, StackCamera):
+        positions = list(range(focus.lowest, focus.highest + 1))
+    else:
+        wanted = np.linspace(focus.lowest, focus.highest, SWEEP_STEPS)
+        positions = sorted({nearest(round(position), focus) for position in wanted})
+    if len(positions) < MIN_POSITIONS:
+        raise CameraError(f"{len(positions)} focus positions; a depth map needs at least {MIN_POSITIONS}")
+    return positions
+
+
+def measure(taken: Sweep, block: int, calibration: Calibration | None) -> DepthMap:
+    """Peak of every block's curve, and its range where a calibration tells it."""
+    count, rows, cols = taken.clarity.shape
+    peaks = fit_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T)
+    shape = (rows, cols)
+    position, accepted = peaks.position.reshape(shape), peaks.accepted.reshape(shape)
+    range_m = None
+    if calibration is not None:
+        range_m = np.full(shape, np.nan)
+        for cell in np.argwhere(accepted):
+            z_m = h(calibration.focus, float(position[tuple(cell)]))
+            if z_m is not None:  # else sharp at infinity
+                range_m[tuple(cell)] = z_m
+    return DepthMap(
+        block, position, peaks.sigma.reshape(shape), peaks.quality.reshape(shape), accepted, range_m, taken.sharp
+    )
+
+
+def write_csv(result: DepthMap, path: Path) -> None:
+    """One line a block; x_px and y_px are its centre. What has no value is left empty."""
+    columns = ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns + (["range_m"] if result.range_m is not None else []))
+        for row, col in np.ndindex(result.position.shape):
+            cell = (row, col)
+            centre = [(k + 0.5) * result.block_px - 0.5 for k in (col, row)]
+            line: list[object] = [row, col, *centre, f"{result.position[cell]:.6g}", f"{result.sigma[cell]:.3g}"]
+            line += [f"{result.quality[cell]:.4f}", int(result.accepted[cell])]
+            if result.range_m is not None:
+                line.append("" if np.isnan(result.range_m[cell]) else f"{result.range_m[cell]:.5g}")
+            writer.writerow(line)
+
+
+def draw(result: DepthMap, path: Path) -> None:
+    """The picture, everywhere sharp, and beside it the map with its colour bar; hatched: no distance."""
+    height, width = result.sharp.shape[:2]
+    figure = Figure(figsize=(12.0, 0.6 + 5.4 * height / width), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.imshow(result.sharp[..., ::-1])
+    left.set_title("each block from its sharpest frame")
+    if result.range_m is not None:
+        values, label = result.range_m, "z-depth in metres"
+    else:
+        values, label = np.where(result.accepted, result.position, np.nan), "focus position of the clarity peak"
+    shown = np.isfinite(values)
+    right.set_title(f"{np.count_nonzero(shown)} of {shown.size} blocks of {result.block_px} px; hatched: no distance")
+    _draw_cells(right, values, result.block_px, label)
+    for axes in (left, right):
+        axes.set(xlim=(0, width), ylim=(height, 0), xlabel="x in px", ylabel="y in px")
+    figure.savefig(path, dpi=100)
+
+
+def _draw_cells(axes: Axes, values: Array, block: int, label: str) -> None:
+    axes.patch.set(facecolor="0.88", edgecolor="0.65", hatch="///")  # seen through cells without a value
+    axes.set_aspect("equal")
+    shown = values[np.isfinite(values)]
+    if shown.size == 0:
+        return
+    low, high = np.percentile(shown, (1, 99))  # a few wrong peaks shall not take the colours of all others
+    rows, cols = values.shape
+    cells = axes.imshow(
+        np.ma.masked_invalid(values), extent=(0, cols * block, rows * block, 0), vmin=low, vmax=high, cmap="viridis"
+    )
+    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map, whatever its shape
+    axes.figure.colorbar(cells, cax=bar, label=label, extend="both")

@@ -1,0 +1,77 @@
+"""The paper's protocol, equation (ac) and Algorithm 1 read literally (arXiv 2506.09876, section 4).
+
+    x_i^{t+1} = sum_{j in N_i ∩ S^t} (1 - alpha) w_ij x_j^t  +  alpha x̂_i^t
+
+with w_ij = 1 / |N_i ∩ S^t| and alpha = 1 / (t + 1), both left open by the paper. Its flaws are kept: robots do not
+average with themselves, and one that sees the target but hears nobody starts again from its newest sample. Where the
+paper demands two things at once (blind, and no valid neighbour) the robot holds what it has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from agent.estimation.face import Posterior, Prior, Update
+from agent.estimation.mailbox import Mailbox
+from agent.messages import Symmetric, Vector
+
+
+class Paper:
+    """State of one robot for one target."""
+
+    def __init__(self, validity_ns: int) -> None:
+        self._validity_ns = validity_ns
+        self.t = 0
+        self.valid = False
+        self.posterior: Posterior | None = None
+
+    def adopt(self, t: int) -> None:
+        # One ahead is a neighbour in the same iteration that ticked first. Following that would let N robots drive
+        # each other N iterations a period, and alpha would shrink before the samples are in.
+        if t > self.t + 1:
+            self.t = t
+
+    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+        usable = mailbox.usable(now_ns, self._validity_ns)
+        said = [Posterior(e.x_m, e.cov_m2 or UNKNOWN) for _, e in usable if e.x_m is not None]
+        self.valid = prior is not None
+        alpha = 0.0
+        if said and prior is not None:
+            alpha = 1.0 / (self.t + 1)
+            self.posterior, rule = mix(said, prior, alpha), "mix"
+        elif said:
+            self.posterior, rule = mix(said, None, 0.0), "told"
+        elif prior is not None:
+            alpha = 1.0
+            self.posterior, rule = Posterior(prior.x_m, prior.cov_m2), "alone"
+        else:
+            rule = "hold"
+        self.t += 1
+        return Update(self.t, rule, alpha, tuple(name for name, _ in usable))
+
+
+UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that states no covariance
+
+
+def mix(said: Sequence[Posterior], prior: Prior | None, alpha: float) -> Posterior:
+    """The right side of (ac), and a covariance for it.
+
+    The paper has no covariance. Neighbours share most of their past, so their mean is credited with the mean of
+    their covariances (full correlation, an upper bound); the own prior is new and independent.
+    """
+    keep, weight = 1.0 - alpha, (1.0 - alpha) / len(said)
+    x = [math.fsum(weight * p.x_m[k] for p in said) for k in range(3)]
+    cov = [math.fsum(keep * weight * p.cov_m2[k] for p in said) for k in range(6)]
+    if prior is not None:
+        x = [a + alpha * b for a, b in zip(x, prior.x_m, strict=True)]
+        cov = [a + alpha * alpha * b for a, b in zip(cov, prior.cov_m2, strict=True)]
+    return Posterior(_vector(x), _symmetric(cov))
+
+
+def _vector(v: Sequence[float]) -> Vector:
+    return (v[0], v[1], v[2])
+
+
+def _symmetric(v: Sequence[float]) -> Symmetric:
+    return (v[0], v[1], v[2], v[3], v[4], v[5])

@@ -1,0 +1,132 @@
+"""Calibrate one robot's camera and gimbal against a board: the procedure of the bench, in water, at known distances.
+
+Focus: at each distance one sweep, always towards larger lens positions after homing at the smallest, because play in
+the lens is a constant only for one direction; whoever measures later has to sweep the same way. Camera: a chessboard
+at two distances and several settings of the gimbal, always reached from the side of shorter pulses, for the same
+reason. The board stands upright across the body's x axis; distances count from the gimbal's pivot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+
+import cv2
+import numpy as np
+
+from agent.config import ConfigError, Fleet
+from agent.messages import Vector
+from agent.perception.clarity import gradient_energy, luminance
+from agent.ranging.calibrate import Corner, FocusRow, fit_camera, fit_focus
+from agent.ranging.calibration import Calibration, FocusFit
+from agent.ranging.focus import Peak, fit_peak, lens_position
+from hw.camera import Camera, FocusRange, Roi
+
+Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about the pivot (m), pulses of pan and tilt
+Progress = Callable[[int, int], None]  # steps done, steps in all
+
+NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 12  # equal steps of 1/u, as the lens sees them
+SWEEP_PX = 200  # side of the picture's middle that a sweep reads
+HOMING_S = 0.2  # the lens across its whole range, and the board's servos at rest
+
+COLUMNS, ROWS, SQUARE_M = 14, 9, 0.020  # inner corners of a board of 15 x 10 squares
+BOARD_AT_M = (0.68, 0.85)  # the whole board within 31 degrees, with room for a gimbal that is a degree off
+VIEWS_DEG = ((0.0, 0.0), (-24.0, 0.0), (24.0, 0.0), (0.0, -8.0), (0.0, 8.0), (-16.0, -6.0), (16.0, 6.0))
+BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
+
+
+def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
+    """Run the whole procedure. Raises CalibrationRefused, ConfigError for a camera without focus, CameraError."""
+    limits = camera.focus_range()
+    if limits is None:
+        raise ConfigError(f"robot.{robot}.camera: its focus cannot be set; a calibration needs one that can")
+    total = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)
+    rows: list[FocusRow] = []
+    centre_us = round(fleet.body.servo_centre_us)
+    for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES)):
+        approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
+        peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        if peak is not None:
+            rows.append(FocusRow(float(u_m), peak.position, peak.width))
+        progress(done + 1, total)
+    focus = fit_focus(rows)
+    corners: list[Corner] = []
+    for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
+        corners += view
+        progress(done + 1, total)
+    place(None, (centre_us, centre_us))
+    return Calibration(
+        robot=robot,
+        made=datetime.now(UTC).strftime("%Y-%m-%d"),
+        source=f"board of {COLUMNS + 1} x {ROWS + 1} squares before {fleet.robot[robot].camera}",
+        focus=focus,
+        camera=fit_camera(corners, fleet.body, camera.size),
+    )
+
+
+def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:
+    """Sweep once over the whole range of the lens; where the middle of the picture is sharpest, if anywhere."""
+    width, height = camera.size
+    middle = Roi((width - SWEEP_PX) // 2, (height - SWEEP_PX) // 2, SWEEP_PX, SWEEP_PX)
+    home(camera, limits, middle)
+    positions, clarity = [], []
+    for position in np.linspace(limits.lowest, limits.highest, steps):
+        positions.append(camera.set_focus(round(position)))
+        image = camera.read(middle, settle_s=settle_s).image
+        clarity.append(float(gradient_energy(luminance(image)).mean(dtype=np.float64)))
+    peak = fit_peak(positions, clarity)
+    return peak if isinstance(peak, Peak) else None
+
+
+def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterator[list[Corner]]:
+    """The corners of each view of the board, sharp; an empty list where the board is not seen whole."""
+    body = fleet.body
+    for ahead_m in BOARD_AT_M:
+        for pan_deg, tilt_deg in VIEWS_DEG:
+            left_m = ahead_m * math.tan(math.radians(pan_deg))
+            board_m = (ahead_m, left_m, math.hypot(ahead_m, left_m) * math.tan(math.radians(tilt_deg)))
+            us = (
+                round(body.servo_centre_us + body.servo_us_per_deg * pan_deg),
+                round(body.servo_centre_us + body.servo_us_per_deg * tilt_deg),
+            )
+            approach(place, board_m, us)
+            camera.set_focus(round(lens_position(focus, math.hypot(*board_m))))
+            grey = luminance(camera.read(settle_s=HOMING_S).image)
+            yield [Corner(us, point, px) for point, px in zip(board_points(board_m), find_corners(grey), strict=False)]
+
+
+def approach(place: Place, board_m: Vector, us: tuple[int, int]) -> None:
+    """Set up the board and the gimbal, each servo coming from the side of shorter pulses."""
+    place(board_m, (us[0] - BACKLASH_US, us[1] - BACKLASH_US))
+    place(board_m, us)
+
+
+def home(camera: Camera, limits: FocusRange, roi: Roi) -> None:
+    """Bring the lens to rest at its smallest position."""
+    camera.set_focus(limits.lowest)
+    camera.read(roi, settle_s=HOMING_S)
+
+
+def find_corners(grey: np.ndarray) -> list[tuple[float, float]]:
+    """Pixels of the board's inner corners, row by row from the upper left; empty if they are not all there."""
+    found, corners = cv2.findChessboardCornersSB(grey, (COLUMNS, ROWS), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:
+        return []
+    grid = corners.reshape(ROWS, COLUMNS, 2)
+    # The gimbal has no roll: whichever corner the finder starts from, left is left and up is up.
+    if grid[0, 0, 0] > grid[0, -1, 0]:
+        grid = grid[:, ::-1]
+    if grid[0, 0, 1] > grid[-1, 0, 1]:
+        grid = grid[::-1]
+    return [(float(u), float(v)) for u, v in grid.reshape(-1, 2)]
+
+
+def board_points(board_m: Vector) -> list[Vector]:
+    """The same corners about the pivot, body frame: y to the left, z up."""
+    x, y, z = board_m
+    return [
+        (x, y + SQUARE_M * ((COLUMNS - 1) / 2 - column), z + SQUARE_M * ((ROWS - 1) / 2 - row))
+        for row in range(ROWS)
+        for column in range(COLUMNS)
+    ]

@@ -1,0 +1,33 @@
+"""From payloads to letters: everything heard is decoded and checked here; what is not believed is counted."""
+
+from __future__ import annotations
+
+from agent.config import Tank
+from agent.estimation.mailbox import Mailbox
+from agent.messages import Estimate, Heard, Refusal, Refused, decode
+from agent.status import Status, inside
+
+
+class Hearing:
+    """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
+
+    def __init__(self, mailbox: Mailbox, tank: Tank) -> None:
+        self._mailbox, self._tank = mailbox, tank
+        self.refused: dict[str, int] = {}
+
+    def take(self, heard: tuple[Heard, ...], refused: tuple[Refused, ...], status: Status, now_ns: int) -> None:
+        """Put what can be believed into the mailbox."""
+        for turned_away in refused:
+            self._count(turned_away.reason, turned_away.count, "transport", "turned away unread", status, now_ns)
+        for item in heard:
+            try:
+                estimate = decode(item.payload, Estimate)
+                if estimate.x_m is not None and not inside(estimate.x_m, self._tank):
+                    raise Refusal("place", "estimate outside the tank")
+                self._mailbox.put(item.src, estimate, item.arrived_ns)
+            except Refusal as refusal:
+                self._count(refusal.kind, 1, item.src, str(refusal), status, now_ns)
+
+    def _count(self, kind: str, count: int, src: str, why: str, status: Status, now_ns: int) -> None:
+        self.refused[kind] = self.refused.get(kind, 0) + count
+        status.note_seldom("warning", kind, f"refused from {src} ({kind}): {why}; {self.refused[kind]} so far", now_ns)

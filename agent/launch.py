@@ -1,0 +1,127 @@
+"""Processes of ours, started as a user would start them, and stopped whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from agent.config import MAX_PORT
+
+STOP_S = 4.0  # from SIGTERM to SIGKILL: an agent needs under 2 s, a recorder finishes its file
+
+
+class Failed(RuntimeError):
+    """A process that was needed ended or did not get ready; one line with where its output is."""
+
+
+class Child(NamedTuple):
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+
+class Crew:
+    """The processes of one run, in order of start; stopped in the opposite order."""
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._children: list[Child] = []
+
+    def start(self, name: str, *arguments: str) -> None:
+        """Start `aucamp ARGUMENTS`, its output going to <logs>/<name>.log."""
+        self._logs.mkdir(parents=True, exist_ok=True)
+        log = self._logs / f"{name}.log"
+        with log.open("wb") as out:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "agent", *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=out
+            )
+        self._children.append(Child(name, process, log))
+
+    def check(self) -> None:
+        """Raise Failed if one that should run has ended."""
+        for child in self._children:
+            if child.process.poll() is not None:
+                raise Failed(f"{child.name} ended by itself ({describe(child)}): {last_line(child.log)}")
+
+    def finish(self, name: str, timeout_s: float) -> None:
+        """Wait for a process that ends by itself; Failed if it says no."""
+        child = self._child(name)
+        try:
+            code = child.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise Failed(f"{name} took longer than {timeout_s:.0f} s; its output is in {child.log}") from None
+        if code != 0:
+            raise Failed(f"{name} failed: {last_line(child.log)}")
+        self._children.remove(child)
+
+    def stop(self, *names: str) -> None:
+        """SIGTERM to these at once, SIGKILL to whoever is left after a while; all are reaped."""
+        children = [self._child(name) for name in names]
+        for child in children:
+            if child.process.poll() is None:
+                child.process.send_signal(signal.SIGTERM)
+        deadline_s = time.monotonic() + STOP_S
+        for child in children:
+            try:
+                child.process.wait(max(0.0, deadline_s - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()
+            self._children.remove(child)
+
+    def stop_all(self) -> None:
+        for child in reversed(self._children.copy()):
+            self.stop(child.name)
+
+    def _child(self, name: str) -> Child:
+        return next(child for child in self._children if child.name == name)
+
+
+@contextlib.contextmanager
+def crew(logs: Path) -> Iterator[Crew]:
+    """A crew whose processes do not outlive the block."""
+    processes = Crew(logs)
+    try:
+        yield processes
+    finally:
+        processes.stop_all()
+
+
+def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: float) -> None:
+    """Poll until ready. Raises Failed when a process ends meanwhile or time runs out."""
+    deadline_s = time.monotonic() + timeout_s
+    while not ready():
+        processes.check()
+        if time.monotonic() > deadline_s:
+            raise Failed(f"{what} was not ready after {timeout_s:.0f} s")
+        time.sleep(0.05)
+
+
+def free_ports(count: int, first: int = 17401) -> list[int]:
+    """Ports on loopback that nobody listens on now, below the ephemeral range."""
+    ports: list[int] = []
+    for port in range(first, MAX_PORT):
+        if len(ports) == count:
+            return ports
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", port))
+            ports.append(port)
+    raise Failed(f"fewer than {count} free ports from {first} to {MAX_PORT}")
+
+
+def describe(child: Child) -> str:
+    code = child.process.returncode
+    return f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit {code}"
+
+
+def last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"

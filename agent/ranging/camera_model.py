@@ -1,0 +1,237 @@
+"""Pixels, servo pulses and ranges to places in the world, and back. Pure geometry in scalars, no BLAS.
+
+Frames. World: z up. Body: x forward, y left, z up, R_world_body = Rz(yaw) Ry(pitch) Rx(roll). Gimbal: pan about body
+z, positive to the left, then tilt, positive up: R_body_gimbal = Rz(pan) Ry(-tilt). Camera: x right, y down, z forward,
+optical centre at the gimbal's pivot. Angles in degrees, lengths in metres. The u of h(rho) is z-depth, along the
+optical axis, not the length of the ray.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from agent.config import Body, Pose
+from agent.messages import Symmetric, Vector
+from agent.ranging.calibration import CameraFit, FocusFit
+from agent.ranging.focus import h, range_variance
+
+Rotation = tuple[Vector, Vector, Vector]  # rows
+
+INNER_DISC = 0.5  # share of the ball's apparent radius inside which clarity is taken: texture, no silhouette
+RINGS = 8  # of equal area, to average the depth of that disc; 4 already agree to 0.01 mm
+
+SURVEY_SIGMA_M = 0.002  # where the robot was placed: tape measure and water column
+ATTITUDE_SIGMA_DEG = 0.1  # roll and pitch from pressure: 2 mm over the sensors' base is 0.4 deg, averaged
+
+
+class Eye(NamedTuple):
+    """Where a camera is: optical centre in the world, and rotation camera -> world."""
+
+    position_m: Vector
+    rotation: Rotation
+
+
+class Fix(NamedTuple):
+    """One measurement of the target's centre in the world."""
+
+    position_m: Vector
+    random_m2: Symmetric  # averages out over measurements
+    systematic_m2: Symmetric  # does not: calibration and survey, the same in every measurement of this robot
+
+    @property
+    def covariance_m2(self) -> Symmetric:
+        return _plus(self.random_m2, self.systematic_m2)
+
+
+def gimbal_deg(camera: CameraFit, body: Body, servos_us: tuple[float, float]) -> tuple[float, float]:
+    """What the servos really do at these pulses: (pan, tilt), zero + gain * nominal angle."""
+    pan, tilt = ((us - body.servo_centre_us) / body.servo_us_per_deg for us in servos_us)
+    return camera.pan_zero_deg + camera.pan_gain * pan, camera.tilt_zero_deg + camera.tilt_gain * tilt
+
+
+def servos_us(camera: CameraFit, body: Body, pan_deg: float, tilt_deg: float) -> tuple[int, int]:
+    """The pulses that turn the gimbal there, to 1 us; beyond a limit, that limit's pulse."""
+    pan = _clamp((pan_deg - camera.pan_zero_deg) / camera.pan_gain, body.pan_limit_deg)
+    tilt = _clamp((tilt_deg - camera.tilt_zero_deg) / camera.tilt_gain, body.tilt_limit_deg)
+    return (
+        round(body.servo_centre_us + body.servo_us_per_deg * pan),
+        round(body.servo_centre_us + body.servo_us_per_deg * tilt),
+    )
+
+
+def camera_pose(
+    pose: Pose,
+    body: Body,
+    depth_m: float,
+    roll_deg: float,
+    pitch_deg: float,
+    pan_deg: float,
+    tilt_deg: float,
+    surface_m: float,
+) -> Eye:
+    """Where the camera is and how it is turned, from the surveyed pose, the pressure sensors and the gimbal."""
+    position, world_body = _pivot(pose, body, depth_m, roll_deg, pitch_deg, surface_m)
+    body_camera = _times(_times(_rz(pan_deg), _ry(-tilt_deg)), ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)))
+    return Eye(position, _times(world_body, body_camera))
+
+
+def look_at(
+    point_m: Vector,
+    pose: Pose,
+    body: Body,
+    depth_m: float,
+    roll_deg: float,
+    pitch_deg: float,
+    surface_m: float,
+) -> tuple[float, float]:
+    """(pan, tilt) that bring a point of the world onto the optical axis."""
+    pivot, world_body = _pivot(pose, body, depth_m, roll_deg, pitch_deg, surface_m)
+    x, y, z = _apply(_transpose(world_body), _minus(point_m, pivot))
+    return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
+
+
+def ray(camera: CameraFit, px: tuple[float, float]) -> Vector:
+    """Unit vector in the camera frame through a pixel."""
+    x, y = (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
+    length = math.sqrt(x * x + y * y + 1.0)
+    return x / length, y / length, 1.0 / length
+
+
+def pixel(camera: CameraFit, point_m: Vector) -> tuple[float, float] | None:
+    """Where a point of the camera frame meets the image; None behind the camera."""
+    x, y, z = point_m
+    if z <= 0.0:
+        return None
+    return camera.cx_px + camera.f_px * x / z, camera.cy_px + camera.f_px * y / z
+
+
+def to_camera(eye: Eye, point_m: Vector) -> Vector:
+    """A point of the world in the camera frame."""
+    return _apply(_transpose(eye.rotation), _minus(point_m, eye.position_m))
+
+
+def to_world(eye: Eye, point_m: Vector) -> Vector:
+    """A point of the camera frame in the world."""
+    x, y, z = (p + c for p, c in zip(eye.position_m, _apply(eye.rotation, point_m), strict=True))
+    return x, y, z
+
+
+def locate(
+    camera: CameraFit,
+    focus: FocusFit,
+    eye: Eye,
+    centre_px: tuple[float, float],
+    rho: float,
+    sigma_rho: float,
+    radius_m: float,
+) -> Fix | None:
+    """The centre of a ball from its pixel and its sharpest lens position; None where h(rho) has no range.
+
+    x = d R m + p with m the unit ray through the centre. Focus measures the skin that faces the camera, so d is the
+    range to the skin plus `centre_behind_skin_m`. Covariance: s_u^2 r r^T / m_z^2 along the ray, s_px^2 (d/f)^2 and
+    s_ang^2 d^2 across it, s_p^2 of the survey in every direction.
+    """
+    u_m = h(focus, rho)
+    if u_m is None:
+        return None
+    m = ray(camera, centre_px)
+    skin_m = u_m / m[2]
+    d = skin_m + centre_behind_skin_m(skin_m, radius_m)
+    r = _apply(eye.rotation, m)
+    x, y, z = (p + d * c for p, c in zip(eye.position_m, r, strict=True))
+    along_random, along_systematic = (v / (m[2] * m[2]) for v in range_variance(focus, rho, sigma_rho))
+    gimbal = math.radians(camera.noise_deg)
+    across_random = d * d * ((camera.noise_px / camera.f_px) ** 2 + gimbal * gimbal)
+    across_systematic = d * d * math.radians(ATTITUDE_SIGMA_DEG) ** 2
+    survey = SURVEY_SIGMA_M * SURVEY_SIGMA_M
+    return Fix(
+        (x, y, z),
+        _spheroid(r, along_random, across_random),
+        _spheroid(r, along_systematic + survey, across_systematic + survey),
+    )
+
+
+def centre_behind_skin_m(skin_m: float, radius_m: float, share: float = INNER_DISC) -> float:
+    """From the skin at which a ball's inner disc is sharpest to the ball's centre, along the ray to the centre.
+
+    Seen at an angle phi off that ray, the skin lies at depth t cos phi with t = d cos phi - sqrt(R^2 - d^2 sin^2 phi).
+    The disc reaches to tan phi = share * tan(asin(R/d)). Each part of it is sharpest at its own vergence 1/depth, and
+    the clarity of the whole is sharpest at their mean, so the disc focuses as a plane at the harmonic mean depth.
+    That depth is about d - R + 0.05 R; here it is inverted for d.
+    """
+    d = skin_m + radius_m
+    for _ in range(4):  # contracts by more than ten at each pass
+        d += skin_m - _disc_depth_m(d, radius_m, share)
+    return d - skin_m
+
+
+def _disc_depth_m(d: float, radius_m: float, share: float) -> float:
+    edge = share * radius_m / math.sqrt(d * d - radius_m * radius_m)
+    vergence = 0.0
+    for ring in range(RINGS):
+        tan2 = edge * edge * (ring + 0.5) / RINGS
+        cos2 = 1.0 / (1.0 + tan2)
+        # t cos phi, with sin^2 = tan^2 cos^2
+        depth = d * cos2 - math.sqrt((radius_m * radius_m - d * d * tan2 * cos2) * cos2)
+        vergence += 1.0 / depth
+    return RINGS / vergence
+
+
+def _pivot(
+    pose: Pose, body: Body, depth_m: float, roll_deg: float, pitch_deg: float, surface_m: float
+) -> tuple[Vector, Rotation]:
+    """The gimbal's pivot in the world, and R_world_body."""
+    world_body = _times(_times(_rz(pose.yaw_deg), _ry(pitch_deg)), _rx(roll_deg))
+    arm = _apply(world_body, body.camera_m)
+    return (pose.x_m + arm[0], pose.y_m + arm[1], surface_m - depth_m + arm[2]), world_body
+
+
+def _spheroid(r: Vector, along: float, across: float) -> Symmetric:
+    """across * I + (along - across) * r r^T: one variance along a unit vector, another across it."""
+    k = along - across
+    x, y, z = r
+    return (across + k * x * x, k * x * y, k * x * z, across + k * y * y, k * y * z, across + k * z * z)
+
+
+def _rx(deg: float) -> Rotation:
+    c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
+    return (1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)
+
+
+def _ry(deg: float) -> Rotation:
+    c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
+    return (c, 0.0, s), (0.0, 1.0, 0.0), (-s, 0.0, c)
+
+
+def _rz(deg: float) -> Rotation:
+    c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
+    return (c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)
+
+
+def _transpose(a: Rotation) -> Rotation:
+    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
+    return (a00, a10, a20), (a01, a11, a21), (a02, a12, a22)
+
+
+def _apply(a: Rotation, v: Vector) -> Vector:
+    x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in a)
+    return x, y, z
+
+
+def _times(a: Rotation, b: Rotation) -> Rotation:
+    columns = _transpose(b)
+    return _transpose((_apply(a, columns[0]), _apply(a, columns[1]), _apply(a, columns[2])))
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _plus(a: Symmetric, b: Symmetric) -> Symmetric:
+    xx, xy, xz, yy, yz, zz = (p + q for p, q in zip(a, b, strict=True))
+    return xx, xy, xz, yy, yz, zz
+
+
+def _clamp(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])

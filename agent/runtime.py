@@ -1,0 +1,204 @@
+"""The only loop: drain what arrived, step, log both, act. Everything with a thread or a clock is handed in.
+
+On the way out the motors go off first, then the last state is shown, then links close, then the recording ends.
+"""
+
+from __future__ import annotations
+
+import itertools
+import platform
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from importlib import metadata
+from pathlib import Path
+from threading import Event
+from typing import Protocol
+
+import msgspec
+from hw.stm32 import Stm32, open_port_path
+
+from agent.config import Fleet, dump, load_fleet, load_robot
+from agent.core import Agent
+from agent.messages import (
+    Estimate,
+    Heard,
+    Inputs,
+    LogLine,
+    Outputs,
+    Refused,
+    SetPoint,
+    Sighting,
+    State,
+    SweepPlan,
+    Telemetry,
+    encode,
+)
+from agent.perception.vision import Vision
+from agent.ranging.calibration import load_calibration
+from agent.transport import Transport
+from hw.camera import open_camera
+from hw.twin.place import twin_dir
+from replay.log import LogWriter
+
+STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
+
+
+class Eyes(Protocol):
+    def drain(self) -> Sequence[Sighting]: ...
+    def plan(self, plan: SweepPlan) -> None: ...
+
+
+class Board(Protocol):
+    def drain(self) -> tuple[Sequence[Telemetry], Sequence[tuple[str, str]]]: ...
+    def send(self, set_point: SetPoint, now_ns: int) -> None: ...
+
+
+class Network(Protocol):
+    def drain(self) -> tuple[tuple[Heard, ...], tuple[Refused, ...]]: ...
+    def say(self, estimate: Estimate) -> None: ...
+    def show(self, message: State | LogLine) -> None: ...
+
+
+BlackBox = Callable[[int, int, bytes, bytes], None]  # step, now_ns, inputs, outputs
+
+
+def run(fleet_path: Path, name: str, out: Path | None, arm: bool) -> None:
+    """One agent process, from its fleet file until SIGTERM or Ctrl-C. Raises ConfigError before anything moves.
+
+    With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
+    """
+    fleet = load_fleet(fleet_path)
+    robot = load_robot(fleet, name, fleet_path)
+    calibration = load_calibration(fleet_path.parent / robot.calibration)
+    offset_ns = time.time_ns() - time.monotonic_ns()
+    sockets = twin_dir(fleet)
+
+    def clock() -> int:
+        """Unix time that never steps back: sampled once, then monotonic."""
+        return offset_ns + time.monotonic_ns()
+
+    agent = Agent(fleet, name, calibration, incarnation=clock())
+    with ExitStack() as stack:
+        stop = stack.enter_context(until_signal())
+        log = stack.enter_context(
+            LogWriter(
+                free_name(out or Path(), name),
+                run_facts(fleet, name, clock()),
+                attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
+            )
+        )
+        network = stack.enter_context(Transport(fleet, name, clock))
+        stack.callback(goodbye, agent, network, clock)  # after the motors are off, before the link closes
+        size = (fleet.camera.width_px, fleet.camera.height_px)
+        eyes = Vision(
+            lambda: open_camera(robot.camera, sockets, size),
+            fleet,
+            next(iter(fleet.target)),
+            calibration.camera,
+            epoch_offset_ns=offset_ns,
+        )
+        eyes.start()
+        stack.callback(eyes.close)
+        board = stack.enter_context(Stm32(open_port_path(robot.serial, sockets), clock))
+        if arm:
+            board.arm()
+
+        lost: list[str] = []
+
+        def black_box(step: int, now_ns: int, inputs: bytes, outputs: bytes) -> None:
+            if log.failed and not lost:
+                lost.append(log.failed)
+                network.show(LogLine(robot=name, sent_ns=now_ns, level="error", text=f"not recording: {log.failed}"))
+            log.write("/raw/step_in", now_ns, now_ns, step, inputs, metadata={"schema": "aucamp.Inputs"})
+            log.write("/raw/step_out", now_ns, now_ns, step, outputs, metadata={"schema": "aucamp.Outputs"})
+
+        loop(agent, name, eyes, board, network, black_box, clock, stop)
+
+
+def loop(
+    agent: Agent,
+    name: str,
+    eyes: Eyes,
+    board: Board,
+    network: Network,
+    black_box: BlackBox,
+    clock: Callable[[], int],
+    stop: Event,
+) -> None:
+    """Step at 20 Hz until `stop`."""
+    step, due_s = 0, time.monotonic()
+    while not stop.is_set():
+        telemetry, lines = board.drain()
+        heard, refused = network.drain()
+        inputs = Inputs(telemetry=tuple(telemetry), sightings=tuple(eyes.drain()), heard=heard, refused=refused)
+        now_ns = clock()
+        outputs = agent.step(inputs, now_ns)
+        black_box(step, now_ns, encode(inputs), encode(outputs))
+        act(outputs, eyes, board, network, now_ns)
+        for level, text in lines:
+            network.show(LogLine(robot=name, sent_ns=now_ns, level=level, text=text[:400]))
+        step += 1
+        due_s = max(due_s + STEP_S, time.monotonic() - STEP_S)  # after a stall: no burst of late steps
+        stop.wait(max(0.0, due_s - time.monotonic()))
+
+
+def goodbye(agent: Agent, network: Network, clock: Callable[[], int]) -> None:
+    """The last state tells a planned end from a crash."""
+    if (state := agent.last_state) is not None:
+        network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock()))
+
+
+def act(outputs: Outputs, eyes: Eyes, board: Board, network: Network, now_ns: int) -> None:
+    """Hand the outputs of a step to the devices and the network; nothing here waits."""
+    board.send(outputs.set_point, now_ns)
+    if outputs.sweep is not None:
+        eyes.plan(outputs.sweep)
+    for estimate in outputs.says:
+        network.say(estimate)
+    if outputs.state is not None:
+        network.show(outputs.state)
+    for line in outputs.log:
+        network.show(line)
+
+
+@contextmanager
+def until_signal() -> Iterator[Event]:
+    """An event that SIGTERM and Ctrl-C set; a second one interrupts whatever still runs."""
+    stop = Event()
+
+    def handle(number: int, frame: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def free_name(folder: Path, name: str) -> Path:
+    """<name>.mcap, or the first of <name>-2.mcap, <name>-3.mcap, … that no earlier start of this robot has taken."""
+    for number in itertools.count(1):
+        path = folder / (f"{name}.mcap" if number == 1 else f"{name}-{number}.mcap")
+        if not path.exists() and not path.with_name(path.name + ".active").exists():
+            return path
+    raise AssertionError("unreachable")
+
+
+def run_facts(fleet: Fleet, name: str, start_ns: int) -> dict[str, str]:
+    """What a reader of the recording needs to know about the run."""
+    packages = ("aucamp", "numpy", "msgpack", "msgspec", "eclipse-zenoh", "opencv-python-headless", "mcap")
+    return {
+        "fleet": fleet.fleet,
+        "robot": name,
+        "protocol": fleet.estimation.protocol,
+        "start_ns": str(start_ns),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        **{package: metadata.version(package) for package in packages},
+    }

@@ -1,0 +1,115 @@
+"""What a run was worth: errors of priors and posteriors against the truth, which only the twin knows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from agent.messages import State, Vector
+
+PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
+
+
+class History(NamedTuple):
+    """What one robot showed, newest last."""
+
+    states: list[State]
+
+    @property
+    def newest(self) -> State | None:
+        return self.states[-1] if self.states else None
+
+    def iterations(self) -> list[State]:
+        """The last state of each iteration."""
+        by_t = {state.t: state for state in self.states}
+        return [by_t[t] for t in sorted(by_t)]
+
+    def priors(self) -> list[Vector]:
+        """Each measurement once."""
+        by_number = {s.measurements: s.prior_m for s in self.states if s.prior_m is not None}
+        return [by_number[n] for n in sorted(by_number)]
+
+
+def settled(histories: Iterable[History], after_views: int, window: int, within_m: float) -> bool:
+    """All see the target, `after_views` iterations have passed since the last first view, and no posterior
+    moved further than `within_m` over the last `window` iterations. Knows nothing of the truth."""
+    lasts = [h.iterations() for h in histories]
+    if any(not states or states[-1].acquired_t is None for states in lasts):
+        return False
+    last_view = max(states[-1].acquired_t or 0 for states in lasts)
+    return all(
+        states[-1].t >= last_view + after_views and moved_m(states[-window:]) <= within_m for states in lasts
+    )
+
+
+def moved_m(states: Sequence[State]) -> float:
+    """Largest distance of a posterior from the last one."""
+    places = [s.posterior_m for s in states if s.posterior_m is not None]
+    return max((distance_m(p, places[-1]) for p in places), default=math.inf)
+
+
+def score(history: History, truth: Vector) -> dict[str, Any]:
+    """One robot's row of summary.json; lengths in metres unless the name says otherwise."""
+    newest = history.newest
+    estimate = newest.posterior_m if newest else None
+    priors = history.priors()
+    error_mm = distance_m(estimate, truth) * 1e3 if estimate else None
+    return {
+        "estimate_m": estimate,
+        "sigma_m": newest.posterior_sigma_m if newest else None,
+        "error_mm": error_mm,
+        "error_axis_mm": [(e - x) * 1e3 for e, x in zip(estimate, truth, strict=True)] if estimate else None,
+        "relative_error_percent": 100.0 * error_mm * 1e-3 / distance_m((0, 0, 0), truth) if error_mm else None,
+        "acquired_iteration": newest.acquired_t if newest else None,
+        "iterations": newest.t if newest else 0,
+        "measurements": newest.measurements if newest else 0,
+        "prior_rmse_mm": rms(distance_m(p, truth) for p in priors) * 1e3 if priors else None,
+        "prior_rmse_axis_mm": [rms(p[k] - truth[k] for p in priors) * 1e3 for k in range(3)] if priors else None,
+        "below_0_4_percent_from": first_below(history, truth),
+    }
+
+
+def first_below(history: History, truth: Vector) -> int | None:
+    """The iteration from which on the relative error stayed below the paper's figure; None if it is not."""
+    limit_m = PASS_PERCENT / 100.0 * distance_m((0, 0, 0), truth)
+    since = None
+    for state in history.iterations():
+        good = state.posterior_m is not None and distance_m(state.posterior_m, truth) < limit_m
+        if not good:
+            since = None
+        elif since is None:
+            since = state.t
+    return since
+
+
+def control(histories: Iterable[History], depth_m: float) -> dict[str, float | None]:
+    """How still the armed robots hung, by their own pressure sensors."""
+    armed = [s for h in histories for s in h.states if s.armed and s.depth_m is not None]
+    tilts = [math.hypot(s.roll_deg or 0.0, s.pitch_deg or 0.0) for s in armed]
+    return {
+        "depth_rms_mm": rms((s.depth_m or 0.0) - depth_m for s in armed) * 1e3 if armed else None,
+        "tilt_rms_deg": rms(tilts) if armed else None,
+    }
+
+
+def reasons(rows: dict[str, dict[str, Any]]) -> list[str]:
+    """Why the run failed; empty when every robot is within the paper's figure."""
+    found = []
+    for robot, row in rows.items():
+        if row["relative_error_percent"] is None:
+            found.append(f"{robot} has no estimate")
+        elif row["relative_error_percent"] >= PASS_PERCENT:
+            found.append(f"{robot}: relative error {row['relative_error_percent']:.2f} % >= {PASS_PERCENT} %")
+        if row["acquired_iteration"] is None:
+            found.append(f"{robot} never saw the target")
+    return found
+
+
+def distance_m(a: Vector, b: Vector) -> float:
+    return math.dist(a, b)
+
+
+def rms(values: Iterable[float]) -> float:
+    squares = [v * v for v in values]
+    return math.sqrt(math.fsum(squares) / len(squares)) if squares else math.nan

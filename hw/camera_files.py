@@ -1,0 +1,171 @@
+"""stack: and video: - recorded pictures as cameras.
+
+A stack is a directory of photographs of one still scene at different focus positions, and a `positions.csv` with
+the columns file and focus_position (any unit; rows in any order). Setting the focus chooses the photograph.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from hw.camera import CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
+
+POSITIONS = "positions.csv"
+COLUMNS = ("file", "focus_position")
+MIN_PHOTOGRAPHS = 3  # a peak has a top and two flanks
+
+
+class Photograph(NamedTuple):
+    focus_position: float  # in the unit of positions.csv
+    path: Path
+
+
+def open_stack(directory: Path) -> StackCamera:
+    """Read positions.csv. Raises CameraError; photographs are read when they are asked for."""
+    photographs = _read_positions(directory)
+    return StackCamera(photographs, _load(photographs[0].path))
+
+
+class StackCamera:
+    """Lens positions are 0, 1, ... in the order of focus_position. Nothing moves, so nothing is waited for."""
+
+    def __init__(self, photographs: list[Photograph], first: Image) -> None:
+        self.size = (first.shape[1], first.shape[0])
+        self._photographs = photographs
+        self._position = 0
+        self._image: Image | None = first
+        self._seq = 0
+
+    @property
+    def positions(self) -> tuple[float, ...]:
+        """focus_position of each lens position, increasing."""
+        return tuple(photograph.focus_position for photograph in self._photographs)
+
+    def focus_range(self) -> FocusRange:
+        return FocusRange(0, len(self._photographs) - 1, 1)
+
+    def set_focus(self, position: int) -> int:
+        wanted = nearest(position, self.focus_range())
+        if wanted != self._position:
+            self._position, self._image = wanted, None
+        return wanted
+
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+        if self._image is None:
+            self._image = self._photograph()
+        frame = _frame(time.monotonic_ns(), self._seq, self._image, roi)
+        self._seq += 1
+        return frame
+
+    def close(self) -> None:
+        self._image = None
+
+    def _photograph(self) -> Image:
+        path = self._photographs[self._position].path
+        image = _load(path)
+        size = (image.shape[1], image.shape[0])
+        if size != self.size:
+            width, height = self.size
+            first = self._photographs[0].path.name
+            raise CameraError(
+                f"{path}: {size[0]}x{size[1]} pixels, but {first} has {width}x{height}; "
+                "the photographs of a stack must be of one size"
+            )
+        return image
+
+
+def open_video(path: Path) -> VideoCamera:
+    """Raises CameraError if OpenCV cannot play the file."""
+    if not path.is_file():
+        raise CameraError(f"{path}: no such file; give the path of a video")
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise CameraError(f"{path}: not a video that OpenCV can play; convert it to H.264 in MP4")
+    return VideoCamera(capture, path)
+
+
+class VideoCamera:
+    """Each read is the next frame of the file, stamped with the file's own time, which begins at 0. No focus."""
+
+    def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
+        self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        self._capture = capture
+        self._path = path
+        self._seq = 0
+
+    def focus_range(self) -> FocusRange | None:
+        return None
+
+    def set_focus(self, position: int) -> int:
+        raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
+
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+        got, image = self._capture.read()
+        if not got:
+            raise CameraGone(f"{self._path}: end of the video after {self._seq} frames")
+        t_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)  # of the frame just read
+        frame = _frame(t_ns, self._seq, np.asarray(image, np.uint8), roi)
+        self._seq += 1
+        return frame
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+def _frame(t_ns: int, seq: int, image: Image, roi: Roi | None) -> Frame:
+    part = deliverable(roi, (image.shape[1], image.shape[0]))
+    return Frame(t_ns, seq, image[part.y : part.y + part.height, part.x : part.x + part.width].copy(), part)
+
+
+def _load(path: Path) -> Image:
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)  # grey becomes three equal channels
+    if image is None:
+        raise CameraError(f"{path}: not an image that OpenCV can read; replace it or take its row out of {POSITIONS}")
+    return np.asarray(image, np.uint8)
+
+
+def _read_positions(directory: Path) -> list[Photograph]:
+    if not directory.is_dir():
+        raise CameraError(f"{directory}: no such directory; give one with photographs and {POSITIONS}")
+    path = directory / POSITIONS
+    wanted = ",".join(COLUMNS)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise CameraError(f"{path}: no column {' and '.join(missing)}; the first line must be {wanted}")
+            photographs = [_photograph(row, directory, f"{path}: line {reader.line_num}") for row in reader]
+    except FileNotFoundError:
+        raise CameraError(f"{path} is missing; write one with the columns {wanted}") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CameraError(f"{path}: cannot be read as CSV: {error}") from None
+    photographs.sort()
+    if len(photographs) < MIN_PHOTOGRAPHS:
+        raise CameraError(f"{path}: {len(photographs)} photographs; a peak needs at least {MIN_PHOTOGRAPHS}")
+    for one, next_one in itertools.pairwise(photographs):
+        if one.focus_position == next_one.focus_position:
+            both = f"{one.path.name} and {next_one.path.name}"
+            raise CameraError(f"{path}: {both} have the same focus_position; keep one of them")
+    return photographs
+
+
+def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Photograph:
+    name, position = (row[column] or "" for column in COLUMNS)
+    try:
+        value = float(position)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CameraError(f"{where}: focus_position '{position}' is not a number; correct it")
+    if not (directory / name).is_file():
+        raise CameraError(f"{where}: there is no file '{name}' in {directory}; correct the name or remove the row")
+    return Photograph(value, directory / name)

@@ -1,0 +1,102 @@
+# What to do when the host falls silent, water comes in or the robot lies on its side: levels and arming checks.
+# Pure: time comes as microseconds since the last cycle, so that a table can test it on any interpreter.
+OK, HOLD, SURFACE, DISARM, LATCHED = 0, 1, 2, 3, 4
+
+HOLD_AFTER_US = 500000  # 10 lost set-points at 20 Hz
+SURFACE_AFTER_US = 3000000  # as ArduSub's pilot input
+DISARM_AFTER_US = 30000000  # of surfacing without reaching the surface: it is held fast, or out of power
+SURFACED_M, SURFACED_FOR_US = 0.10, 2000000
+TILT_RAD, TILT_FOR_US = 0.785, 2000000  # 45 degrees
+BATTERY_FOR_US = 2000000  # sag under a burst of thrust is not an empty battery
+ASCENT_M_S = 0.07
+
+ARM_TILT_RAD = 0.349  # 20 degrees
+ARM_PARITY_M = 0.005
+ESC_NEUTRAL_US = 3000000  # an ESC arms after 3 s of neutral pulses
+LOOP_LIMIT_US = 9000
+
+# Indices of wire.REASONS
+NONE, ORDER, SILENT, LEAK, BATTERY, SENSORS, SURFACED, STUCK, TILTED, TWO_BAD, STOP, PARAMETERS = range(12)
+
+
+class Ladder:
+    """Levels are climbed by triggers; down leads a fresh set-point (1 to 0) or an order (2 and 3 to 0)."""
+
+    def __init__(self):
+        self.level = OK
+        self.reason = NONE
+        self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
+
+    def resume(self):
+        """By order: back to normal. False where only a reboot helps."""
+        if self.level != LATCHED:
+            self.__init__()
+        return self.level == OK
+
+    def latch(self, reason):
+        """Neutral until reboot."""
+        self.level = LATCHED
+        self.reason = reason
+
+    def step(self, dt_us, age_us, ttl_us, plane, leak, battery_low):
+        """One cycle while armed; age_us is that of the newest set-point, plane a pressure.Plane. Returns the level."""
+        if self.level >= DISARM:
+            return self.level
+        tilt = max(abs(plane.roll_rad), abs(plane.pitch_rad))
+        self._tilt_us = self._tilt_us + dt_us if tilt > TILT_RAD else 0
+        self._battery_us = self._battery_us + dt_us if battery_low else 0
+        if plane.bad_count >= 2:
+            self._climb(DISARM, TWO_BAD)
+        elif self._tilt_us >= TILT_FOR_US:
+            self._climb(DISARM, TILTED)
+        elif self.level == SURFACE:
+            self._surfacing_us += dt_us
+            self._shallow_us = self._shallow_us + dt_us if plane.depth_m < SURFACED_M else 0
+            if self._shallow_us >= SURFACED_FOR_US:
+                self._climb(DISARM, SURFACED)
+            elif self._surfacing_us > DISARM_AFTER_US:
+                self._climb(DISARM, STUCK)
+        elif leak:
+            self._climb(SURFACE, LEAK)
+        elif self._battery_us >= BATTERY_FOR_US:
+            self._climb(SURFACE, BATTERY)
+        elif plane.disagree:
+            self._climb(SURFACE, SENSORS)
+        elif age_us > SURFACE_AFTER_US:
+            self._climb(SURFACE, SILENT)
+        elif age_us > min(HOLD_AFTER_US, ttl_us):
+            self._climb(HOLD, SILENT)
+        else:
+            self._climb(OK, NONE)
+        return self.level
+
+    def _climb(self, level, reason):
+        self.level = level
+        self.reason = reason
+
+
+def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us):
+    """Bit mask, in the order of wire.ARM_CHECKS, of all that speaks against arming; 0: go.
+
+    hello: the handshake agreed; neutral: no planar push, no tilt is asked for; esc_us: for how long all pulses have
+    been neutral.
+    """
+    checks = (
+        not hello,
+        plane.bad_count > 0,
+        abs(plane.parity_m) > ARM_PARITY_M,
+        plane.tare_pa is None,
+        max(abs(plane.roll_rad), abs(plane.pitch_rad)) > ARM_TILT_RAD,
+        battery_low,
+        leak,
+        not neutral,
+        age_us > HOLD_AFTER_US,
+        esc_us < ESC_NEUTRAL_US,
+        ladder.level == LATCHED,
+        loop_max_us >= LOOP_LIMIT_US,
+    )
+    mask = 0
+    for i in range(len(checks)):
+        if checks[i]:
+            mask |= 1 << i
+    return mask

@@ -1,0 +1,115 @@
+# The board's hardware on a computer: a pty stands for the tether, a stream socket for sensors and pins.
+# Runs under CPython and under MicroPython's Unix port. Time is what the bus says, so a lock-step run is exact.
+import gc
+import json
+import os
+import struct
+
+import bus
+
+EIO, EAGAIN = 5, 11  # errno: nobody has the other end of the pty open; its buffer is full or empty
+
+
+class Hal:
+    """One board. `wait_tick` ends a cycle and begins the next."""
+
+    def __init__(self, serial_fd, bus_fd, flash_path):
+        """serial_fd: master of a raw, non-blocking pty; bus_fd: stream of the records in bus.py, blocking."""
+        self._serial = open(serial_fd, "r+b", buffering=0)
+        self._bus = open(bus_fd, "r+b", buffering=0)
+        self._flash_path = flash_path
+        self._tick = bytearray(bus.TICK_SIZE)
+        self._tick_view = memoryview(self._tick)
+        self._act = bytearray(bus.ACT_SIZE)
+        self._begun = False
+        self._now_us = 0
+        self.pressure_pa = [0.0] * 4  # absolute
+        self.answered = 0  # bit mask of sensors that did
+        self.battery_mv = self.current_10ma = self.leak = 0
+        self.pulses_us = [1500] * 8
+        self.servos_us = [1500] * 4
+        self.light_permille = 0
+        self.armed = 0  # the twin's crew let go of an armed robot
+
+    def wait_tick(self):
+        """Send the pins as they stand, then wait for the next sensor readings. False: the twin has gone."""
+        if self._begun and not self.write_pins():
+            return False
+        self._begun = True
+        got = 0
+        while got < bus.TICK_SIZE:
+            n = self._bus.readinto(self._tick_view[got:])
+            if not n:
+                return False
+            got += n
+        pa = self.pressure_pa
+        (self._now_us, pa[0], pa[1], pa[2], pa[3], self.battery_mv, self.current_10ma, self.leak, self.answered) = (
+            struct.unpack(bus.TICK, self._tick)
+        )
+        return True
+
+    def write_pins(self):
+        """Answer the tick. Last in a cycle: who has the answer finds all of the cycle's telemetry in the pty."""
+        struct.pack_into(
+            bus.ACT, self._act, 0, self._now_us, *self.pulses_us, *self.servos_us, self.light_permille, self.armed
+        )
+        try:
+            self._bus.write(self._act)
+        except OSError:
+            return False
+        return True
+
+    def now_us(self):
+        """The board's clock, 32 bits. It stands still within a cycle: a computer's speed says nothing of a board's."""
+        return self._now_us & 0xFFFFFFFF
+
+    def read_into(self, buf):
+        """Bytes from the tether, as many as there are; 0: none."""
+        try:
+            return self._serial.readinto(buf) or 0
+        except OSError as error:
+            if error.args[0] in (EIO, EAGAIN):
+                return 0
+            raise
+
+    def write(self, frame):
+        """A frame to the tether. What does not fit is lost, as on a wire that nobody listens to."""
+        try:
+            self._serial.write(frame)
+        except OSError as error:
+            if error.args[0] not in (EIO, EAGAIN):
+                raise
+
+    def feed(self):
+        """The watchdog: the twin sees by itself that no answer comes."""
+
+    def collect(self):
+        """Collect garbage where the interpreter does not count references; returns the time it took in us."""
+        if hasattr(gc, "mem_free"):
+            gc.collect()
+        return 0
+
+    def heap_free(self):
+        """Bytes; 0 where the interpreter has no bound."""
+        return gc.mem_free() if hasattr(gc, "mem_free") else 0
+
+    def boot_info(self):
+        """Unique id (12 bytes), a fresh random boot id, reset cause (1: power on)."""
+        uid = (self._flash_path.encode() + bytes(12))[-24:-12]
+        return uid, int.from_bytes(os.urandom(4), "little"), 1
+
+    def load_flash(self):
+        """What survives a power cut: a dict, empty on a fresh board. ValueError: there is something, but no JSON."""
+        try:
+            with open(self._flash_path) as file:
+                flash = json.load(file)
+        except OSError:
+            return {}
+        if not isinstance(flash, dict):
+            raise ValueError("flash is no table")
+        return flash
+
+    def save_flash(self, flash):
+        with open(self._flash_path + ".new", "w") as file:
+            json.dump(flash, file)
+        os.rename(self._flash_path + ".new", self._flash_path)

@@ -1,0 +1,193 @@
+"""The control module at the end of a serial port: a real /dev/ttyACM0 or the twin's pty, opened by the same code."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+import serial
+
+from agent.config import ConfigError
+from agent.messages import SetPoint, Telemetry
+from hw.firmware import wire
+from hw.stm32_talk import Counters, Said, Talk
+
+BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
+BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
+TURN_S = 0.05  # the thread looks at least so often whether something is to be said again
+MAX_WAITING = 1024  # bytes not yet taken by the port: beyond it a set-point is stale before it leaves
+LAST_ORDER_S = 0.3  # how long close() waits for the board to say that the motors are off
+
+
+def open_port_path(url: str, twin_dir: Path) -> str:
+    """The path to open for a fleet file's `serial`: "twin:r1" is r1's pty, anything else is a path already."""
+    scheme, colon, name = url.partition(":")
+    if scheme != "twin" or not colon:
+        return url
+    if not name:
+        raise ConfigError(f"serial = '{url}': no robot is named; write twin:r1")
+    return str(twin_dir / f"{name}.serial")
+
+
+class Stm32:
+    """Owns the port in a thread of its own; every method returns at once, `close` within LAST_ORDER_S and a turn.
+
+    The caller sends a set-point at 20 Hz or faster: it is the heartbeat, without it the board holds, then surfaces.
+    As a context manager it starts on entry and closes, motors first, on the way out, exception or not.
+    """
+
+    def __init__(self, port: str, clock: Callable[[], int], baud: int = BAUD) -> None:
+        """`clock` gives the nanoseconds that telemetry is stamped with."""
+        self.port = port
+        self._clock = clock
+        self._baud = baud
+        self._talk = Talk(0)
+        self._lock = threading.Lock()  # guards everything below and the talk
+        self._waiting = bytearray()
+        self._connected = False
+        self._closing = threading.Event()
+        self._silent = threading.Event()  # the last order was answered
+        self._thread: threading.Thread | None = None
+        self._wake_read = self._wake_write = -1
+
+    def start(self) -> None:
+        """Begin to look for the board. A port that is missing or drops is tried again, for ever."""
+        if self._thread is not None:
+            return
+        self._talk = Talk(int.from_bytes(os.urandom(4), "little"))
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._thread = threading.Thread(target=self._run, name=f"serial {self.port}", daemon=True)
+        self._thread.start()
+
+    def drain(self) -> tuple[list[Telemetry], list[Said]]:
+        """What arrived since the last call, oldest first. Raises RuntimeError if the thread has died of a fault."""
+        if self._thread is not None and not self._thread.is_alive():
+            raise RuntimeError(f"the driver of {self.port} has died; its own traceback says why")
+        with self._lock:
+            telemetry, said = list(self._talk.telemetry), list(self._talk.said)
+            self._talk.telemetry.clear()
+            self._talk.said.clear()
+        return telemetry, said
+
+    def send(self, set_point: SetPoint, now_ns: int) -> None:
+        """Hand over a set-point. With no board there, or one that takes nothing, it is forgotten."""
+        with self._lock:
+            if self._connected and len(self._waiting) < MAX_WAITING:
+                self._waiting += self._talk.set_point(set_point, now_ns)
+        self._wake()
+
+    @property
+    def wants_armed(self) -> bool:
+        """Whether arming is asked for. Falls by itself when the board disarms, restarts, or refuses for good."""
+        with self._lock:
+            return self._talk.wants_armed
+
+    def arm(self) -> None:
+        """Ask for arming; what came of it shows in the telemetry, refusals among the lines of `drain`."""
+        with self._lock:
+            self._talk.arm()
+        self._wake()
+
+    def disarm(self) -> None:
+        """Motors off."""
+        self._stop(wire.DISARM)
+
+    def emergency_stop(self) -> None:
+        """Motors off, and no arming until the board was restarted."""
+        self._stop(wire.ESTOP)
+
+    @property
+    def counters(self) -> Counters:
+        with self._lock:
+            return self._talk.counters
+
+    def close(self) -> None:
+        """Motors off first, then the port. Returns after LAST_ORDER_S even if nobody answers."""
+        if self._thread is None:
+            return
+        with self._lock:
+            connected = self._connected
+        if connected:
+            self._stop(wire.DISARM)
+            self._silent.wait(LAST_ORDER_S)
+        self._closing.set()
+        self._wake()
+        self._thread.join(2.0)
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+        self._thread = None
+
+    def __enter__(self) -> Stm32:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _stop(self, kind: int) -> None:
+        with self._lock:
+            self._talk.stop(kind)
+            self._waiting.clear()  # nothing goes before this
+            self._waiting += b"\0"  # ends a frame that was cut
+            self._silent.clear()
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._wake_write >= 0:
+            with contextlib.suppress(BlockingIOError):  # it is full of wake-ups already
+                os.write(self._wake_write, b"\0")
+
+    # --- the thread -----------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        pause_s = BACK_OFF_S[0]
+        while not self._closing.is_set():
+            try:
+                # exclusive is a lock on the file: two agents on one board would fight over it
+                with serial.Serial(self.port, self._baud, exclusive=True) as port:
+                    pause_s = BACK_OFF_S[0]
+                    self._serve(port.fileno())
+            except OSError as error:
+                self._lost(error)
+                self._closing.wait(pause_s)
+                pause_s = min(2 * pause_s, BACK_OFF_S[1])
+
+    def _lost(self, error: OSError) -> None:
+        with self._lock:
+            self._connected = False
+            self._talk.say("warning", f"{self.port}: {error}")
+
+    def _serve(self, fd: int) -> None:
+        """Until close(). Raises OSError when the port goes away."""
+        os.set_blocking(fd, False)
+        with self._lock:
+            self._talk.connected()
+            self._waiting.clear()
+            self._connected = True
+        while not self._closing.is_set():
+            with self._lock:
+                self._waiting += self._talk.due(self._clock())
+                if self._waiting:
+                    with contextlib.suppress(BlockingIOError):
+                        del self._waiting[: os.write(fd, self._waiting)]
+                if self._talk.is_answered():
+                    self._silent.set()
+                writable = [fd] if self._waiting else []
+            readable, _, _ = select.select([fd, self._wake_read], writable, [], TURN_S)
+            if self._wake_read in readable:
+                os.read(self._wake_read, 4096)
+            if fd in readable:
+                chunk = os.read(fd, 4096)
+                if not chunk:
+                    raise OSError("the port has gone")
+                with self._lock:
+                    self._talk.receive(chunk, self._clock())

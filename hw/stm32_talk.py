@@ -1,0 +1,288 @@
+"""The host's half of the conversation with the control module: bytes in, bytes out. No port, no clock, no thread."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Literal, NamedTuple
+
+from agent.messages import SetPoint, Telemetry
+from hw.firmware import wire
+
+HELLO_EVERY_NS = 500_000_000
+REPEAT_AFTER_NS = 100_000_000  # a command without answer; four attempts reach 99.4 % at 15 % loss each way
+ATTEMPTS = 4
+ARM_AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
+TTL_MS = 500  # of a set-point; the board holds position after it
+
+# Telemetry kept for a caller who is late: 5 s at 50 Hz. Lines of text: more is a babbling board.
+KEEP_TELEMETRY, KEEP_SAID = 256, 64
+
+# Refusals that go away while the robot just waits; each other one needs somebody to do something.
+CURABLE = frozenset(
+    {
+        "no handshake",
+        "sensors not all good",
+        "sensors disagree",
+        "set-point old",
+        "ESC neutral for less than 3 s",
+        "control cycle too slow",
+    }
+)
+
+Level = Literal["info", "warning", "error"]
+LEVELS: tuple[Level, ...] = ("info", "warning", "error")
+
+
+class Said(NamedTuple):
+    """A line for people, from the board or about it."""
+
+    level: Level
+    text: str
+
+
+class Counters(NamedTuple):
+    rx_ok: int = 0  # frames
+    rx_bad: int = 0  # broken frames
+    lost: int = 0  # frames missing in the board's numbering
+    reconnects: int = 0  # times the port was opened again
+    dropped: int = 0  # telemetry that nobody fetched in time
+    latency_ns: int | None = None  # newest: from handing over a set-point to telemetry that shows it
+
+
+class Command(NamedTuple):
+    kind: int
+    req_id: int
+    attempts_left: int
+    due_ns: int
+
+
+class Talk:
+    """State of one conversation. It outlives the port: a board that comes back with a new boot id is not armed again.
+
+    `now_ns` counts on any one clock.
+    """
+
+    def __init__(self, host_boot: int) -> None:
+        self.wants_armed = False
+        self.armed = False  # what the board said last
+        self.telemetry: deque[Telemetry] = deque()
+        self.said: deque[Said] = deque(maxlen=KEEP_SAID)
+        self._host_boot = host_boot
+        self._writer = wire.Writer()
+        self._boot_id: int | None = None
+        self._req_id = 0
+        self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
+        self._latency_ns: int | None = None
+        self._last_text = ""
+        self._begin()
+
+    def _begin(self) -> None:
+        self._framer = wire.Framer(self._on_frame)
+        self._hello = False
+        self._hello_due_ns: int | None = None
+        self._command: Command | None = None
+        self._arm_due_ns = 0
+        self._next_seq: int | None = None
+        self._sent_ns: dict[int, int] = {}  # set-points under way, by their sequence number
+        self._events: deque[int] = deque(maxlen=8)  # numbers of events already told: each comes three times
+        self._refusal = ""
+        self._now_ns = 0
+
+    def connected(self) -> None:
+        """A port was opened: greet first, and believe nothing that lay in its buffers."""
+        self._counts["rx_ok"] += self._framer.rx_ok
+        self._counts["rx_bad"] += self._framer.rx_bad
+        self._counts["reconnects"] += 1
+        self._begin()
+
+    @property
+    def counters(self) -> Counters:
+        ok, bad = self._framer.rx_ok, self._framer.rx_bad
+        total = self._counts | {"rx_ok": self._counts["rx_ok"] + ok, "rx_bad": self._counts["rx_bad"] + bad}
+        return Counters(**total | {"reconnects": max(0, total["reconnects"])}, latency_ns=self._latency_ns)
+
+    # --- to the board ---------------------------------------------------------------------------------------------
+
+    def set_point(self, asked: SetPoint, now_ns: int) -> bytes:
+        """The frame of a set-point; what is beyond the wire's range is clipped."""
+        i16 = wire.fixed
+        self._sent_ns[self._writer.seq] = now_ns
+        return bytes(
+            self._writer.frame(
+                wire.SETPOINT,
+                i16(asked.depth_m, 1e4),
+                i16(asked.roll_deg, 100),
+                i16(asked.pitch_deg, 100),
+                i16(asked.force_n[0], 1e3),
+                i16(asked.force_n[1], 1e3),
+                i16(asked.yaw_moment_nm, 1e4),
+                *(i16(us, 1, 0, 65535) for us in asked.servos_us),
+                i16(asked.light, 1000, 0, 1000),
+                wire.VALID_ALL,
+                TTL_MS,
+                now_ns // 1_000_000 & 0xFFFFFFFF,
+            )
+        )
+
+    def arm(self) -> None:
+        """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends."""
+        self.wants_armed = True
+        self._arm_due_ns = 0
+        self._refusal = ""
+
+    def stop(self, kind: int) -> None:
+        """DISARM or ESTOP, ahead of any other command."""
+        self.wants_armed = False
+        self._order(kind)
+
+    def is_answered(self) -> bool:
+        """No command waits for its answer."""
+        return self._command is None
+
+    def due(self, now_ns: int) -> bytes:
+        """The frames that it is time to send, perhaps none."""
+        out = b""
+        if not self._hello and (self._hello_due_ns is None or now_ns >= self._hello_due_ns):
+            # a zero first, so that noise before it does not swallow the frame
+            out += b"\0" + self._frame(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), self._host_boot)
+            self._hello_due_ns = now_ns + HELLO_EVERY_NS
+        idle = self._hello and self._command is None
+        if idle and self.wants_armed and not self.armed and now_ns >= self._arm_due_ns:
+            self._order(wire.ARM)
+        command = self._command
+        if command is not None and now_ns >= command.due_ns:
+            if command.attempts_left:
+                out += self._frame(command.kind, command.req_id, self._boot_id or 0)
+                left = command.attempts_left - 1
+                self._command = command._replace(attempts_left=left, due_ns=now_ns + REPEAT_AFTER_NS)
+            else:
+                self._command = None
+                self._arm_due_ns = now_ns + ARM_AGAIN_NS
+        return out
+
+    def _order(self, kind: int) -> None:
+        self._req_id = (self._req_id + 1) & 0xFFFF
+        self._command = Command(kind, self._req_id, ATTEMPTS, 0)
+
+    def _frame(self, kind: int, *fields: int) -> bytes:
+        return bytes(self._writer.frame(kind, *fields))
+
+    # --- from the board -------------------------------------------------------------------------------------------
+
+    def receive(self, chunk: bytes, now_ns: int) -> None:
+        """Take bytes that arrived at now_ns."""
+        self._now_ns = now_ns
+        self._framer.feed(chunk, len(chunk))
+
+    def _on_frame(self, kind: int, seq: int, payload: memoryview) -> None:
+        if self._next_seq is not None:
+            self._counts["lost"] += (seq - self._next_seq) & 0xFF
+        self._next_seq = (seq + 1) & 0xFF
+        if kind == wire.HELLO_ACK:
+            self._on_hello_ack(*wire.unpack(kind, payload))
+        elif not self._hello:
+            return  # from before the greeting: perhaps seconds old
+        elif kind == wire.TELEM:
+            self._on_telemetry(wire.unpack(kind, payload))
+        elif kind == wire.ACK:
+            self._on_ack(*wire.unpack(kind, payload))
+        elif kind == wire.EVENT:
+            self._on_event(*wire.unpack(kind, payload))
+        elif kind == wire.LOG:
+            level, text = wire.unpack(kind, payload)
+            self.say(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
+
+    def _on_hello_ack(self, protocol: int, schema: int, build: bytes, uid: bytes, boot_id: int, *_: int) -> None:
+        if (protocol, schema) != (wire.PROTOCOL, wire.schema_crc()):
+            self.say("error", "the board speaks another protocol; flash the firmware of this release")
+            return
+        if boot_id != self._boot_id and self._boot_id is not None:
+            self._give_up("the board has restarted; arm again")
+        self._boot_id = boot_id
+        self._hello = True
+        self.say("info", f"board {build.decode(errors='replace')}, boot {boot_id:08x}")
+
+    def _on_telemetry(self, fields: tuple[int, ...]) -> None:
+        t_us, state, ladder, flags, *rest = fields
+        if not flags & wire.FLAG_HELLO:  # it has restarted behind our back
+            self._hello = False
+            return
+        zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
+        _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
+        armed = state == wire.ARMED
+        if self.armed and not armed:
+            self._give_up("the board has disarmed")
+        self.armed = armed
+        sent_ns = self._sent_ns.pop(set_point_seq, None)
+        if sent_ns is not None:
+            self._latency_ns = self._now_ns - sent_ns
+        if len(self.telemetry) == KEEP_TELEMETRY:
+            self.telemetry.popleft()
+            self._counts["dropped"] += 1
+        self.telemetry.append(
+            Telemetry(
+                t_ns=self._now_ns,
+                board_us=t_us,
+                depth_m=depth * 1e-4,
+                roll_deg=roll * 1e-2,
+                pitch_deg=pitch * 1e-2,
+                sensor_depth_m=tuple(0.1 * z / wire.PA_PER_M for z in zeta),
+                pulses_us=tuple(pulses),  # type: ignore[arg-type]
+                servos_us=tuple(servos),  # type: ignore[arg-type]
+                battery_v=battery_mv * 1e-3,
+                armed=armed,
+                ladder=ladder,
+                flags=flags,
+                loop_us=loop_us,
+            )
+        )
+
+    def _on_ack(self, req_id: int, kind: int, result: int, boot_id: int) -> None:
+        command = self._command
+        if command is None or (req_id, kind) != (command.req_id, command.kind):
+            return
+        self._command = None
+        if kind == wire.ARM:
+            self.armed = result == wire.OK
+            self._arm_due_ns = self._now_ns + ARM_AGAIN_NS
+            if result == wire.STALE_BOOT:
+                self._hello = False
+        else:
+            self.armed = False  # stopped by our own order: nothing to report
+
+    def _on_event(self, _t_us: int, code: int, before: int, after: int, severity: int, arg: int, count: int) -> None:
+        if count in self._events:
+            return
+        self._events.append(count)
+        if code == wire.EV_ARM_REFUSED:
+            self._on_refusal(arg)
+            return
+        reason = wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
+        text = {
+            wire.EV_BOOT: "booted",
+            wire.EV_ARMED: "armed",
+            wire.EV_DISARMED: f"disarmed: {reason}",
+            wire.EV_LADDER: f"failsafe level {before} -> {after}: {reason}",
+        }.get(code, f"event {code}")
+        self.say(LEVELS[min(severity, 2)], f"board: {text}")
+
+    def _on_refusal(self, mask: int) -> None:
+        why = [check for i, check in enumerate(wire.ARM_CHECKS) if mask >> i & 1]
+        text = ", ".join(why)
+        if not CURABLE.issuperset(why):
+            self._give_up(f"arming refused: {text}; put it right, then arm again")
+        elif text != self._refusal:
+            self.say("info", f"arming waits: {text}")
+        self._refusal = text
+
+    def _give_up(self, text: str) -> None:
+        """The board is not armed, and from here on nobody wants it to be until somebody says so again."""
+        if self.wants_armed:
+            self.say("error", text)
+        self.wants_armed = self.armed = False
+
+    def say(self, level: Level, text: str) -> None:
+        """Add a line, unless it is the one said last."""
+        if text != self._last_text:
+            self.said.append(Said(level, text))
+        self._last_text = text

@@ -1,0 +1,152 @@
+"""The twin as a process: `python -m hw.twin FLEET` is the dive, `--bench ROBOT` one robot's calibration bench."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+
+from agent.config import ConfigError, Fleet, load_fleet, load_robot
+from hw.camera import CameraError
+from hw.twin.bench import Bench, serve
+from hw.twin.camera_device import FRAME_NS, DiveCamera, FrameClock
+from hw.twin.devices import Board
+from hw.twin.dive import Dive, run_at_wall_clock
+from hw.twin.frame_socket import FrameServer
+from hw.twin.lens import Lens, Vcm, draw_lens
+from hw.twin.painter import Painter
+from hw.twin.place import claimed, twin_dir
+from hw.twin.rotation import euler_rad
+from hw.twin.scene import Scene, generator, load_scene
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def run(fleet_path: Path, *, bench: str | None = None) -> int:
+    """Serve every robot of the fleet that has a `twin:` port or camera until SIGINT or SIGTERM; main thread only.
+
+    Returns 0 after a signal and 2, with one line on stderr, for anything that the user can put right.
+    """
+    stop = threading.Event()
+    # While starting, which may compile for long, a signal interrupts.
+    before = {number: signal.signal(number, signal.default_int_handler) for number in SIGNALS}
+    try:
+        fleet = load_fleet(fleet_path)
+        if bench is not None:
+            load_robot(fleet, bench, fleet_path)
+        with ExitStack() as stack:
+            folder = stack.enter_context(claimed(twin_dir(fleet)))
+            try:
+                if bench is None:
+                    _dive(fleet, fleet_path, folder, stop, stack)
+                else:
+                    _calibrate(fleet, bench, folder, stop, stack)
+            finally:
+                for number in SIGNALS:  # nothing interrupts the clearing up
+                    signal.signal(number, signal.SIG_IGN)
+    except KeyboardInterrupt:
+        return 0
+    except (ConfigError, CameraError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return 0
+
+
+def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
+    robots = [name for name, r in fleet.robot.items() if "twin:" in (r.serial[:5], r.camera[:5])]
+    if not robots:
+        raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
+    scene = load_scene(fleet.twin.scene)
+    optics = [_optics(fleet, scene, name) for name in robots]
+    Dive(fleet, robots, 0).move()  # compiles the physics before the clock starts
+    dive = Dive(fleet, robots, time.monotonic_ns())
+    dive.boards = [Board(name, folder, tare_pa) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)]
+    servers = []
+    for i, (name, (lens, vcm, painter)) in enumerate(zip(robots, optics, strict=True)):
+        clock = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))
+        camera = DiveCamera(i, dive.history, lens, vcm, painter, fleet.body.camera_m, clock)
+        servers.append(FrameServer(folder / f"{name}.camera", camera))
+    stack.callback(_close_together, [*dive.boards, *servers])
+    stack.callback(dive.history.close)  # before that: cameras that wait for a frame give up
+    for device in (*dive.boards, *servers):
+        device.start()
+    _write_truth(folder / "truth.json", fleet, scene, dive)
+    _be_ready(folder, stop)
+    overruns = run_at_wall_clock(dive, stop)
+    if overruns:
+        sys.stderr.write(f"twin: {overruns} of {dive.ticks} ticks came over 0.1 s late; this machine is too busy\n")
+
+
+def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
+    empty = msgspec.structs.replace(load_scene(fleet.twin.scene), solid=())  # nothing stands before the board
+    bench = Bench(fleet, robot, *_optics(fleet, empty, robot), time.monotonic_ns())
+    bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
+    server = FrameServer(folder / f"{robot}.camera", bench)
+    stack.callback(server.close)
+    server.start()
+    serve(bench, folder / f"{robot}.bench", stop, lambda: _be_ready(folder, stop))
+
+
+def _optics(fleet: Fleet, scene: Scene, robot: str) -> tuple[Lens, Vcm, Painter]:
+    """The camera that this robot has in this world, the same on the bench and in the dive."""
+    seed = fleet.twin.seed
+    lens = draw_lens(scene.camera, generator(seed, robot, "lens"))
+    painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot)
+    painter.prepare()
+    return lens, Vcm(lens, generator(seed, robot, "vcm")), painter
+
+
+def _close_together(devices: list[Board | FrameServer]) -> None:
+    """Each may take its time to end; all of them take no longer than the slowest."""
+    threads = [threading.Thread(target=device.close) for device in devices]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+
+def _write_truth(path: Path, fleet: Fleet, scene: Scene, dive: Dive) -> None:
+    """Where everything is at the start: for summaries and reports, never for an agent."""
+    targets = {
+        name: solid.position_m
+        for name, target in fleet.target.items()
+        for solid in scene.solid
+        if solid.kind == target.detector
+    }
+    robots = {
+        name: {
+            "position_m": state["position_m"].tolist(),
+            "rpy_rad": euler_rad(state["quaternion"]),
+        }
+        for name, state in zip(dive.robots, dive.states, strict=True)
+    }
+    path.write_text(json.dumps({"seed": fleet.twin.seed, "target_m": targets, "robot": robots}, indent=1) + "\n")
+
+
+def _be_ready(folder: Path, stop: threading.Event) -> None:
+    """From now on a signal ends the loop between two ticks instead of interrupting whatever runs."""
+    for number in SIGNALS:
+        signal.signal(number, lambda *_: stop.set())
+    (folder / "ready").touch()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m hw.twin", description=__doc__)
+    parser.add_argument("fleet", type=Path, metavar="FLEET", help="fleet.toml")
+    parser.add_argument("--bench", metavar="ROBOT", help="serve this robot's camera in front of a calibration board")
+    arguments = parser.parse_args()
+    return run(arguments.fleet, bench=arguments.bench)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

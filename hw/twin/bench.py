@@ -1,0 +1,194 @@
+"""The calibration bench: one robot clamped under water in front of a board that can be put where one likes.
+
+Lens, lens motor and servos are those that the robot dives with. Time is virtual: servos have settled when a request
+is answered, and a frame costs no more than its rendering.
+
+The board's socket carries JSON, one object a line: {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} is
+answered by {"ok": true} or {"error": "..."}. board_m is the board's centre from the gimbal's pivot, body frame; the
+board stands upright, facing the robot.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from agent.config import Fleet
+from hw.camera import FocusRange, Frame, Roi
+from hw.twin.body import BODY, draw_servos
+from hw.twin.camera_device import EXPOSURE_NS, FrameClock, elevation_rad, eye
+from hw.twin.history import Pose
+from hw.twin.painter import Board
+from hw.twin.servo import motor_deg_after, shaft_deg_after
+from hw.twin.tank import STEP_S
+
+if TYPE_CHECKING:
+    from hw.twin.lens import Lens, Vcm
+    from hw.twin.painter import Painter
+
+PIVOT_X_M = 0.12  # leaves 1.38 m of the 1.5 m tank in front of the camera
+BOARD_SIZE_M = (0.30, 0.20)
+# Board axes (right, up, towards the viewer) as columns in the body frame (forward, left, up) that it faces.
+BODY_BOARD = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+SETTLED_S = 1.2  # the longest way, 180 deg at full slew, and fifteen lags
+MAX_LINE = 1024  # bytes of a request
+POLL_S = 0.2
+
+
+class Request(msgspec.Struct, forbid_unknown_fields=True):
+    board_m: tuple[float, float, float] | None
+    servo_us: tuple[float, float]
+
+
+class Bench:
+    """The clamped robot's camera, a FrameSource, and what stands in front of it. Calls may come from two threads."""
+
+    def __init__(self, fleet: Fleet, robot: str, lens: Lens, vcm: Vcm, painter: Painter, start_ns: int) -> None:
+        self.size = (lens.width, lens.height)
+        self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
+        self._vcm, self._painter = vcm, painter
+        self._mounting = fleet.body
+        self._servos = np.zeros((), BODY)
+        draw_servos(self._servos, fleet.twin.seed, robot, fleet.body)
+        self._motor_deg = self._servos["servo_zero_deg"][:2].tolist()
+        self._shaft_deg = list(self._motor_deg)
+        pivot_m = np.array((PIVOT_X_M, fleet.tank.size_m[1] / 2, fleet.tank.surface_m / 2))
+        self._body_m = pivot_m - np.array(fleet.body.camera_m)  # level, ahead is world x
+        self._pivot_m = pivot_m
+        self._board: Board | None = None
+        self._clock = FrameClock(start_ns)
+        self._now_ns = self._focused_ns = start_ns
+        self._lock = threading.Lock()
+
+    def place(self, board_m: tuple[float, float, float] | None, servo_us: tuple[float, float]) -> None:
+        """Put the board there (or take it away) and let the servos settle. Raises ValueError for a place behind."""
+        if board_m is not None and not (board_m[0] > 0 and all(map(math.isfinite, board_m))):
+            raise ValueError(f"board_m {list(board_m)} is not in front of the camera; give x > 0")
+        if not all(map(math.isfinite, servo_us)):
+            raise ValueError("servo_us is not finite")
+        with self._lock:
+            self._board = None
+            if board_m is not None:
+                self._board = Board(self._pivot_m + np.array(board_m), BODY_BOARD, BOARD_SIZE_M)
+            for k in range(2):
+                self._turn(k, (round(servo_us[k]) - self._mounting.servo_centre_us) / self._mounting.servo_us_per_deg)
+            self._now_ns += round(SETTLED_S * 1e9)
+
+    def _turn(self, k: int, nominal_deg: float) -> None:
+        gain, zero, low, high = (
+            float(self._servos[f"servo_{name}"][k]) for name in ("gain", "zero_deg", "low_deg", "high_deg")
+        )
+        for _ in range(round(SETTLED_S / STEP_S)):
+            self._motor_deg[k] = motor_deg_after(self._motor_deg[k], nominal_deg, gain, zero, low, high, STEP_S)
+            self._shaft_deg[k] = shaft_deg_after(self._shaft_deg[k], self._motor_deg[k])
+
+    def set_focus(self, position: int) -> int:
+        with self._lock:
+            self._focused_ns = self._now_ns
+            return int(self._vcm.command(position, self._now_ns))
+
+    def read(self, roi: Roi | None, settle_s: float) -> Frame:
+        with self._lock:
+            seq = self._clock.next(max(self._now_ns, self._focused_ns + round(settle_s * 1e9)))
+            self._now_ns = self._clock.opens_ns(seq) + EXPOSURE_NS
+            middle_ns = self._now_ns - EXPOSURE_NS // 2
+            sees = eye(Pose(self._body_m, np.eye(3), *self._shaft_deg), self._mounting.camera_m)
+            distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad(sees.rotation))
+            box = None if roi is None else tuple(roi)
+            image = self._painter.frame(sees, distance_m, board=self._board, roi=box, tick=seq)
+            return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
+
+
+def serve(bench: Bench, path: Path, stop: threading.Event, ready: Callable[[], None]) -> None:
+    """Answer one client after the other until stopped; blocks. Calls ready() once a client can connect."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        path.chmod(0o600)
+        listener.listen(1)
+        listener.settimeout(POLL_S)
+        ready()
+        while not stop.is_set():
+            try:
+                connection, _ = listener.accept()
+            except TimeoutError:
+                continue
+            with connection:
+                _converse(bench, connection, stop)
+
+
+def _converse(bench: Bench, connection: socket.socket, stop: threading.Event) -> None:
+    connection.settimeout(POLL_S)
+    pending = b""
+    while not stop.is_set():
+        try:
+            chunk = connection.recv(MAX_LINE)
+            if not chunk:
+                return
+            *lines, pending = (pending + chunk).split(b"\n")
+            for line in lines:
+                connection.sendall(json.dumps(_answer(bench, line)).encode() + b"\n")
+        except TimeoutError:
+            continue
+        except OSError:
+            return
+        if len(pending) > MAX_LINE:
+            return
+
+
+def _answer(bench: Bench, line: bytes) -> dict[str, Any]:
+    try:
+        request = msgspec.json.decode(line, type=Request)
+        bench.place(request.board_m, request.servo_us)
+    except (msgspec.DecodeError, ValueError) as error:
+        return {"error": str(error)}
+    return {"ok": True}
+
+
+class BenchClient:
+    """The hand that moves the board; `with BenchClient(folder / "r1.bench") as bench: bench.place(...)`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._connection: socket.socket | None = None
+
+    def __enter__(self) -> BenchClient:
+        self._connection = socket.socket(socket.AF_UNIX)
+        self._connection.settimeout(10.0)
+        try:
+            self._connection.connect(str(self._path))
+        except OSError:
+            self._connection.close()
+            raise ConnectionError(f"{self._path}: no bench here; start the twin with --bench") from None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._connection is not None:
+            self._connection.close()
+
+    def place(self, board_m: tuple[float, float, float] | None, servo_us: tuple[float, float]) -> None:
+        """Returns when everything is at rest. Raises ValueError if refused, ConnectionError if the bench is gone."""
+        assert self._connection is not None, "use as a context manager"
+        board = None if board_m is None else [float(v) for v in board_m]
+        request = {"board_m": board, "servo_us": [float(v) for v in servo_us]}
+        self._connection.sendall(json.dumps(request).encode() + b"\n")
+        reply = b""
+        while not reply.endswith(b"\n"):
+            chunk = self._connection.recv(MAX_LINE)
+            if not chunk:
+                raise ConnectionError(f"{self._path}: the bench has ended")
+            reply += chunk
+        answer = json.loads(reply)
+        if "error" in answer:
+            raise ValueError(answer["error"])

@@ -1,0 +1,87 @@
+"""One robot's camera in the water: when a frame is exposed, from where, and with the lens at which distance."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw.camera import FocusRange, Frame, Roi
+from hw.twin.history import History, Pose
+from hw.twin.painter import Eye, Hull
+from hw.twin.rotation import GIMBAL_CAMERA, gimbal
+
+if TYPE_CHECKING:
+    from hw.twin.lens import Lens, Vcm
+    from hw.twin.painter import Painter
+
+FRAME_NS = 1_000_000_000 // 30
+EXPOSURE_NS = 10_000_000
+
+
+class FrameClock(NamedTuple):
+    """A sensor that runs freely at 30 frames a second: frame k is exposed from start_ns + k FRAME_NS on."""
+
+    start_ns: int
+
+    def next(self, t_ns: int) -> int:
+        """The number of the first frame whose exposure begins at t_ns or later."""
+        return max(0, -(-(t_ns - self.start_ns) // FRAME_NS))
+
+    def opens_ns(self, seq: int) -> int:
+        return self.start_ns + seq * FRAME_NS
+
+
+def eye(pose: Pose, camera_m: tuple[float, float, float]) -> Eye:
+    """The camera of a robot in this pose: its optical centre is the gimbal's pivot, camera_m in the body frame."""
+    position = pose.position_m + np.sum(pose.rotation * np.asarray(camera_m), axis=1)
+    return Eye(position, pose.rotation @ gimbal(pose.pan_deg, pose.tilt_deg) @ GIMBAL_CAMERA)
+
+
+def elevation_rad(rotation: NDArray[np.float64]) -> float:
+    """How far a camera looks up: what gravity does to its lens."""
+    return math.asin(min(max(float(rotation[2, 2]), -1.0), 1.0))
+
+
+class DiveCamera:
+    """The camera of robot number `me`, a FrameSource. Frames are rendered on demand, and only those asked for.
+
+    There is no motion blur: a frame shows the middle of its exposure.
+    """
+
+    def __init__(
+        self,
+        me: int,
+        history: History,
+        lens: Lens,
+        vcm: Vcm,
+        painter: Painter,
+        camera_m: tuple[float, float, float],
+        clock: FrameClock,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.size = (lens.width, lens.height)
+        self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
+        self._me, self._history, self._camera_m = me, history, camera_m
+        self._vcm, self._painter, self._clock, self._now_ns = vcm, painter, clock, now_ns
+        self._focused_ns = 0
+
+    def set_focus(self, position: int) -> int:
+        self._focused_ns = self._now_ns()
+        return int(self._vcm.command(position, self._focused_ns))
+
+    def read(self, roi: Roi | None, settle_s: float) -> Frame:
+        seq = self._clock.next(max(self._now_ns(), self._focused_ns + round(settle_s * 1e9)))
+        opens_ns = self._clock.opens_ns(seq)
+        self._history.wait(opens_ns + EXPOSURE_NS)
+        middle_ns = opens_ns + EXPOSURE_NS // 2
+        poses = self._history.at(middle_ns)
+        sees = eye(poses[self._me], self._camera_m)
+        hulls = tuple(Hull(p.position_m, p.rotation) for i, p in enumerate(poses) if i != self._me)
+        distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad(sees.rotation))
+        image = self._painter.frame(sees, distance_m, hulls=hulls, roi=None if roi is None else tuple(roi), tick=seq)
+        return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))

@@ -1,0 +1,173 @@
+"""Blur by the lens: every pixel is the mean of the sharp picture over its own circle of confusion.
+
+CoC_px = (A v / p) |X - 1/s|,  X = 1/f - 1/v,  A = f/N,  s the apparent distance (Pentland, PAMI 1987, in vergence).
+A pixel takes its circle from its own depth (gather), so next to a depth edge the halo of a blurred near object
+on a sharp background is missing. It acts on linear radiance, before noise and gamma.
+
+Small circles are summed in full; large ones at half the resolution, recursively. Both keep the second moment
+r^2/4 of a disk exactly, which is what clarity near its peak depends on.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw.twin.lens import Lens
+from hw.twin.raycast import ONE, ZERO, Floats, inlined, kernel
+
+RADII = (0.0, 0.5, 0.8, 1.15, 1.55, 2.05, 2.7, 3.5)  # px; a mix of two neighbours has any r^2 in between
+FINE, COARSE = 2.5, RADII[-1]  # radii px between which the sum goes over from full to half resolution
+LEVELS = 2  # of halving: circles up to 4 * COARSE in radius
+REACH = math.ceil(COARSE) + 2  # pixels that the largest full sum looks to each side
+NEGLIGIBLE = 1e-3  # weight below which a tap is left out
+SEGMENT = 32  # pixels of a row that share their sums
+
+FINE_PX, COARSE_PX = np.float32(FINE), np.float32(COARSE)
+SQUARES = np.array(RADII, np.float32) ** 2
+QUARTER, NEAR = np.float32(0.25), np.float32(0.75)
+
+
+def circle_gain(lens: Lens, image_distance_m: float) -> float:
+    """Radius of the circle of confusion, px per dioptre of error."""
+    return lens.aperture_m * image_distance_m / (2 * lens.pixel_m)
+
+
+def vergence(lens: Lens, image_distance_m: float) -> float:
+    """X: an object at the apparent distance 1/X is sharp."""
+    return 1 / lens.focal_m - 1 / image_distance_m
+
+
+def apparent_m(depth_m: float, index: float, gap_m: float) -> float:
+    """Where an object at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead (paraxial)."""
+    return gap_m + (depth_m - gap_m) / index
+
+
+class Taps(NamedTuple):
+    """The disks of RADII: disk k has taps start[k] to start[k + 1]."""
+
+    start: NDArray[np.int64]
+    dy: NDArray[np.int64]
+    dx: NDArray[np.int64]
+    weight: Floats
+
+
+@lru_cache(maxsize=1)
+def taps() -> Taps:
+    """Mean of a cubic (Keys) interpolation of the picture over each disk, which has the disk's second moment."""
+    start, dy, dx, weight = [0], [], [], []
+    k = np.arange(-REACH, REACH + 1)
+    ring = np.sqrt((np.arange(24) + 0.5) / 24)  # equal areas
+    angle = 2 * np.pi * (np.arange(64) + 0.5) / 64
+    y, x = (np.outer(ring, trig(angle)).ravel() for trig in (np.sin, np.cos))
+    for r in RADII:
+        w = _cubic(k[:, None] - r * y) @ _cubic(k[:, None] - r * x).T / len(x)
+        rows, cols = np.nonzero(np.abs(w) > NEGLIGIBLE)
+        start.append(start[-1] + len(rows))
+        dy.extend(k[rows])
+        dx.extend(k[cols])
+        weight.extend(w[rows, cols] / w[rows, cols].sum())
+    return Taps(np.array(start), np.array(dy), np.array(dx), np.array(weight, np.float32))
+
+
+def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Keys' kernel, a = -1/2: interpolates quadratics exactly."""
+    t = np.abs(t)
+    return np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0))
+
+
+def margin(largest_px: float) -> int:
+    """Pixels around a region that its blurred picture needs: the rim of the coarsest level, and its doubling."""
+    halvings = 0 if largest_px <= FINE else 1 if largest_px <= 2 * FINE else LEVELS
+    return (REACH + 2) * 2**halvings
+
+
+def blur(picture: Floats, radius: Floats, halvings: int = LEVELS) -> Floats:
+    """Blur picture (h, w, 3) by radius (h, w) px; h and w divisible by 4, a rim of `margin` is not valid."""
+    coarse = picture
+    if halvings and radius.max() > FINE:
+        half = np.empty((picture.shape[0] // 2, picture.shape[1] // 2, 3), np.float32)
+        half_radius = np.empty(half.shape[:2], np.float32)
+        halve(picture, radius, half, half_radius)
+        coarse = blur(half, half_radius, halvings - 1)
+    disk = taps()
+    offset = (disk.dy * picture.shape[1] + disk.dx) * 3
+    blurred = np.empty_like(picture)
+    gather(picture, radius, coarse, coarse is not picture, disk.start, offset, disk.weight, blurred)
+    return blurred
+
+
+@kernel
+def halve(picture, radius, half, half_radius):
+    """2x2 means. Halving and doubling themselves blur by a variance of 1 px^2, which the circle gives up."""
+    for j in range(half.shape[0]):
+        for i in range(half.shape[1]):
+            y, x = 2 * j, 2 * i
+            for c in range(3):
+                above = picture[y, x, c] + picture[y, x + 1, c]
+                half[j, i, c] = QUARTER * (above + picture[y + 1, x, c] + picture[y + 1, x + 1, c])
+            r = QUARTER * (radius[y, x] + radius[y, x + 1] + radius[y + 1, x] + radius[y + 1, x + 1])
+            half_radius[j, i] = math.sqrt(max(r * r * QUARTER - ONE, ZERO))
+
+
+@kernel
+def gather(picture, radius, coarse, has_coarse, start, offset, weight, blurred):
+    """One level: full sums for small circles, the doubled coarser level for large ones, a blend in between."""
+    height, width = radius.shape
+    flat = picture.reshape(height * width * 3)
+    result = blurred.reshape(height * width * 3)
+    sums = np.empty((len(RADII), 3 * SEGMENT), np.float32)
+    for j in range(height):
+        inner = REACH <= j < height - REACH
+        for i in range(width):
+            if not inner or i < REACH or i >= width - REACH:  # the rim: sums would reach beyond the picture
+                for c in range(3):
+                    blurred[j, i, c] = picture[j, i, c]
+        if not inner:
+            continue
+        for i0 in range(REACH, width - REACH, SEGMENT):
+            n = min(SEGMENT, width - REACH - i0)
+            here = (j * width + i0) * 3
+            smallest, largest = COARSE_PX, ZERO
+            for i in range(i0, i0 + n):
+                smallest, largest = min(smallest, radius[j, i]), max(largest, radius[j, i])
+            if smallest < COARSE_PX or not has_coarse:
+                for k in range(_disk(smallest), _disk(largest) + 2):
+                    total = sums[k]
+                    total[:] = ZERO
+                    for tap in range(start[k], start[k + 1]):
+                        w = weight[tap]
+                        source = flat[here + offset[tap] : here + offset[tap] + 3 * n]
+                        for lane in range(3 * n):
+                            total[lane] += w * source[lane]
+            for i in range(n):
+                r = radius[j, i0 + i]
+                share = min(max((r - FINE_PX) / (COARSE_PX - FINE_PX), ZERO), ONE) if has_coarse else ZERO
+                if share < ONE:
+                    k = _disk(r)
+                    part = min((r * r - SQUARES[k]) / (SQUARES[k + 1] - SQUARES[k]), ONE) * (ONE - share)
+                    for c in range(3):
+                        result[here + 3 * i + c] = (ONE - share - part) * sums[k, 3 * i + c] + part * sums[k + 1, 3 * i + c]
+                if share > ZERO:
+                    y, x = j >> 1, (i0 + i) >> 1
+                    y2, x2 = y + 2 * (j & 1) - 1, x + 2 * ((i0 + i) & 1) - 1
+                    near, side, far = share * NEAR * NEAR, share * NEAR * QUARTER, share * QUARTER * QUARTER
+                    for c in range(3):
+                        doubled = near * coarse[y, x, c] + side * (coarse[y2, x, c] + coarse[y, x2, c]) + far * coarse[y2, x2, c]
+                        if share == ONE:
+                            result[here + 3 * i + c] = doubled
+                        else:
+                            result[here + 3 * i + c] += doubled
+
+
+@inlined
+def _disk(r):
+    """The largest k with RADII[k] <= r that has a larger neighbour."""
+    k = 0
+    while k < len(RADII) - 2 and r * r > SQUARES[k + 1]:
+        k += 1
+    return k

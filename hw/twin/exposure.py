@@ -1,0 +1,61 @@
+"""Radiance to bytes: photon and read noise, a 12-bit converter, gamma, 8 bits.
+
+The noise of a pixel is a function of (seed, robot, tick, pixel) alone: what else was read does not change it.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from functools import lru_cache
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw.twin.raycast import ONE, ZERO, Floats, kernel
+
+FULL_WELL = 4000.0  # electrons; the shot noise of a pixel at full scale is its root
+READ_NOISE = 0.004  # of full scale
+ADC = 4095  # largest code
+GAMMA = 2.2
+
+INVERSE_WELL, READ_VARIANCE = np.float32(1 / FULL_WELL), np.float32(READ_NOISE**2)
+FULL_SCALE, HALF = np.float32(ADC), np.float32(0.5)
+# Steele, Lea and Flood 2014 (SplitMix64): one 64-bit hash a pixel, 12 bits a colour.
+GOLDEN, MIX1, MIX2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+S24, S27, S30, S31, S40 = (np.uint64(bits) for bits in (24, 27, 30, 31, 40))
+MASK12 = np.uint64(0xFFF)
+
+
+@lru_cache(maxsize=1)
+def normal_quantiles() -> Floats:
+    """(4096,) the normal distribution in equal shares, unit deviation: a 12-bit number looks up its noise."""
+    quantiles = np.array([NormalDist().inv_cdf((i + 0.5) / 4096) for i in range(4096)])
+    return np.asarray(quantiles / quantiles.std(), np.float32)
+
+
+@lru_cache(maxsize=1)
+def gamma_curve() -> NDArray[np.uint8]:
+    """(4096,) converter code to byte."""
+    return np.round(255 * (np.arange(ADC + 1) / ADC) ** (1 / GAMMA)).astype(np.uint8)
+
+
+def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
+    return np.random.SeedSequence([seed, zlib.crc32(robot.encode()), tick]).generate_state(1, np.uint64)[0]
+
+
+@kernel
+def expose(picture, gain, key, x0, y0, left, top, full_width, normal, curve, image):
+    """Fill image (h, w, 3) from picture (., ., 4) at (left, top); (x0, y0) is the image's place in the full frame."""
+    for row in range(image.shape[0]):
+        for col in range(image.shape[1]):
+            z = key + np.uint64((y0 + row) * full_width + x0 + col) * GOLDEN
+            z = (z ^ (z >> S30)) * MIX1
+            z = (z ^ (z >> S27)) * MIX2
+            z ^= z >> S31
+            for c in range(3):
+                bits = (z if c == 0 else (z >> S24 if c == 1 else z >> S40)) & MASK12
+                light = max(picture[top + row, left + col, c], ZERO) * gain
+                light += math.sqrt(light * INVERSE_WELL + READ_VARIANCE) * normal[bits]
+                image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]

@@ -1,0 +1,111 @@
+"""What water, weight, thrusters and lines do to one hull: each adds its part to a wrench in the body frame.
+
+A wrench is (6,): force in newtons, then torque in newton metres about the centre of gravity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hw.twin.body import HULL_M
+from hw.twin.rotation import Quaternion, Vector, cross, to_body, to_world
+
+Wrench = NDArray[np.float64]
+Record = Any  # a numpy record of body.BODY or tank.STATE, whose fields numba knows and mypy does not
+
+GRAVITY_M_S2 = 9.81
+WATER_KG_M3 = 998.0  # fresh, 20 C
+
+# Peripheral thrusters: tangential at the hull's corners. The paper does not print its geometry.
+RING_M = 0.17
+RING_RAD = np.radians(np.array([45.0, 135.0, 225.0, 315.0]))
+
+# The tether hangs slack from the rim to the top of the hull: its weight in water, and a spring once it is taut.
+TETHER_WEIGHT_N = 0.05
+TETHER_N_M, TETHER_N_S_M = 20.0, 2.0
+
+
+@njit(cache=True, nogil=True)
+def reach_m(n: Vector) -> float:
+    """How far the hull's ellipsoid extends along the unit vector n of the body frame."""
+    return math.sqrt((HULL_M[0] * n[0]) ** 2 + (HULL_M[1] * n[1]) ** 2 + (HULL_M[2] * n[2]) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def apply(wrench: Wrench, force: Vector, point: Vector) -> None:
+    """Add a body-frame force that acts at a body-frame point."""
+    torque = cross(point, force)
+    for k in range(3):
+        wrench[k] += force[k]
+        wrench[3 + k] += torque[k]
+
+
+@njit(cache=True, nogil=True)
+def add_water(body: Record, v: Vector, w: Vector, wrench: Wrench) -> None:
+    """Coriolis and Munk terms of rigid body and added mass, and drag. They do no work, respectively only lose it."""
+    m, ma, J, ja = body.mass_kg, body.added_kg, body.inertia_kgm2, body.added_inertia_kgm2
+    momentum = ((m + ma[0]) * v[0], (m + ma[1]) * v[1], (m + ma[2]) * v[2])
+    spin = ((J[0] + ja[0]) * w[0], (J[1] + ja[1]) * w[1], (J[2] + ja[2]) * w[2])
+    turn, munk, gyro = cross(w, momentum), cross(v, momentum), cross(w, spin)
+    for k in range(3):
+        wrench[k] -= turn[k] + (body.linear_drag[k] + body.quadratic_drag[k] * abs(v[k])) * v[k]
+        wrench[3 + k] -= munk[k] + gyro[k]
+        wrench[3 + k] -= (body.linear_drag[3 + k] + body.quadratic_drag[3 + k] * abs(w[k])) * w[k]
+
+
+@njit(cache=True, nogil=True)
+def add_weight(body: Record, z_m: float, q: Quaternion, surface_m: float, wrench: Wrench) -> None:
+    """Weight in the centre of gravity; buoyancy above it, less by the share of the height that is out of the water."""
+    up = to_body(q, (0.0, 0.0, 1.0))
+    h = reach_m(up)
+    wet = min(max((surface_m - z_m + h) / (2 * h), 0.0), 1.0)
+    lift = GRAVITY_M_S2 * body.displaced_kg * wet
+    weight = GRAVITY_M_S2 * body.mass_kg + TETHER_WEIGHT_N
+    apply(wrench, (lift * up[0], lift * up[1], lift * up[2]), (0.0, 0.0, body.buoyancy_arm_m))
+    apply(wrench, (-weight * up[0], -weight * up[1], -weight * up[2]), (0.0, 0.0, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def add_thrust(body: Record, f: NDArray[np.float64], wrench: Wrench) -> None:
+    """T1-T4 push up at (+a,+b) (-a,+b) (-a,-b) (+a,-b), their rotors turning alternately; T5-T8 push along the rim."""
+    a, b = body.arm_m[0], body.arm_m[1]
+    wrench[2] += f[0] + f[1] + f[2] + f[3]
+    wrench[3] += b * (f[0] + f[1] - f[2] - f[3])
+    wrench[4] += a * (-f[0] + f[1] + f[2] - f[3])
+    wrench[5] += body.reaction_m * (f[0] - f[1] + f[2] - f[3])
+    for k in range(4):
+        wrench[0] -= math.sin(RING_RAD[k]) * f[4 + k]
+        wrench[1] += math.cos(RING_RAD[k]) * f[4 + k]
+        wrench[5] += RING_M * f[4 + k]
+
+
+@njit(cache=True, nogil=True)
+def add_lines(body: Record, p: Vector, q: Quaternion, v_world: Vector, w: Vector, wrench: Wrench) -> None:
+    """Mooring and tether. The mooring holds x, y and yaw; its vertical stiffness is of second order and left out."""
+    spring, damper, twist_spring, twist_damper = body.mooring
+    pull = (
+        -spring * (p[0] - body.home_m[0]) - damper * v_world[0],
+        -spring * (p[1] - body.home_m[1]) - damper * v_world[1],
+        0.0,
+    )
+    apply(wrench, to_body(q, pull), (0.0, 0.0, 0.0))
+    ahead = to_world(q, (1.0, 0.0, 0.0))
+    off = math.atan2(ahead[1], ahead[0]) - body.home_yaw_rad
+    off -= 2 * math.pi * round(off / (2 * math.pi))
+    twist = to_body(q, (0.0, 0.0, -twist_spring * off - twist_damper * to_world(q, w)[2]))
+    for k in range(3):
+        wrench[3 + k] += twist[k]
+
+    eye = (0.0, 0.0, HULL_M[2])
+    arm = to_world(q, eye)
+    dx, dy, dz = body.anchor_m[0] - p[0] - arm[0], body.anchor_m[1] - p[1] - arm[1], body.anchor_m[2] - p[2] - arm[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if length > body.tether_m:
+        closing = (dx * v_world[0] + dy * v_world[1] + dz * v_world[2]) / length
+        tension = max(0.0, TETHER_N_M * (length - body.tether_m) - TETHER_N_S_M * closing) / length
+        apply(wrench, to_body(q, (tension * dx, tension * dy, tension * dz)), eye)

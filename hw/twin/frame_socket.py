@@ -1,0 +1,244 @@
+"""The camera socket of the twin: what travels on it, and the server that feeds it from a source of frames.
+
+AF_UNIX stream. The client sends a request of fixed size; the server answers with a header of fixed size and then
+`nbytes` of payload: pixels (READ), numbers (INFO, SET_FOCUS) or, with any status but OK, one line of text.
+Integers are little-endian and CRC-32 (zlib's) covers all of a header before it. As with a real driver, nothing
+tells where the lens truly is or what is in front of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import stat
+import struct
+import threading
+import time
+import zlib
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from hw.camera import CameraError, FocusRange, Frame, Roi
+
+MAGIC = b"AUC1"
+
+INFO, SET_FOCUS, READ = 1, 2, 3  # verbs
+OK, FAILED, UNKNOWN_VERB, BUSY, TORN = range(5)  # status; after the last two the server hangs up
+
+FULL = Roi(0, 0, 0, 0)  # asks for the whole frame
+
+MAX_PAYLOAD = 64 << 20  # bytes; more is taken for a torn stream, not for a frame
+
+_REQUEST = struct.Struct("<4sB3xIiI4H")  # magic, verb, id, focus position, settle us, x y width height
+_REPLY = struct.Struct("<4sB3xIQQ4HI")  # magic, status, id, seq, middle of exposure ns, x y width height, nbytes
+_CRC = struct.Struct("<I")
+REQUEST_SIZE = _REQUEST.size + _CRC.size
+REPLY_SIZE = _REPLY.size + _CRC.size
+
+FACTS = struct.Struct("<2H3i")  # payload of INFO: width, height, lowest, highest, step
+POSITION = struct.Struct("<i")  # payload of SET_FOCUS: the position that the driver reports
+
+STALL_S = 2.0  # a client that stops in the middle of a message for longer is dropped
+POLL_S = 0.2  # how late the thread notices that it shall end
+
+
+class Request(NamedTuple):
+    verb: int
+    id: int
+    focus: int = 0
+    settle_us: int = 0
+    roi: Roi = FULL
+
+
+class Reply(NamedTuple):
+    status: int
+    id: int
+    seq: int = 0
+    t_ns: int = 0
+    roi: Roi = FULL
+    nbytes: int = 0
+
+
+class Torn(ValueError):
+    """What was read is no header of this protocol: the stream cannot be trusted any more."""
+
+
+def pack_request(request: Request) -> bytes:
+    return _sealed(_REQUEST.pack(MAGIC, request.verb, request.id, request.focus, request.settle_us, *request.roi))
+
+
+def parse_request(header: bytes) -> Request:
+    """Raises Torn."""
+    _, verb, number, focus, settle_us, *roi = _REQUEST.unpack(_opened(header))
+    return Request(verb, number, focus, settle_us, Roi(*roi))
+
+
+def pack_reply(reply: Reply) -> bytes:
+    return _sealed(_REPLY.pack(MAGIC, reply.status, reply.id, reply.seq, reply.t_ns, *reply.roi, reply.nbytes))
+
+
+def parse_reply(header: bytes) -> Reply:
+    """Raises Torn."""
+    _, status, number, seq, t_ns, x, y, width, height, nbytes = _REPLY.unpack(_opened(header))
+    if nbytes > MAX_PAYLOAD:
+        raise Torn(f"payload of {nbytes} bytes announced, limit {MAX_PAYLOAD}")
+    return Reply(status, number, seq, t_ns, Roi(x, y, width, height), nbytes)
+
+
+def receive_into(connection: socket.socket, buffer: memoryview, deadline_s: float) -> None:
+    """Fill `buffer`. Raises EOFError if the other side hangs up, TimeoutError after time.monotonic() `deadline_s`."""
+    while buffer:
+        left_s = deadline_s - time.monotonic()
+        if left_s <= 0:
+            raise TimeoutError
+        connection.settimeout(left_s)
+        count = connection.recv_into(buffer)
+        if count == 0:
+            raise EOFError
+        buffer = buffer[count:]
+
+
+def _sealed(fields: bytes) -> bytes:
+    return fields + _CRC.pack(zlib.crc32(fields))
+
+
+def _opened(header: bytes) -> bytes:
+    fields, seal = header[: -_CRC.size], header[-_CRC.size :]
+    if not fields.startswith(MAGIC):
+        raise Torn(f"begins with {fields[:4]!r}, not with {MAGIC!r}")
+    if _CRC.unpack(seal)[0] != zlib.crc32(fields):
+        raise Torn("checksum is wrong")
+    return fields
+
+
+class FrameSource(Protocol):
+    """What is served: a camera seen from inside the twin. Called from the server's thread only."""
+
+    size: tuple[int, int]
+    focus_range: FocusRange
+
+    def set_focus(self, position: int) -> int:
+        """Move the lens; returns the position that a driver would report."""
+
+    def read(self, roi: Roi | None, settle_s: float) -> Frame:
+        """The first frame exposed after this call and `settle_s` after the last set_focus; waits for it."""
+
+
+class FrameServer:
+    """One camera on one socket, one client at a time, in one thread between start() and close()."""
+
+    def __init__(self, path: Path, source: FrameSource) -> None:
+        self.path = path
+        self._source = source
+        self._listener: socket.socket | None = None
+        self._client: socket.socket | None = None
+        self._thread: threading.Thread | None = None
+        self._closing = threading.Event()
+
+    def start(self) -> None:
+        """Create the socket file, for this user only, and begin to serve. Raises CameraError."""
+        self._listener = _listen(self.path)
+        self._thread = threading.Thread(target=self._serve, args=(self._listener,), name=f"camera {self.path.name}")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up and end the thread: at once, or when the frame that the source is exposing is done."""
+        self._closing.set()
+        client = self._client
+        if client is not None:
+            with contextlib.suppress(OSError):  # it may hang up by itself meanwhile
+                client.shutdown(socket.SHUT_RDWR)
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _serve(self, listener: socket.socket) -> None:
+        try:
+            while not self._closing.is_set():
+                watched = [listener] if self._client is None else [self._client, listener]
+                for ready in select.select(watched, [], [], POLL_S)[0]:
+                    if ready is listener:
+                        self._admit(listener)
+                    elif not self._answer(ready):
+                        self._drop()
+        finally:
+            self._drop()
+            listener.close()
+            self.path.unlink(missing_ok=True)
+
+    def _admit(self, listener: socket.socket) -> None:
+        """A client is served before the listener is looked at, so one that died is gone by now."""
+        connection, _ = listener.accept()
+        if self._client is None:
+            self._client = connection
+            return
+        with connection, contextlib.suppress(OSError):
+            _send(connection, Reply(BUSY, 0), b"this camera is in use; end the other program that reads it")
+
+    def _drop(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def _answer(self, client: socket.socket) -> bool:
+        """Serve one request; False if the client is gone or has to go."""
+        header = bytearray(REQUEST_SIZE)
+        try:
+            receive_into(client, memoryview(header), time.monotonic() + STALL_S)
+            reply, payload = self._reply(bytes(header))
+            _send(client, reply, payload)
+        except (EOFError, OSError):
+            return False
+        return reply.status != TORN
+
+    def _reply(self, header: bytes) -> tuple[Reply, bytes | memoryview]:
+        try:
+            request = parse_request(header)
+        except Torn as error:
+            return Reply(TORN, 0), str(error).encode()
+        try:
+            return self._obey(request)
+        except CameraError as error:
+            return Reply(FAILED, request.id), str(error).encode()
+
+    def _obey(self, request: Request) -> tuple[Reply, bytes | memoryview]:
+        if request.verb == INFO:
+            return Reply(OK, request.id), FACTS.pack(*self._source.size, *self._source.focus_range)
+        if request.verb == SET_FOCUS:
+            return Reply(OK, request.id), POSITION.pack(self._source.set_focus(request.focus))
+        if request.verb != READ:
+            return Reply(UNKNOWN_VERB, request.id), f"unknown verb {request.verb}".encode()
+        roi, (width, height) = request.roi, self._source.size
+        if roi != FULL and not (0 < roi.width <= width - roi.x and 0 < roi.height <= height - roi.y):
+            raise CameraError(f"region {tuple(roi)} (x, y, width, height) is not inside {width}x{height} pixels")
+        frame = self._source.read(None if roi == FULL else roi, request.settle_us * 1e-6)
+        pixels = np.ascontiguousarray(frame.image)  # a source may hand out a view of a larger frame
+        return Reply(OK, request.id, frame.seq, frame.t_ns, frame.roi), pixels.data.cast("B")
+
+
+def _listen(path: Path) -> socket.socket:
+    """A listening socket in place of one that an earlier twin left behind; any other file stays."""
+    try:
+        if path.exists() and not stat.S_ISSOCK(path.stat().st_mode):
+            raise CameraError(f"{path}: there is a file that is no socket; remove it or choose another directory")
+        path.unlink(missing_ok=True)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            listener.bind(str(path))
+            path.chmod(0o600)  # before listen(): nobody connects in between
+            listener.listen()
+        except OSError:
+            listener.close()
+            raise
+    except OSError as error:  # no such directory, or a path longer than the 107 bytes that a socket address holds
+        raise CameraError(f"{path}: cannot serve a camera here: {error.strerror or error}; use a short path") from None
+    return listener
+
+
+def _send(connection: socket.socket, reply: Reply, payload: bytes | memoryview) -> None:
+    connection.settimeout(STALL_S)
+    connection.sendall(pack_reply(reply._replace(nbytes=len(payload))))
+    connection.sendall(payload)

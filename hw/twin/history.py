@@ -1,0 +1,78 @@
+"""Where every robot was during the last two seconds, for cameras that expose at a time of their own."""
+
+from __future__ import annotations
+
+import threading
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw.camera import CameraGone
+from hw.twin.rotation import matrix
+from hw.twin.tank import TICK_NS
+
+SPAN = 200  # ticks kept
+
+
+class Pose(NamedTuple):
+    position_m: NDArray[np.float64]  # (3,) centre of the hull, world
+    rotation: NDArray[np.float64]  # (3, 3) body -> world
+    pan_deg: float  # where the camera's gimbal truly points
+    tilt_deg: float
+
+
+class History:
+    """A ring of the states at each tick. One thread appends; any number of threads wait and look."""
+
+    def __init__(self, robots: int, start_ns: int) -> None:
+        self._rows = np.zeros((SPAN, robots, 9))  # position, quaternion, camera pan and tilt
+        self._start_ns = start_ns
+        self._newest = -1
+        self._closed = False
+        self._changed = threading.Condition()
+        self._awaited_ns: float = np.inf  # waking nobody costs nothing: notify only when somebody's time has come
+
+    def append(self, states: NDArray[np.void]) -> None:
+        """The states one tick after those appended before."""
+        with self._changed:
+            self._newest += 1
+            row = self._rows[self._newest % SPAN]
+            row[:, :3], row[:, 3:7], row[:, 7:] = states["position_m"], states["quaternion"], states["shaft_deg"][:, :2]
+            if self.newest_ns >= self._awaited_ns:
+                self._awaited_ns = np.inf
+                self._changed.notify_all()
+
+    @property
+    def newest_ns(self) -> int:
+        return self._start_ns + self._newest * TICK_NS
+
+    def wait(self, t_ns: int) -> None:
+        """Return once the water has moved on to t_ns. Raises CameraGone when the twin ends before."""
+        with self._changed:
+            while self.newest_ns < t_ns and not self._closed:
+                self._awaited_ns = min(self._awaited_ns, t_ns)
+                self._changed.wait()
+            if self._closed:
+                raise CameraGone("the twin has ended; start it again")
+
+    def at(self, t_ns: int) -> list[Pose]:
+        """The pose of each robot at t_ns, interpolated between ticks.
+
+        Raises CameraGone for a time that is not, or no longer, kept: the reader was stopped for too long.
+        """
+        with self._changed:
+            k, rest_ns = divmod(t_ns - self._start_ns, TICK_NS)
+            oldest = max(self._newest - SPAN + 1, 0)
+            if not oldest <= k < self._newest + (rest_ns == 0):
+                raise CameraGone(f"no pose is kept of {t_ns} ns; ask again")
+            before, after = self._rows[k % SPAN], self._rows[(k + (rest_ns > 0)) % SPAN]
+            # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
+            rows = before + (rest_ns / TICK_NS) * (after - before)
+        return [Pose(row[:3], matrix(row[3:7]), float(row[7]), float(row[8])) for row in rows]
+
+    def close(self) -> None:
+        """Send everybody who waits home."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()

@@ -1,0 +1,151 @@
+"""The lens of one robot and the voice coil that moves it; everything here is hidden from the agents.
+
+Thin lens: an object at apparent distance s (metres of air) is sharp where the vergence X = 1/f - 1/v equals 1/s.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Lens(NamedTuple):
+    """One camera as it was made: the nominal figures of its preset with this robot's tolerances."""
+
+    focal_m: float
+    f_number: float
+    pixel_m: float  # pitch after binning
+    width: int
+    height: int
+    centre_px: tuple[float, float]  # where the optical axis meets the sensor, from the upper left pixel's centre
+    k1: float  # radial distortion of the slopes in air
+    k2: float
+    port_gap_m: float  # optical centre to the flat window; the glass itself is neglected
+    at_rest_m: float  # lens to sensor at position 0
+    per_position_m: float  # travel of one lens position
+    lowest: int
+    highest: int
+    frequency_hz: float  # of the moving lens on its spring
+    damping: float  # share of critical
+    hysteresis: float  # half width of the play, lens positions
+    jitter_m: float  # rms, drawn anew by each command
+    sag_m: float  # the lens's own weight, looking straight up
+    drift_m: float  # warm-up, reached exponentially
+    drift_s: float
+
+    @property
+    def aperture_m(self) -> float:
+        """Diameter of the entrance pupil."""
+        return self.focal_m / self.f_number
+
+    def at_position_m(self, position: float) -> float:
+        """Lens-to-sensor distance of an ideal actuator."""
+        return self.at_rest_m + self.per_position_m * position
+
+    def image_m(self, vergence: float) -> float:
+        """Lens-to-sensor distance at which an object of `vergence` = 1/(apparent distance), dioptres, is sharp."""
+        return 1.0 / (1.0 / self.focal_m - vergence)
+
+
+class Preset(NamedTuple):
+    focal_m: float
+    f_number: float
+    pixel_m: float
+    width: int
+    height: int
+
+
+PRESETS = {
+    # 1/2.53 inch autofocus module, 1.22 um pixels binned 4x4: 1169 px in water, 31 degrees wide.
+    "imx519_640": Preset(4.28e-3, 1.75, 4 * 1.22e-6, 640, 480),
+    # A webcam's 1.4 um sensor binned 4x4: 857 px in water, 41 degrees; its focus is shallower by half.
+    "binned_640": Preset(3.6e-3, 2.4, 4 * 1.4e-6, 640, 480),
+}
+
+HIGHEST = 1023  # ten-bit driver
+FAR, NEAR = -1.0, 9.0  # dioptres at both ends of the travel: past infinity, so that far peaks have two flanks
+
+
+def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
+    """The camera that this robot happens to have. Spreads are assumed, of the size that cheap modules show."""
+    nominal = PRESETS[preset]
+    focal_m = nominal.focal_m * rng.uniform(0.99, 1.01)
+    rest_dioptre = FAR + rng.uniform(-0.15, 0.15)  # modules are set on a collimator, hence relative to their own f
+    travel_m = 1 / (1 / nominal.focal_m - NEAR) - 1 / (1 / nominal.focal_m - FAR)
+    return Lens(
+        focal_m=focal_m,
+        f_number=nominal.f_number,
+        pixel_m=nominal.pixel_m,
+        width=nominal.width,
+        height=nominal.height,
+        centre_px=((nominal.width - 1) / 2 + rng.normal(0, 3), (nominal.height - 1) / 2 + rng.normal(0, 3)),
+        k1=rng.uniform(-0.005, 0.005),
+        k2=rng.uniform(-0.002, 0.002),
+        port_gap_m=5e-3,
+        at_rest_m=1 / (1 / focal_m - rest_dioptre),
+        per_position_m=travel_m / HIGHEST * rng.uniform(0.95, 1.05),
+        lowest=0,
+        highest=HIGHEST,
+        frequency_hz=80 * rng.uniform(0.9, 1.1),
+        damping=rng.uniform(0.33, 0.42),
+        hysteresis=2.0,
+        jitter_m=0.15e-6,
+        sag_m=1e-6,
+        drift_m=rng.normal(0, 0.1e-6),
+        drift_s=600.0,
+    )
+
+
+class Vcm:
+    """The moving lens: play, then a damped spring, then what no command controls (jitter, sag, drift).
+
+    Between commands the motion is solved in closed form, so it does not depend on when it is asked for.
+    """
+
+    def __init__(self, lens: Lens, rng: np.random.Generator) -> None:
+        self._lens = lens
+        self._rng = rng
+        self._held = float(lens.lowest)  # position behind the play, where the spring comes to rest
+        self._offset, self._speed = 0.0, 0.0  # from there, positions and positions/s, at _since_ns
+        self._since_ns: int | None = None
+        self._start_ns = 0
+        self._jitter_m = 0.0
+
+    def command(self, position: int, t_ns: int) -> int:
+        """Set the coil's current; returns the position that the driver reports, clamped to its range."""
+        lens = self._lens
+        reported = min(max(int(position), lens.lowest), lens.highest)
+        offset, speed = self._motion(t_ns)
+        here = self._held + offset
+        self._held = min(max(self._held, reported - lens.hysteresis), reported + lens.hysteresis)
+        self._offset, self._speed, self._since_ns = here - self._held, speed, t_ns
+        self._jitter_m = self._rng.normal(0, lens.jitter_m)
+        return reported
+
+    def image_distance_m(self, t_ns: int, tilt_rad: float) -> float:
+        """Lens to sensor at `t_ns`, the camera tilted up by `tilt_rad`. Ask in order of time."""
+        lens = self._lens
+        offset, _ = self._motion(t_ns)
+        warm = 1 - math.exp(-(t_ns - self._start_ns) * 1e-9 / lens.drift_s)
+        return (
+            lens.at_position_m(self._held + offset)
+            + self._jitter_m
+            - lens.sag_m * math.sin(tilt_rad)  # looking up, the lens sinks towards the sensor
+            + lens.drift_m * warm
+        )
+
+    def _motion(self, t_ns: int) -> tuple[float, float]:
+        """Free oscillation since the last command: offset from rest and speed."""
+        if self._since_ns is None:
+            self._since_ns = self._start_ns = t_ns
+        t = max(t_ns - self._since_ns, 0) * 1e-9
+        omega = 2 * math.pi * self._lens.frequency_hz
+        decay = self._lens.damping * omega
+        ring = omega * math.sqrt(1 - self._lens.damping**2)
+        a, b = self._offset, (self._speed + decay * self._offset) / ring
+        cos, sin, fade = math.cos(ring * t), math.sin(ring * t), math.exp(-decay * t)
+        offset = fade * (a * cos + b * sin)
+        speed = fade * ((ring * b - decay * a) * cos - (ring * a + decay * b) * sin)
+        return offset, speed

@@ -1,0 +1,59 @@
+"""Where a running twin keeps its sockets, ports and files, and the rule that one place has one twin."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent.config import ConfigError, Fleet
+
+# sockaddr_un holds 108 bytes including the final zero (Linux unix(7)); the longest name is a robot's plus ".camera".
+LONGEST_FOLDER = 107 - len("/") - 16 - len(".camera")
+
+LEFTOVERS = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log", "truth.json", "ready")
+
+
+def twin_dir(fleet: Fleet) -> Path:
+    """The folder of a fleet's twin: `twin.dir` of the fleet file, else one per user and fleet among temporary files."""
+    if fleet.twin.dir is not None:
+        return Path(fleet.twin.dir)
+    return Path(tempfile.gettempdir()) / f"aucamp-{os.getuid()}" / fleet.fleet
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[Path]:
+    """Hold the folder for one twin: emptied of an earlier run's files at the start and of this run's at the end.
+
+    Raises ConfigError when another twin holds it, when it is not ours, or when its path is too long for a socket.
+    """
+    if len(os.fsencode(folder)) > LONGEST_FOLDER:
+        raise ConfigError(
+            f"{folder}: path too long for a socket; set twin.dir to one of at most {LONGEST_FOLDER} bytes"
+        )
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be used ({error.strerror}); set twin.dir to a folder of yours") from None
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{folder}: another twin runs here; stop it or set twin.dir to another folder") from None
+        _sweep(folder)
+        try:
+            yield folder
+        finally:
+            _sweep(folder)
+    finally:
+        os.close(lock)  # the file stays: removing a lock file would let two twins lock two different files
+
+
+def _sweep(folder: Path) -> None:
+    for pattern in LEFTOVERS:
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)

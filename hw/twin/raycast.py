@@ -1,0 +1,150 @@
+"""Rays through the port into the tank: which surface each pixel meets, and how far away.
+
+The flat port is exact: a pixel's ray bends at the window, so rays do not meet in one point. Written as
+P(u) = (a, b, 0) + u (mx, my, 1) in the camera frame, the parameter u is the z-depth from the optical centre and
+(a, b) is the shift by which the refracted ray misses it. An agent that calibrates a pinhole is a little wrong,
+as it is in the world.
+
+Everything is float32: one float64 constant would promote a whole expression, hence the names for numbers. What does
+not change inside a loop is a tuple: an array might overlap with the result, and would be read again for each pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Row = tuple[np.float32, np.float32, np.float32, np.float32]  # of an affine map: three factors and a shift
+Map = tuple[Row, Row, Row]
+
+ZERO, ONE = np.float32(0), np.float32(1)
+TINY = np.float32(1e-9)  # stands for a slope of zero
+NEAREST_M = np.float32(1e-3)
+FLOOR_ID, SURFACE_ID, BOARD_ID, SOLID_ID = 4, 5, 6, 7  # identities; below are walls, from SOLID_ID on ellipsoids
+
+kernel = njit(nogil=True, cache=True, fastmath=True)
+inlined = njit(nogil=True, cache=True, fastmath=True, inline="always")
+
+
+class Optics(NamedTuple):
+    """From pixels to rays, float32."""
+
+    slope: np.float32  # pixel pitch / v
+    cx: np.float32
+    cy: np.float32
+    k1: np.float32
+    k2: np.float32
+    n_squared: np.float32
+    gap: np.float32  # optical centre to port, m
+
+
+class View(NamedTuple):
+    """How one camera looks at the world at one instant."""
+
+    optics: Optics
+    camera: Map  # camera to world
+    box: tuple[np.float32, np.float32, np.float32]  # size of the water body
+    board: Map  # camera to board
+    board_half: tuple[np.float32, np.float32]  # half size, 0: there is no board
+    solids: Floats  # (E, 3, 4) camera to the unit sphere of each ellipsoid
+    bounds: NDArray[np.int64]  # (E, 4) no pixel of the ellipsoid lies outside x0 <= x < x1, y0 <= y < y1
+    radii: Floats  # (E, 3) semi-axes
+    up: Floats  # (E, 3) the world's z in the ellipsoid's axes
+    material: NDArray[np.int64]  # (SOLID_ID + E,) row of texture.MATERIALS for each identity
+
+
+@inlined
+def ray(optics, i, j):
+    """Slopes mx, my in water and shifts a, b [m] of the ray through pixel (i, j)."""
+    x = (np.float32(np.int32(i)) - optics.cx) * optics.slope
+    y = (np.float32(np.int32(j)) - optics.cy) * optics.slope
+    r2 = x * x + y * y
+    stretch = ONE + r2 * (optics.k1 + optics.k2 * r2)
+    x, y, r2 = x * stretch, y * stretch, r2 * stretch * stretch
+    bend = ONE / math.sqrt(optics.n_squared * (ONE + r2) - r2)  # Snell for slopes: tan(in water) / tan(in air)
+    shift = optics.gap * (ONE - bend)
+    return x * bend, y * bend, x * shift, y * shift
+
+
+@inlined
+def along(row, mx, my):
+    """One coordinate of the direction (mx, my, 1) under a map."""
+    return row[0] * mx + row[1] * my + row[2]
+
+
+@inlined
+def at(row, x, y, z):
+    """One coordinate of the point (x, y, z) under a map."""
+    return row[0] * x + row[1] * y + row[2] * z + row[3]
+
+
+@inlined
+def map_row(maps, e, axis):
+    return (maps[e, axis, 0], maps[e, axis, 1], maps[e, axis, 2], maps[e, axis, 3])
+
+
+@inlined
+def exit_depth(row, mx, my, a, b, size):
+    """z-depth at which a ray from inside leaves the slab 0 to `size`, and 1 if it leaves at `size`."""
+    speed = along(row, mx, my)
+    side = size if speed > ZERO else ZERO
+    return (side - at(row, a, b, ZERO)) / (speed if abs(speed) > TINY else TINY), np.int32(speed > ZERO)
+
+
+@kernel
+def trace(view, x0, y0, depth, identity):
+    """Fill z-depth [m] and identity (h, w) of the pixels from (x0, y0) of the full frame on."""
+    for row in range(depth.shape[0]):
+        for col in range(depth.shape[1]):
+            mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
+            u, face = exit_depth(view.camera[0], mx, my, a, b, view.box[0])
+            v, other = exit_depth(view.camera[1], mx, my, a, b, view.box[1])
+            w, third = exit_depth(view.camera[2], mx, my, a, b, view.box[2])
+            face = face if u < v else other + np.int32(2)
+            u = min(u, v)
+            face = face if u < w else third + np.int32(FLOOR_ID)
+            depth[row, col] = max(min(u, w), NEAREST_M)
+            identity[row, col] = face
+    if view.board_half[0] > ZERO:
+        _trace_board(view, x0, y0, depth, identity)
+    for e in range(view.solids.shape[0]):
+        _trace_solid(view, e, x0, y0, depth, identity)
+
+
+@kernel
+def _trace_board(view, x0, y0, depth, identity):
+    board, half = view.board, view.board_half
+    for row in range(depth.shape[0]):
+        for col in range(depth.shape[1]):
+            mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
+            speed = along(board[2], mx, my)
+            u = -at(board[2], a, b, ZERO) / (speed if abs(speed) > TINY else TINY)
+            if u > ZERO and u < depth[row, col]:
+                x, y = a + u * mx, b + u * my
+                if abs(at(board[0], x, y, u)) <= half[0] and abs(at(board[1], x, y, u)) <= half[1]:
+                    depth[row, col] = u
+                    identity[row, col] = BOARD_ID
+
+
+@kernel
+def _trace_solid(view, e, x0, y0, depth, identity):
+    qx, qy, qz = map_row(view.solids, e, 0), map_row(view.solids, e, 1), map_row(view.solids, e, 2)
+    bounds = view.bounds[e]
+    for row in range(max(bounds[1] - y0, 0), min(bounds[3] - y0, depth.shape[0])):
+        for col in range(max(bounds[0] - x0, 0), min(bounds[2] - x0, depth.shape[1])):
+            mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
+            dx, dy, dz = along(qx, mx, my), along(qy, mx, my), along(qz, mx, my)
+            px, py, pz = at(qx, a, b, ZERO), at(qy, a, b, ZERO), at(qz, a, b, ZERO)
+            dd = dx * dx + dy * dy + dz * dz
+            dp = dx * px + dy * py + dz * pz
+            root = dp * dp - dd * (px * px + py * py + pz * pz - ONE)
+            if root > ZERO:
+                u = (-dp - math.sqrt(root)) / dd
+                if u > ZERO and u < depth[row, col]:
+                    depth[row, col] = u
+                    identity[row, col] = SOLID_ID + e

@@ -1,0 +1,84 @@
+"""The four pressure sensors of each robot (MS5837-02BA class), in pascals absolute, 100 samples a second.
+
+p = p_atm + rho g depth + dynamic pressure + offset + drift + noise, rounded to the sensor's step, one sample late.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hw.twin.forces import GRAVITY_M_S2, WATER_KG_M3
+from hw.twin.rotation import to_world
+from hw.twin.scene import generator
+
+PA_PER_M = WATER_KG_M3 * GRAVITY_M_S2
+
+ATMOSPHERE_PA, WEATHER_PA = 101_325.0, 500.0
+OFFSET_M = 0.003  # largest, of either sign; the tare in air takes it out
+DRIFT_M_S = 0.0005 / 60  # standard deviation of the rate at the start; a sensor that warms up
+DRIFT_S = 600.0  # time constant of warming up
+NOISE_M = 0.0005  # standard deviation of one sample
+STEP_PA = 1.6  # 0.016 mbar, the 02BA's noise-free resolution at its highest oversampling, from memory
+
+TARE_SAMPLES = 200  # 2 s in the crew's hands
+BLOCK = 256  # samples of noise drawn at a time: a tick costs no call into the generators
+
+# Corner of the hull that each sensor sits at, in units of sensor_m: the thrusters' numbering.
+CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+@njit(cache=True, nogil=True)
+def water_pressure_pa(
+    bodies: NDArray[np.void], states: NDArray[np.void], surface_m: float, pressure_pa: NDArray[np.float64]
+) -> None:
+    """Fill pressure_pa (n, 4) with what the water exerts above the atmosphere at each sensor."""
+    for i in range(states.shape[0]):
+        s, reach = states[i], bodies[i].sensor_m
+        q = (s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3])
+        v, w = s.velocity_m_s, s.rates_rad_s
+        for k in range(4):
+            x, y = reach * CORNERS[k, 0], reach * CORNERS[k, 1]
+            depth = surface_m - s.position_m[2] - to_world(q, (x, y, 0.0))[2]
+            # Water that meets a corner head on is stopped there, water that leaves it pulls: coefficient from 1 to -1.
+            u = (v[0] - w[2] * y, v[1] + w[2] * x, v[2] + w[0] * y - w[1] * x)
+            speed = math.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+            outward = (u[0] * CORNERS[k, 0] + u[1] * CORNERS[k, 1]) / math.sqrt(2.0)
+            dynamic = 0.5 * WATER_KG_M3 * speed * outward
+            pressure_pa[i, k] = max(0.0, PA_PER_M * depth + dynamic) if depth > 0 else 0.0
+
+
+class PressureSensors:
+    """All sensors of the fleet; each robot's errors come from its own stream."""
+
+    def __init__(self, seed: int, robots: list[str]) -> None:
+        self._rngs = [generator(seed, robot, "pressure") for robot in robots]
+        rows = [(rng.uniform(-OFFSET_M, OFFSET_M, 4), rng.normal(0, DRIFT_M_S, 4)) for rng in self._rngs]
+        weather_pa = generator(seed, "weather").uniform(-WEATHER_PA, WEATHER_PA)
+        self._still_pa = ATMOSPHERE_PA + weather_pa + PA_PER_M * np.array([offset for offset, _ in rows])
+        self._drift_pa_s = PA_PER_M * np.array([drift for _, drift in rows])
+        self._noise_pa = np.zeros((BLOCK, len(robots), 4))
+        self._drawn = 0
+        self._late_pa = self._read(np.zeros((len(robots), 4)), 0.0)
+
+    def tare_pa(self) -> NDArray[np.float64]:
+        """(n, 4): what the crew found in air before the dive, the median of two seconds."""
+        air_pa = np.zeros(self._still_pa.shape)
+        return np.asarray(np.median([self._read(air_pa, 0.0) for _ in range(TARE_SAMPLES)], axis=0))
+
+    def sample(self, water_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:
+        """(n, 4) readings that arrive t_s into the dive: those of the sample before this one."""
+        late_pa, self._late_pa = self._late_pa, self._read(water_pa, t_s)
+        return late_pa
+
+    def _read(self, water_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:
+        if self._drawn % BLOCK == 0:
+            for i, rng in enumerate(self._rngs):
+                self._noise_pa[:, i] = rng.normal(0, NOISE_M * PA_PER_M, (BLOCK, 4))
+        noise_pa = self._noise_pa[self._drawn % BLOCK]
+        self._drawn += 1
+        drift_pa = self._drift_pa_s * (DRIFT_S * (1 - math.exp(-t_s / DRIFT_S)))
+        return np.asarray(np.round((self._still_pa + drift_pa + water_pa + noise_pa) / STEP_PA) * STEP_PA)

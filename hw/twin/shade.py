@@ -1,0 +1,134 @@
+"""How bright each pixel is: albedo of the surface, light from above, and the water in between.
+
+Linear radiance, 1 is a white diffuser at the water surface. No lamps, no cast shadows yet.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw.twin.raycast import BOARD_ID, FLOOR_ID, ONE, SOLID_ID, Floats, along, at, inlined, kernel, map_row, ray
+from hw.twin.texture import LEVELS, SIZE
+
+HALF, QUARTER, TWO = np.float32(0.5), np.float32(0.25), np.float32(2)
+WALL_LIGHT, SLOPE_LIGHT = np.float32(0.6), np.float32(0.4)  # a diffuse room gives 0.6 + 0.4 n_z
+SQUARE_M = np.float32(0.02)  # chessboard
+GRAIN = np.float32(0.4)  # contrast of the grain on it: without it a square's inside has nothing to focus on
+STEEPEST = np.float32(0.25)  # cosine below which the mip level no longer follows: the floor would be all blur
+LOD_UP = np.float32(1.5)  # texels in a pixel above which the next mip level is taken
+LEVEL_START = np.cumsum(np.array([0] + [(SIZE >> level) ** 2 for level in range(LEVELS)]))
+WRAPS = np.float32(64)  # periods added to texture coordinates, which keeps them positive
+TO_UNIT = np.float32(1 / 255)
+SECOND_FACE_M, THIRD_FACE_M = np.float32(0.13), np.float32(0.19)  # else faces mirror each other along their edges
+
+PER_M = 512  # steps a metre of the two tables below
+STEPS_PER_M = np.float32(PER_M)
+
+
+class Looks(NamedTuple):
+    """What does not change from frame to frame."""
+
+    atlas: NDArray[np.uint8]  # texture.atlas
+    layer: NDArray[np.int64]  # (M,) per material
+    texels_per_m: Floats  # (M,)
+    dark: Floats  # (M, 3) albedo, blue green red
+    light: Floats  # (M, 3)
+    path: Floats  # (N, 6) per 1/PER_M of range: transmission, then veil
+    day: Floats  # (N, 3) per 1/PER_M of depth: light from the surface
+
+
+@inlined
+def look_up(atlas, layer, s, t, texels):
+    """Bilinear sample at (s, t) texels, from the mip level that suits a pixel `texels` wide; 0 to 1."""
+    level, scale = 0, ONE
+    while texels * scale > LOD_UP and level < LEVELS - 1:
+        level += 1
+        scale *= HALF
+    side = SIZE >> level
+    first = LEVEL_START[level]
+    shift = WRAPS * np.float32(side) - HALF
+    x, y = s * scale + shift, t * scale + shift
+    i, j = int(x), int(y)
+    fx, fy = x - np.float32(i), y - np.float32(j)
+    left, right = i & (side - 1), (i + 1) & (side - 1)
+    above, below = first + (j & (side - 1)) * side, first + ((j + 1) & (side - 1)) * side
+    nw, ne = atlas[layer, np.uint64(above + left)], atlas[layer, np.uint64(above + right)]
+    sw, se = atlas[layer, np.uint64(below + left)], atlas[layer, np.uint64(below + right)]
+    north = np.float32(nw) + fx * (np.float32(ne) - np.float32(nw))
+    south = np.float32(sw) + fx * (np.float32(se) - np.float32(sw))
+    return (north + fy * (south - north)) * TO_UNIT
+
+
+@inlined
+def square_wave(x, footprint):
+    """+1 and -1 by turns every SQUARE_M, averaged over a pixel `footprint` wide: edges keep their sub-pixel place."""
+    phase = x / (TWO * SQUARE_M) + QUARTER
+    inside = QUARTER - abs(phase - math.floor(phase) - HALF)  # signed distance to the edge, periods
+    return max(-ONE, min(ONE, inside * np.float32(4) * SQUARE_M / footprint))
+
+
+@kernel
+def shade(view, looks, x0, y0, depth, identity, picture):
+    """Fill picture (h, w, 3), blue green red, from what trace found for the same pixels."""
+    camera, surface_m = view.camera, view.box[2]
+    pixel = view.optics.slope / math.sqrt(view.optics.n_squared)  # slope of one pixel in water
+    for row in range(depth.shape[0]):
+        for col in range(depth.shape[1]):
+            mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
+            u, who = depth[row, col], identity[row, col]
+            px, py = a + u * mx, b + u * my
+            z = at(camera[2], px, py, u)
+            length = math.sqrt(ONE + mx * mx + my * my)
+            material = view.material[who]
+            facing, footprint, grain = WALL_LIGHT, u * pixel, ONE
+            across = footprint  # with foreshortening
+            if who < BOARD_ID:
+                x, y = at(camera[0], px, py, u), at(camera[1], px, py, u)
+                if who < 2:
+                    s, t, normal = y, z, along(camera[0], mx, my)
+                elif who < FLOOR_ID:
+                    s, t, normal = x, z, along(camera[1], mx, my)
+                else:
+                    s, t, normal = x, y, along(camera[2], mx, my)
+                    facing = ONE
+                across = footprint / max(abs(normal) / length, STEEPEST)
+            elif who == BOARD_ID:
+                s, t = at(view.board[0], px, py, u), at(view.board[1], px, py, u)
+            else:
+                s, t, facing = _on_solid(view, who - SOLID_ID, px, py, u)
+            texels = looks.texels_per_m[material]
+            tone = look_up(looks.atlas, looks.layer[material], s * texels, t * texels, across * texels)
+            if who == BOARD_ID:
+                grain = ONE + GRAIN * (tone - HALF)
+                s, t = s + view.board_half[0], t + view.board_half[1]  # squares count from a corner
+                tone = HALF + HALF * square_wave(s, footprint) * square_wave(t, footprint)
+            path = looks.path[min(int(u * length * STEPS_PER_M), looks.path.shape[0] - 1)]
+            day = looks.day[min(max(int((surface_m - z) * STEPS_PER_M), 0), looks.day.shape[0] - 1)]
+            facing *= grain
+            for c in range(3):
+                dark = looks.dark[material, c]
+                albedo = dark + tone * (looks.light[material, c] - dark)
+                picture[row, col, c] = albedo * facing * day[c] * path[c] + path[c + 3]
+
+
+@inlined
+def _on_solid(view, e, px, py, u):
+    """Texture coordinates [m] and light of a point on an ellipsoid: the face of the cube that the point looks at."""
+    kx = at(map_row(view.solids, e, 0), px, py, u)
+    ky = at(map_row(view.solids, e, 1), px, py, u)
+    kz = at(map_row(view.solids, e, 2), px, py, u)
+    rx, ry, rz = view.radii[e, 0], view.radii[e, 1], view.radii[e, 2]
+    nx, ny, nz = kx / rx, ky / ry, kz / rz
+    rise = view.up[e, 0] * nx + view.up[e, 1] * ny + view.up[e, 2] * nz
+    facing = WALL_LIGHT + SLOPE_LIGHT * rise / math.sqrt(nx * nx + ny * ny + nz * nz)
+    x, y, z = kx * rx, ky * ry, kz * rz
+    s, t = x, y + THIRD_FACE_M
+    if abs(kx) > abs(ky) and abs(kx) > abs(kz):
+        s, t = y, z
+    elif abs(ky) > abs(kz):
+        s, t = x + SECOND_FACE_M, z
+    return s, t, facing

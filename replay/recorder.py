@@ -1,0 +1,130 @@
+"""The fleet recorder: what is on the network of a fleet, as the bytes came, in the order they reached this process.
+
+It is an overview. What one robot knew and when is in that robot's own black box.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+
+from agent import topics
+from agent.config import ConfigError, Fleet, dump
+from agent.messages import MAX_PAYLOAD, Refusal, decode
+from agent.session import observer_config
+from replay.backlog import Backlog, Entry
+from replay.environment import environment
+from replay.log import LogWriter
+
+PERIOD_S = 0.1  # how often arrivals are decoded and handed to the writer
+SILENCE_S = 3.0  # robots publish five times a second: by now something should have come
+BACKLOG_MESSAGES = 8192
+BACKLOG_BYTES = 16 * 1024 * 1024
+
+
+def record(
+    fleet: Fleet,
+    out: Path,
+    stop: threading.Event,
+    clock: Callable[[], int],
+    warn: Callable[[str], None],
+) -> dict[str, int]:
+    """Record into `out` until `stop` is set; returns messages per row of the table, and what was not recorded.
+
+    `clock` gives integer nanoseconds since the Unix epoch that never step back; it becomes the file's log time. `warn`
+    takes one line for a person. Raises ConfigError if the file cannot be written or no session can be opened.
+    """
+    counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
+    started_ns = clock()
+    run = {"kind": "fleet", "fleet": fleet.fleet, "started_ns": started_ns, **environment()}
+    ear = _Ear(clock)
+    warned = False
+    with LogWriter(out, run, {"fleet.toml": dump(fleet)}) as log, _session(fleet) as session:
+        _listen(session, fleet, ear)
+        while not stop.wait(PERIOD_S):
+            _write(ear, log, counts)
+            if log.failed:
+                raise ConfigError(f"{out}: recording stopped: {log.failed}")
+            if not warned and not any(counts.values()) and clock() - started_ns > SILENCE_S * 1e9:
+                warned = True
+                warn(f"nothing heard from fleet '{fleet.fleet}' in {SILENCE_S:.0f} s: no robot up, or another fleet")
+        _write(ear, log, counts)
+    return {**counts, **ear.refused}
+
+
+class _Ear:
+    """Called in Zenoh's threads: stamps, and appends or counts. All else is done when the backlog is taken."""
+
+    def __init__(self, clock: Callable[[], int]) -> None:
+        self.backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
+        self.refused: Counter[str] = Counter()
+        self._clock = clock
+        self._lock = threading.Lock()  # guards the counts: Zenoh has a thread per link
+
+    def message(self, sample: zenoh.Sample) -> None:
+        if sample.kind != zenoh.SampleKind.PUT:
+            self._refuse("not a put")
+        elif len(sample.payload) > MAX_PAYLOAD:
+            self._refuse("too large")
+        else:
+            self._put(sample, sample.payload.to_bytes(), "msgpack", {"encoding": str(sample.encoding)})
+
+    def stranger(self, sample: zenoh.Sample) -> None:
+        if topics.match(str(sample.key_expr)) is None:  # the others come through their own row as well
+            self._refuse("unknown key")
+
+    def token(self, sample: zenoh.Sample) -> None:
+        alive = sample.kind == zenoh.SampleKind.PUT
+        self._put(sample, b'{"alive":true}' if alive else b'{"alive":false}', "json", {})
+
+    def _put(self, sample: zenoh.Sample, data: bytes, encoding: str, metadata: dict[str, str]) -> None:
+        at_ns = self._clock()
+        self.backlog.put(Entry(str(sample.key_expr), at_ns, at_ns, 0, data, encoding, metadata))
+
+    def _refuse(self, reason: str) -> None:
+        with self._lock:
+            self.refused[reason] += 1
+
+
+def _listen(session: zenoh.Session, fleet: Fleet, ear: _Ear) -> None:
+    """Subscribe row by row, so that a row that stays mute is seen to be; and to everything, for keys of nobody."""
+
+    def handler(called: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
+        return zenoh.handlers.Callback(called, indirect=False)  # in Zenoh's thread: the stamp is the arrival
+
+    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*"}
+    for row in topics.TOPICS:
+        session.declare_subscriber(topics.key(row, **anyone), handler(ear.message))
+    session.declare_subscriber(topics.ALL.format(**anyone), handler(ear.stranger))
+    session.liveliness().declare_subscriber(topics.ALIVE.format(**anyone), handler(ear.token), history=True)
+
+
+def _write(ear: _Ear, log: LogWriter, counts: dict[str, int]) -> None:
+    """Hand arrivals to the writer: bytes unchanged, the sender's time and number beside them where they decode."""
+    entries, drops = ear.backlog.take()
+    counts["overrun"] += sum(drop.messages for drop in drops.values())
+    for entry in entries:
+        row = topics.match(entry.channel)
+        counts[row[0].name if row else "alive"] += 1
+        publish_ns, sequence, metadata = entry.log_time_ns, 0, entry.metadata
+        if row:
+            metadata = {"schema": f"aucamp.{row[0].message.__name__}", **metadata}
+            try:
+                message = decode(entry.data, row[0].message)
+                publish_ns = getattr(message, "sent_ns", publish_ns)
+                sequence = getattr(message, "seq", 0)
+            except Refusal:
+                counts["not decoded"] += 1
+        channel = f"/zenoh/{entry.channel}"
+        log.write(channel, entry.log_time_ns, publish_ns, sequence, entry.data, entry.encoding, metadata)
+
+
+def _session(fleet: Fleet) -> zenoh.Session:
+    try:
+        return zenoh.open(zenoh.Config.from_json5(observer_config(fleet, "recorder")))
+    except zenoh.ZError as error:
+        raise ConfigError(f"fleet '{fleet.fleet}': zenoh cannot open a session: {error}") from None

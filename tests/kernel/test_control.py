@@ -1,0 +1,127 @@
+"""Sweeps, pointing and search as pure state machines."""
+
+import pytest
+
+from agent.control.pointing import PLAY_US, Pointing, Search
+from agent.control.sweep import TRACK_STEPS, Measurement, Rejected, Sweep, full_positions
+from agent.messages import Sighting
+from agent.ranging.calibration import FocusFit
+
+FIT = FocusFit(
+    u_inf_m=0.0,
+    b_m=130.0,
+    rho0=100.0,
+    covariance=(0.0,) * 6,
+    noise=1.0,
+    width=60.0,
+    lowest=200,
+    highest=900,
+    r2=1.0,
+    rmse_m=0.001,
+    held_out_rmse_m=0.001,
+)
+S = 1_000_000_000
+
+
+def frames(sweep: Sweep, plan, peak: float, **changes):
+    for index, focus in enumerate(plan.focus[1:], start=1):
+        fields = dict(
+            t_ns=index * 100,
+            frame=index,
+            sweep=plan.sweep,
+            index=index,
+            focus=focus,
+            target="ball",
+            found=True,
+            centre_px=(320.0, 240.0),
+            radius_px=150.0,
+            clarity=10 + 90 / (1 + ((focus - peak) / 60) ** 2),
+            area_px=1e4,
+            score=1.0,
+        )
+        for key, value in changes.items():
+            fields[key] = value(index) if callable(value) else value
+        sweep.frame(Sighting(**fields))
+
+
+def test_full_then_tracking_around_the_peak_stamped_with_the_sharpest_frame() -> None:
+    sweep = Sweep(FIT, 30)
+    plan = sweep.start(0)
+    assert plan.focus[1:] == full_positions(FIT, 30)
+    assert plan.focus[0] < plan.focus[1]
+    assert sweep.finish(S) is None
+    frames(sweep, plan, 431.0)
+    result = sweep.finish(S)
+    assert isinstance(result, Measurement)
+    assert result.focus == pytest.approx(431.0, abs=1.0)
+    nearest = min(range(1, 31), key=lambda k: abs(plan.focus[k] - 431))
+    assert result.t_ns == nearest * 100
+    track = sweep.start(2 * S)
+    assert len(track.focus) == TRACK_STEPS + 1
+    assert track.focus[1] < 431 < track.focus[-1]
+    assert list(track.focus) == sorted(track.focus)
+    frames(sweep, track, 440.0)
+    result = sweep.finish(3 * S)
+    assert isinstance(result, Measurement)
+    assert result.focus == pytest.approx(440.0, abs=1.0)
+
+
+def test_rejections_and_return_to_a_full_sweep() -> None:
+    sweep = Sweep(FIT, 30)
+    frames(sweep, sweep.start(0), 431.0)
+    assert isinstance(sweep.finish(S), Measurement)
+    for _ in range(2):
+        plan = sweep.start(S)
+        assert len(plan.focus) == TRACK_STEPS + 1
+        frames(sweep, plan, 431.0, centre_px=lambda k: (320.0 + 40 * k, 240.0))
+        result = sweep.finish(2 * S)
+        assert isinstance(result, Rejected)
+        assert "moved" in result.reason
+    plan = sweep.start(2 * S)
+    assert len(plan.focus) == 31
+    frames(sweep, plan, 431.0, found=lambda k: k % 2 == 0)
+    result = sweep.finish(3 * S)
+    assert isinstance(result, Rejected)
+    assert "seen in 15 of 30" in result.reason
+
+
+def test_a_sweep_without_frames_is_given_up() -> None:
+    sweep = Sweep(FIT, 8)
+    sweep.start(0)
+    assert sweep.finish(2 * S) is None
+    assert isinstance(sweep.finish(4 * S), Rejected)
+    assert not sweep.running
+
+
+def test_frames_of_another_sweep_pass_by() -> None:
+    sweep = Sweep(FIT, 8)
+    old = sweep.start(0)
+    sweep.abandon()
+    sweep.start(0)
+    frames(sweep, old, 431.0)
+    assert sweep.finish(S) is None
+
+
+def test_final_approach_always_comes_from_below() -> None:
+    pointing, now = Pointing(), 0
+    for goal in ((1500, 1500), (1700, 1400), (1600, 1450)):
+        pointing.aim(goal, now)
+        assert pointing.servos_us(now) == (goal[0] - PLAY_US, goal[1] - PLAY_US)
+        assert not pointing.steady(now)
+        now += 3 * S
+        assert pointing.servos_us(now) == goal
+        assert pointing.steady(now)
+    before = pointing.steady_from_ns
+    pointing.aim((1600, 1450), now)
+    assert pointing.steady_from_ns == before
+
+
+def test_search_waits_for_the_gimbal_and_visits_both_sides() -> None:
+    search, now, seen = Search(), 0, []
+    assert search.offset_deg(steady=False, now_ns=100 * S) == (0.0, 0.0)
+    for _ in range(40):
+        seen.append(search.offset_deg(steady=True, now_ns=now))
+        now += S
+    assert min(p for p, _ in seen) < -30 < 30 < max(p for p, _ in seen)
+    search.reset()
+    assert search.offset_deg(steady=True, now_ns=now) == (0.0, 0.0)

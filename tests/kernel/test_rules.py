@@ -1,0 +1,36 @@
+"""Rules of the kernel that no linter knows: algebra stays off BLAS, and the literal of a key stands in one place."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+KERNEL = [
+    path
+    for part in ("core.py", "hearing.py", "status.py", "messages.py", "topics.py", "estimation", "control", "ranging")
+    for path in ([ROOT / "agent" / part] if part.endswith(".py") else sorted((ROOT / "agent" / part).glob("*.py")))
+    if path.name != "calibrate.py"  # runs once, on a bench, never inside step
+]
+BLAS = {"dot", "matmul", "linalg", "vdot", "inner", "tensordot", "random"}
+
+
+@pytest.mark.parametrize("path", KERNEL, ids=lambda p: p.name)
+def test_kernel_stays_off_blas_and_off_hash_order(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text())):
+        where = f"{path}:{getattr(node, 'lineno', 0)}"
+        assert not isinstance(node, ast.MatMult), f"{where}: @ calls BLAS, whose bits differ between processors"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in ("np", "numpy"):
+            assert node.attr not in BLAS, f"{where}: np.{node.attr}"
+        if isinstance(node, ast.For | ast.comprehension):
+            assert not isinstance(node.iter, ast.Set | ast.SetComp), f"{where}: the order of a set is not fixed"
+
+
+def test_only_topics_spells_a_key() -> None:
+    spelled = [
+        path.relative_to(ROOT).as_posix()
+        for folder in ("agent", "hw", "replay")
+        for path in (ROOT / folder).rglob("*.py")
+        if '"aucamp/' in path.read_text() or "'aucamp/" in path.read_text()
+    ]
+    assert spelled == ["agent/topics.py"]

@@ -1,0 +1,158 @@
+"""An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
+
+The script knows where the target is and answers each sweep with the clarity curve that a lens would give.
+Usage: scripted_agent.py FLEET ROBOT OUT
+"""
+
+import math
+import random
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from agent.config import load_fleet
+from agent.core import Agent
+from agent.messages import Sighting, Telemetry
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
+from agent.runtime import goodbye, loop, run_facts, until_signal
+from agent.transport import Transport
+from replay.log import LogWriter
+
+TARGET_M = (0.76, 0.56, 0.07)
+FOCUS = FocusFit(
+    u_inf_m=-0.01,
+    b_m=130.0,
+    rho0=100.0,
+    covariance=(1e-6, 0.0, 0.0, 1e-2, 0.0, 1e-2),
+    noise=0.5,
+    width=60.0,
+    lowest=180,
+    highest=900,
+    r2=1.0,
+    rmse_m=0.001,
+    held_out_rmse_m=0.001,
+)
+CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
+CALIBRATION = Calibration(robot="any", made="2026-01-01", source="script", focus=FOCUS, camera=CAMERA)
+
+
+class Script:
+    """Camera and control module in one: where the gimbal points decides what is seen."""
+
+    def __init__(self, fleet, robot, clock) -> None:
+        self.fleet, self.robot, self.clock = fleet, fleet.robot[robot], clock
+        self.servos = (1500, 1500)
+        self.sweep = None
+        self.frame = 0
+        self.idle_ns = self.told_ns = 0
+        self.random = random.Random(robot)
+
+    def send(self, set_point, now_ns) -> None:
+        self.servos = set_point.servos_us[:2]
+
+    def plan(self, plan) -> None:
+        self.sweep = plan
+
+    def drain(self):
+        now_ns, out = self.clock(), []
+        if self.sweep is not None:
+            for index, focus in enumerate(self.sweep.focus[1:], start=1):
+                out.append(self.look(now_ns, focus, self.sweep.sweep, index))
+            self.sweep = None
+        elif now_ns - self.idle_ns > 100_000_000:
+            out.append(self.look(now_ns, None, 0, -1))
+        if out:
+            self.idle_ns = now_ns
+        return out
+
+    def look(self, now_ns, focus, sweep, index) -> Sighting:
+        self.frame += 1
+        r, body = self.robot, self.fleet.body
+        pan, tilt = gimbal_deg(CAMERA, body, self.servos)
+        eye = camera_pose(r.pose, body, r.depth_m, 0.0, 0.0, pan, tilt, self.fleet.tank.surface_m)
+        x, y, z = to_camera(eye, TARGET_M)
+        px = pixel(CAMERA, (x, y, z))
+        if px is None or not (0 <= px[0] < 640 and 0 <= px[1] < 480):
+            return Sighting(t_ns=now_ns, frame=self.frame, sweep=sweep, index=index, target="ball", found=False)
+        d = math.sqrt(x * x + y * y + z * z)
+        skin = d - 0.07
+        for _ in range(5):
+            skin = d - centre_behind_skin_m(skin, 0.07)
+        rho = FOCUS.rho0 + FOCUS.b_m / (skin * z / d - FOCUS.u_inf_m) + self.random.gauss(0.0, 0.5)
+        return Sighting(
+            t_ns=now_ns,
+            frame=self.frame,
+            sweep=sweep,
+            index=index,
+            focus=focus,
+            target="ball",
+            found=True,
+            centre_px=px,
+            radius_px=0.07 / d * 1169,
+            clarity=None if focus is None else 100.0 + 900.0 / (1.0 + ((focus - rho) / FOCUS.width) ** 2),
+            area_px=9000.0,
+            score=1.0,
+        )
+
+
+class Motors:
+    """The control module's half of the script: level, at depth, fifty times a second."""
+
+    def __init__(self, script) -> None:
+        self.script = script
+        self.last_ns = 0
+
+    def send(self, set_point, now_ns) -> None:
+        self.script.send(set_point, now_ns)
+
+    def drain(self):
+        now_ns = self.script.clock()
+        if now_ns - self.last_ns < 20_000_000:
+            return (), ()
+        self.last_ns = now_ns
+        depth = self.script.robot.depth_m
+        return (
+            Telemetry(
+                t_ns=now_ns,
+                board_us=0,
+                depth_m=depth,
+                roll_deg=0.0,
+                pitch_deg=0.0,
+                sensor_depth_m=(depth,) * 4,
+                pulses_us=(1500,) * 8,
+                servos_us=(1500,) * 4,
+                battery_v=14.0,
+                armed=True,
+                ladder=0,
+                flags=0,
+                loop_us=0,
+            ),
+        ), ()
+
+
+def main(fleet_path: Path, name: str, out: Path) -> None:
+    fleet = load_fleet(fleet_path)
+    offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def clock() -> int:
+        return offset_ns + time.monotonic_ns()
+
+    agent = Agent(fleet, name, CALIBRATION, incarnation=clock())
+    script = Script(fleet, name, clock)
+    with ExitStack() as stack:
+        stop = stack.enter_context(until_signal())
+        log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, clock())))
+        network = stack.enter_context(Transport(fleet, name, clock))
+        stack.callback(goodbye, agent, network, clock)
+
+        def black_box(step, now_ns, inputs, outputs) -> None:
+            log.write("/raw/step_in", now_ns, now_ns, step, inputs)
+            log.write("/raw/step_out", now_ns, now_ns, step, outputs)
+
+        loop(agent, name, script, Motors(script), network, black_box, clock, stop)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))

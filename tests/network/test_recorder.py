@@ -1,0 +1,197 @@
+"""The fleet recorder: all of a fleet's traffic, bytes unchanged, also when it is killed."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import zenoh
+
+import replay.recorder
+from agent import topics
+from agent.config import ConfigError, Fleet, dump
+from agent.messages import MAX_PAYLOAD, Estimate, LogLine, State, encode, encoding
+from agent.session import peer_config
+from agent.topics import LINK, STATE
+from agent.transport import Transport
+from replay.log import info, read
+from replay.recorder import record
+
+PAIR = {"r1": ("r2",), "r2": ("r1",)}
+ROOT = Path(replay.recorder.__file__).parents[1]
+
+
+class Running:
+    """A recorder in a thread of this process."""
+
+    def __init__(self, pool: ThreadPoolExecutor, fleet: Fleet, out: Path) -> None:
+        self.stop = threading.Event()
+        self.warnings: list[str] = []
+        self._result = pool.submit(record, fleet, out, self.stop, time.time_ns, self.warnings.append)
+
+    def end(self) -> dict[str, int]:
+        self.stop.set()
+        return self._result.result(timeout=20)
+
+
+@pytest.fixture
+def pool() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(1) as threads:
+        yield threads
+
+
+def wait_for_link(session: zenoh.Session, until: Callable[..., None]) -> None:
+    until(lambda: len(session.info.links()) == 1)
+    time.sleep(0.3)  # its subscriptions follow the link
+
+
+def test_every_row_is_recorded_as_it_was_sent(
+    make_fleet: Callable[..., Fleet],
+    estimate: Callable[..., Estimate],
+    state: Callable[..., State],
+    until: Callable[..., None],
+    pool: ThreadPoolExecutor,
+    tmp_path: Path,
+) -> None:
+    fleet = make_fleet(PAIR)
+    out = tmp_path / "fleet.mcap"
+    recorder = Running(pool, fleet, out)
+    said, shown = [], []
+    line = LogLine(robot="r2", sent_ns=5, level="info", text="here")
+    with Transport(fleet, "r1", time.time_ns) as r1, Transport(fleet, "r2", time.time_ns) as r2:
+        for seq in range(60):
+            said.append(estimate("r1", "r2", seq))
+            shown.append(state("r2", seq))
+            r1.say(said[-1])
+            r2.show(shown[-1])
+            r2.show(line)
+            time.sleep(0.02)
+    time.sleep(0.3)
+    counts = recorder.end()
+    records = list(read(out))
+    key = topics.key(LINK, fleet="test", src="r1", dst="r2")
+    links = [item for item in records if item.channel == f"/zenoh/{key}"]
+    states = [item for item in records if item.channel == f"/zenoh/{topics.key(STATE, fleet='test', robot='r2')}"]
+    assert len(links) > 20
+    assert [item.data for item in links] == [encode(message) for message in said[-len(links) :]]
+    assert [item.publish_time_ns for item in links] == [message.sent_ns for message in said[-len(links) :]]
+    assert [item.sequence for item in links] == [message.seq for message in said[-len(links) :]]
+    assert all(item.log_time_ns >= item.publish_time_ns for item in links)
+    assert [item.data for item in states] == [encode(message) for message in shown[-len(states) :]]
+    assert counts["link"] == len(links)
+    assert counts["state"] == len(states)
+    assert counts["log"] > 20
+    assert counts["alive"] == 4  # two came, two went
+    assert (counts["not decoded"], counts["overrun"]) == (0, 0)
+    about = info(out)
+    assert about.complete
+    assert about.run["fleet"] == "test"
+    assert about.attachments["fleet.toml"] == dump(fleet)
+    assert about.channels[f"/zenoh/{key}"].metadata == {"encoding": encoding(Estimate), "schema": "aucamp.Estimate"}
+    alive = [item.data for item in records if "/alive/" in item.channel]
+    assert sorted(alive) == [b'{"alive":false}'] * 2 + [b'{"alive":true}'] * 2
+    assert recorder.warnings == []
+
+
+def test_strangers_are_counted_and_bad_payloads_kept(
+    make_fleet: Callable[..., Fleet], until: Callable[..., None], pool: ThreadPoolExecutor, tmp_path: Path
+) -> None:
+    fleet = make_fleet({"r1": ()})
+    out = tmp_path / "fleet.mcap"
+    recorder = Running(pool, fleet, out)
+    key = topics.key(STATE, fleet="test", robot="r1")
+    block = zenoh.CongestionControl.BLOCK
+    with zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r1"))) as r1:
+        wait_for_link(r1, until)
+        r1.put(key, b"no msgpack \xc1", encoding=encoding(State))
+        r1.put(key, bytes(MAX_PAYLOAD + 1), encoding=encoding(State), congestion_control=block)
+        r1.put(key.replace("state", "opinion"), b"x")
+        r1.delete(key)
+        time.sleep(0.5)
+    counts = recorder.end()
+    assert {name: count for name, count in counts.items() if count} == {
+        "state": 1,
+        "not decoded": 1,
+        "too large": 1,
+        "unknown key": 1,
+        "not a put": 1,
+    }
+    assert [item.data for item in read(out)] == [b"no msgpack \xc1"]
+
+
+def test_silence_is_told_once(
+    make_fleet: Callable[..., Fleet],
+    until: Callable[..., None],
+    pool: ThreadPoolExecutor,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.1)
+    recorder = Running(pool, make_fleet(PAIR), tmp_path / "fleet.mcap")
+    until(lambda: recorder.warnings)
+    time.sleep(0.4)
+    assert not any(recorder.end().values())
+    assert len(recorder.warnings) == 1
+    assert "fleet 'test'" in recorder.warnings[0]
+
+
+def test_an_existing_file_is_one_line(
+    make_fleet: Callable[..., Fleet], pool: ThreadPoolExecutor, tmp_path: Path
+) -> None:
+    out = tmp_path / "fleet.mcap"
+    out.write_text("precious")
+    with pytest.raises(ConfigError, match="exists already"):
+        Running(pool, make_fleet(PAIR), out).end()
+    assert out.read_text() == "precious"
+
+
+RECORD = """
+import pathlib, signal, sys, threading, time
+from agent.config import load_fleet
+from replay.recorder import record
+stop = threading.Event()
+signal.signal(signal.SIGTERM, lambda *_: stop.set())
+print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), stop, time.time_ns, print))
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
+    make_fleet: Callable[..., Fleet],
+    state: Callable[..., State],
+    until: Callable[..., None],
+    tmp_path: Path,
+    how: signal.Signals,
+) -> None:
+    fleet = make_fleet({"r1": ()})
+    (tmp_path / "fleet.toml").write_text(dump(fleet))
+    out = tmp_path / "fleet.mcap"
+    active = tmp_path / "fleet.mcap.active"
+    command = [sys.executable, "-c", RECORD, tmp_path / "fleet.toml", out]
+    with (
+        Transport(fleet, "r1", time.time_ns) as r1,
+        subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as process,
+    ):
+        try:
+            seqs = iter(range(100_000))
+
+            def recorded() -> bool:
+                r1.show(state("r1", next(seqs)))
+                return active.exists() and len(list(read(active)) if active.stat().st_size else []) > 20
+
+            until(recorded, timeout_s=30)
+            process.send_signal(how)
+            process.wait(timeout=15)
+        finally:
+            process.kill()
+    assert process.returncode == (0 if how == signal.SIGTERM else -signal.SIGKILL)
+    file = out if how == signal.SIGTERM else active
+    states = [item.sequence for item in read(file) if item.channel.endswith("/state")]
+    assert states == list(range(states[0], states[0] + len(states)))
+    assert len(states) > 20 - 1
+    assert info(file).complete is (how == signal.SIGTERM)

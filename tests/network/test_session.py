@@ -1,0 +1,74 @@
+"""The configurations, read back from Zenoh: it swallows keys it does not know, so writing them proves nothing."""
+
+import json
+from collections.abc import Callable
+from importlib import resources
+from typing import Any
+
+import pytest
+import zenoh
+
+from agent import session
+from agent.config import Fleet
+
+CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
+
+
+def leaves(value: Any, path: str = "") -> dict[str, Any]:
+    if not isinstance(value, dict):
+        return {path: value}
+    return {k: v for name, part in value.items() for k, v in leaves(part, f"{path}/{name}".lstrip("/")).items()}
+
+
+def accepted(text: str, path: str) -> Any:
+    """What Zenoh holds at a path after it has read the text."""
+    value = json.loads(str(zenoh.Config.from_json5(text)))
+    for name in path.split("/"):
+        value = value[name]
+    return value
+
+
+@pytest.mark.parametrize("base", ["peer.json5", "observer.json5", "router.json5"])
+def test_every_key_of_a_base_file_is_known_to_zenoh_and_differs_from_its_default(base: str) -> None:
+    text = resources.files("router_config").joinpath(base).read_text()
+    default = leaves(json.loads(str(zenoh.Config())))
+    mine = leaves(json.loads(session._over(base, {})))
+    assert mine
+    for path, value in mine.items():
+        assert accepted(text, path) == value, path
+        assert default.get(path) != value, path
+
+
+def test_a_robot_dials_its_neighbours_and_nobody_else(make_fleet: Callable[..., Fleet]) -> None:
+    fleet = make_fleet(CHAIN)
+    text = session.peer_config(fleet, "r1")
+    assert accepted(text, "mode") == "peer"
+    assert accepted(text, "listen/endpoints") == [fleet.robot["r1"].listen]
+    assert accepted(text, "connect/endpoints") == [fleet.robot["r2"].listen]
+    assert accepted(text, "metadata") == {"fleet": "test", "name": "r1"}
+    both = [fleet.robot["r1"].listen, fleet.robot["r3"].listen]
+    assert accepted(session.peer_config(fleet, "r2"), "connect/endpoints") == both
+
+
+def test_what_keeps_a_swarm_alive(make_fleet: Callable[..., Fleet]) -> None:
+    fleet = make_fleet(CHAIN)
+    for text in (session.peer_config(fleet, "r2"), session.observer_config(fleet), session.router_config(fleet)):
+        assert accepted(text, "connect/timeout_ms") == -1
+        assert accepted(text, "connect/exit_on_failure") is False
+        assert accepted(text, "connect/retry/period_init_ms") == 100
+        assert accepted(text, "scouting/multicast/enabled") is False
+        assert accepted(text, "scouting/gossip/enabled") is False
+        assert accepted(text, "scouting/delay") == 10
+        assert accepted(text, "transport/link/tx/lease") == 2000
+        assert accepted(text, "transport/shared_memory/enabled") is False
+    assert accepted(session.peer_config(fleet, "r2"), "timestamping/enabled") is True
+
+
+def test_who_looks_dials_every_robot(make_fleet: Callable[..., Fleet]) -> None:
+    fleet = make_fleet(CHAIN)
+    everyone = [robot.listen for robot in fleet.robot.values()]
+    assert accepted(session.observer_config(fleet), "connect/endpoints") == everyone
+    assert accepted(session.observer_config(fleet), "listen/endpoints") == []
+    assert accepted(session.router_config(fleet, "tcp/127.0.0.1:17448"), "connect/endpoints") == everyone
+    assert accepted(session.router_config(fleet, "tcp/127.0.0.1:17448"), "listen/endpoints") == ["tcp/127.0.0.1:17448"]
+    assert accepted(session.router_config(fleet), "mode") == "router"

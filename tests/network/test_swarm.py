@@ -1,0 +1,162 @@
+"""Three agents in three processes on loopback, real sessions, scripted sightings."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgpack
+import msgspec
+import pytest
+import zenoh
+
+from agent import topics
+from agent.config import dump, load_fleet
+from agent.demo import demo_fleet
+from agent.messages import LogLine, State, decode, encode, encoding
+from agent.messages import Estimate
+from agent.session import observer_config
+from agent.transport import Observer
+from replay.log import read
+
+TARGET_M = (0.76, 0.56, 0.07)
+AGENT = Path(__file__).parent / "scripted_agent.py"
+
+
+class Swarm:
+    """Processes by robot, and the newest that each of them said."""
+
+    def __init__(self, fleet, folder: Path, observer: Observer) -> None:
+        self.fleet, self.folder, self.observer = fleet, folder, observer
+        self.path = folder / "fleet.toml"
+        self.path.write_text(dump(fleet))
+        self.processes: dict[str, subprocess.Popen] = {}
+        self.state: dict[str, State] = {}
+        self.lines: dict[str, list[str]] = {name: [] for name in fleet.robot}
+
+    def start(self, *names: str, out: str = "logs") -> None:
+        for name in names:
+            (self.folder / out).mkdir(exist_ok=True)
+            self.processes[name] = subprocess.Popen(
+                [sys.executable, str(AGENT), str(self.path), name, str(self.folder / out)]
+            )
+
+    def listen(self) -> None:
+        for seen in self.observer.drain():
+            name = seen.chunks["robot"]
+            if seen.topic is topics.STATE:
+                self.state[name] = decode(seen.payload, State)
+            elif seen.topic is topics.LOG:
+                self.lines[name].append(decode(seen.payload, LogLine).text)
+
+    def until(self, what: str, true, timeout_s: float = 40.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not true():
+            self.listen()
+            assert time.monotonic() < deadline, f"{what}: {self.state}"
+            time.sleep(0.05)
+
+    def agree(self, *names: str) -> bool:
+        states = [self.state.get(name) for name in names]
+        return all(
+            s is not None
+            and s.knows == "sees"
+            and s.posterior_m is not None
+            and math.dist(s.posterior_m, TARGET_M) < 0.004
+            and sum(n.used for n in s.neighbours) == len(names) - 1
+            for s in states
+        )
+
+
+@contextmanager
+def swarm(folder: Path):
+    fleet = demo_fleet(3, "paper", 0.0, 0, False, folder)
+    fleet = msgspec.structs.replace(fleet, estimation=msgspec.structs.replace(fleet.estimation, iteration_s=0.25))
+    with Observer(fleet, time.monotonic_ns, (topics.STATE, topics.LOG)) as observer:
+        it = Swarm(fleet, folder, observer)
+        try:
+            yield it
+        finally:
+            for process in it.processes.values():
+                process.kill()
+                process.wait()
+
+
+def test_told_then_seen_then_agreed_and_sigterm_leaves_nothing(tmp_path) -> None:
+    with swarm(tmp_path) as it:
+        it.start("r1", "r2", "r3")
+        it.until("agreement", lambda: it.agree("r1", "r2", "r3"))
+        assert it.state["r1"].acquired_t < min(it.state["r2"].acquired_t, it.state["r3"].acquired_t)
+        assert any(line.startswith("told") for line in it.lines["r2"])
+        for process in it.processes.values():
+            process.send_signal(signal.SIGTERM)
+        for process in it.processes.values():
+            assert process.wait(timeout=2.0) == 0
+        it.until("a last word", lambda: all(s.mode == "stopped" for s in it.state.values()), 5.0)
+    logs = sorted(path.name for path in (tmp_path / "logs").iterdir())
+    assert logs == ["r1.mcap", "r2.mcap", "r3.mcap"]
+    steps = [r.sequence for r in read(tmp_path / "logs" / "r1.mcap") if r.channel == "/raw/step_in"]
+    assert steps == list(range(len(steps)))
+    assert len(steps) > 100
+
+
+def test_any_one_may_die_and_a_restarted_one_rejoins(tmp_path) -> None:
+    with swarm(tmp_path) as it:
+        it.start("r1", "r2", "r3")
+        it.until("agreement", lambda: it.agree("r1", "r2", "r3"))
+        for round_, victim in enumerate(("r1", "r2", "r3")):
+            others = [name for name in it.fleet.robot if name != victim]
+            it.processes[victim].kill()
+            it.processes[victim].wait()
+            t = {name: it.state[name].t for name in others}
+            it.until(
+                f"life without {victim}",
+                lambda o=others, t=t: it.agree(*o) and all(it.state[n].t > t[n] + 8 for n in o),
+            )
+            before = it.state[victim].incarnation
+            it.state.pop(victim)
+            it.start(victim, out=f"again{round_}")
+            it.until(f"{victim} back", lambda: it.agree("r1", "r2", "r3"))
+            assert it.state[victim].incarnation != before
+
+
+def test_what_cannot_be_believed_is_refused_counted_logged_and_changes_nothing(tmp_path) -> None:
+    with swarm(tmp_path) as it:
+        it.start("r1", "r2")
+        it.until("agreement", lambda: it.agree("r1", "r2"))
+        honest = Estimate(
+            fleet="tank",
+            src="r3",
+            dst="r1",
+            incarnation=1,
+            seq=1,
+            sent_ns=1,
+            target="ball",
+            t=5,
+            valid=True,
+            x_m=(0.1,) * 3,
+        )
+        wrong_schema = msgpack.packb({**msgspec.to_builtins(honest), "schema": 99})
+        nan = msgpack.packb({**msgspec.to_builtins(honest), "x_m": [math.nan, 0.0, 0.0]})
+        far = encode(msgspec.structs.replace(honest, x_m=(50.0, 0.0, 0.0)))
+        forged = encode(msgspec.structs.replace(honest, src="r2"))
+        key = topics.key(topics.LINK, fleet="tank", src="r3", dst="r1")
+        with zenoh.open(zenoh.Config.from_json5(observer_config(it.fleet))) as session:
+            time.sleep(0.5)
+            believed = {name: it.state[name].posterior_m for name in ("r1", "r2")}
+            for payload in (os.urandom(100), wrong_schema, nan, far, forged):
+                session.put(key, payload, encoding=encoding(Estimate))
+            session.put(key, b"\0" * 10_000_000, encoding=encoding(Estimate))
+            session.put(key, encode(honest), encoding="text/plain")
+            want = {"garbage", "schema", "content", "place", "address", "too large", "wrong encoding"}
+            it.until("refusals", lambda: want <= set(it.state["r1"].refused), 10.0)
+            assert all(count == 1 for kind, count in it.state["r1"].refused.items() if kind in want)
+            it.until("log lines", lambda: all(any(k in text for text in it.lines["r1"]) for k in want), 10.0)
+        it.until("agreement still", lambda: it.agree("r1", "r2"))
+        assert not any(n.used for n in it.state["r1"].neighbours if n.robot == "r3")
+        for name, x in believed.items():
+            assert math.dist(it.state[name].posterior_m, x) < 0.002

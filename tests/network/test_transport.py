@@ -1,0 +1,308 @@
+"""Links between robots: real sessions over TCP on this machine, several in one process."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import msgspec
+import pytest
+import zenoh
+
+from agent import topics
+from agent.config import ConfigError, Fleet
+from agent.messages import MAX_PAYLOAD, Estimate, Heard, LogLine, State, decode, encode, encoding
+from agent.router import run_router
+from agent.session import peer_config
+from agent.topics import LINK, STATE
+from agent.transport import Observer, Transport
+
+PAIR = {"r1": ("r2",), "r2": ("r1",)}
+CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
+FULL = {"r1": ("r2", "r3"), "r2": ("r1", "r3"), "r3": ("r1", "r2")}
+
+Fleets = Callable[..., Fleet]
+Says = Callable[..., Estimate]
+Until = Callable[..., None]
+
+
+class Ear:
+    """Collects what a transport hands out over several drains."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.heard: list[Heard] = []
+        self.refused: dict[str, int] = {}
+
+    def listen(self) -> "Ear":
+        heard, refused = self.transport.drain()
+        self.heard += heard
+        for row in refused:
+            self.refused[row.reason] = self.refused.get(row.reason, 0) + row.count
+        return self
+
+
+@contextlib.contextmanager
+def all_up(fleet: Fleet, *names: str) -> Iterator[list[Transport]]:
+    with contextlib.ExitStack() as stack:
+        yield [stack.enter_context(Transport(fleet, name, time.time_ns)) for name in names]
+
+
+def linked(until: Until, estimate: Says, a: Transport, b: Transport, src: str, dst: str) -> None:
+    """Wait until b hears a."""
+
+    def said_and_heard() -> bool:
+        a.say(estimate(src, dst))
+        time.sleep(0.02)
+        return bool(b.drain()[0])
+
+    until(said_and_heard)
+    time.sleep(0.1)
+    b.drain()
+
+
+def test_only_the_addressed_neighbour_hears(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+    with all_up(make_fleet(FULL), "r1", "r2", "r3") as (r1, r2, r3):
+        linked(until, estimate, r1, r2, "r1", "r2")
+        linked(until, estimate, r1, r3, "r1", "r3")
+        before_ns = time.time_ns()
+        said = [estimate("r1", "r2", seq) for seq in range(20)]
+        for message in said:
+            r1.say(message)
+        ear = Ear(r2)
+        until(lambda: len(ear.listen().heard) == 20)
+        assert [decode(heard.payload, Estimate) for heard in ear.heard] == said
+        assert all(heard.src == "r1" for heard in ear.heard)
+        assert all(before_ns <= heard.arrived_ns <= time.time_ns() for heard in ear.heard)
+        assert Ear(r3).listen().heard == []
+        assert ear.refused == {}
+
+
+def test_a_link_that_is_not_in_the_fleet_file_does_not_exist(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+    fleet = make_fleet(CHAIN)
+    config = zenoh.Config.from_json5(peer_config(fleet, "r1"))
+    with all_up(fleet, "r2", "r3") as (r2, r3), zenoh.open(config) as r1:
+        linked(until, estimate, r2, r3, "r2", "r3")
+        far, near = Ear(r3), Ear(r2)
+
+        def say_to_both() -> bool:
+            for dst in ("r3", "r2"):
+                key = topics.key(LINK, fleet="test", src="r1", dst=dst)
+                r1.put(key, encode(estimate("r1", dst)), encoding=encoding(Estimate))
+            return len(near.listen().heard) > 3
+
+        until(say_to_both)
+        far.listen()
+        assert (far.heard, far.refused) == ([], {})
+
+
+def test_what_cannot_be_a_message_is_turned_away_and_counted(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+    fleet = make_fleet(PAIR)
+    config = zenoh.Config.from_json5(peer_config(fleet, "r1"))
+    good = encode(estimate("r1", "r2"))
+    key = topics.key(LINK, fleet="test", src="r1", dst="r2")
+    block = zenoh.CongestionControl.BLOCK
+    with Transport(fleet, "r2", time.time_ns) as r2, zenoh.open(config) as r1:
+        ear = Ear(r2)
+
+        def say() -> bool:
+            r1.put(key, good, encoding=encoding(Estimate))
+            return bool(ear.listen().heard)
+
+        until(say)
+        r1.put(key, bytes(10_000_000), encoding=encoding(Estimate), congestion_control=block)
+        r1.put(key, bytes(MAX_PAYLOAD + 1), encoding=encoding(Estimate), congestion_control=block)
+        r1.put(key, good, congestion_control=block)
+        r1.put(key, good, encoding=encoding(State), congestion_control=block)
+        r1.put(topics.key(LINK, fleet="test", src="r9", dst="r2"), good, encoding=encoding(Estimate))
+        r1.put(topics.key(LINK, fleet="test", src="r2", dst="r2"), good, encoding=encoding(Estimate))
+        r1.delete(key, congestion_control=block)
+        until(lambda: sum(ear.listen().refused.values()) == 7)
+        assert ear.refused == {"too large": 2, "wrong encoding": 2, "unknown sender": 2, "not a put": 1}
+        heard = len(ear.heard)
+        r1.put(key, bytes(MAX_PAYLOAD), encoding=encoding(Estimate))  # just small enough, and not ours to decode
+        until(lambda: len(ear.listen().heard) > heard)
+        assert len(ear.heard[-1].payload) == MAX_PAYLOAD
+
+
+def test_a_full_inbox_keeps_the_newest(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+    fleet = make_fleet({"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)})
+    with all_up(fleet, "r1", "r2", "r3") as (r1, r2, r3):
+        linked(until, estimate, r1, r2, "r1", "r2")
+        linked(until, estimate, r3, r2, "r3", "r2")
+        r3.say(estimate("r3", "r2", seq=7))
+        for seq in range(100):
+            r1.say(estimate("r1", "r2", seq))
+            time.sleep(0.001)
+        until(lambda: sum(r2._refused.values()) == 36)
+        heard, refused = r2.drain()
+        loud = [decode(item.payload, Estimate).seq for item in heard if item.src == "r1"]
+        assert loud == list(range(36, 100))
+        assert [decode(item.payload, Estimate).seq for item in heard if item.src == "r3"] == [7]
+        assert [(row.reason, row.count) for row in refused] == [("inbox full", 36)]
+        assert r2.drain() == ((), ())
+
+
+def test_loss_is_drawn_from_the_seed(make_fleet: Fleets, estimate: Says) -> None:
+    def lost(loss: float, seed: int, robot: str = "r1") -> list[bool]:
+        fleet = make_fleet(PAIR, loss=loss, loss_seed=seed)
+        other = "r2" if robot == "r1" else "r1"
+        with Transport(fleet, robot, time.time_ns) as transport:
+            counts = []
+            for seq in range(1000):
+                transport.say(estimate(robot, other, seq))
+                counts.append(transport.lost)
+        return [b > a for a, b in zip([0, *counts], counts, strict=False)]
+
+    first = lost(0.3, 5)
+    assert 240 < sum(first) < 360  # 4 sigma around 300
+    assert first == lost(0.3, 5)
+    assert first != lost(0.3, 6)
+    assert first != lost(0.3, 5, "r2")
+    assert not any(lost(0.0, 5))
+
+
+def test_a_neighbour_that_is_down_holds_up_nobody(make_fleet: Fleets, estimate: Says) -> None:
+    started = time.monotonic()
+    with Transport(make_fleet(FULL), "r1", time.time_ns) as r1:
+        r1.say(estimate("r1", "r2"))
+    assert time.monotonic() - started < 5  # waiting for the neighbour would be for ever
+
+
+def test_a_neighbour_that_comes_late_or_again_is_linked(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+    fleet = make_fleet(PAIR)
+    with Transport(fleet, "r1", time.time_ns) as r1:
+        time.sleep(0.3)
+        for _ in range(2):
+            with Transport(fleet, "r2", time.time_ns) as r2:
+                linked(until, estimate, r1, r2, "r1", "r2")
+                linked(until, estimate, r2, r1, "r2", "r1")
+
+
+def test_an_address_in_use_is_one_line(make_fleet: Fleets) -> None:
+    fleet = make_fleet(PAIR)
+    with Transport(fleet, "r1", time.time_ns):
+        with pytest.raises(ConfigError) as caught, Transport(fleet, "r1", time.time_ns):
+            pass
+        text = str(caught.value)
+        assert text.startswith(f"robot 'r1': {fleet.robot['r1'].listen}: the address is in use")
+        assert "\n" not in text
+
+
+def test_an_address_that_does_not_exist_is_one_line(make_fleet: Fleets) -> None:
+    fleet = make_fleet(PAIR)
+    fleet.robot["r1"] = msgspec.structs.replace(fleet.robot["r1"], listen="tcp/192.0.2.1:18000")
+    with pytest.raises(ConfigError) as caught, Transport(fleet, "r1", time.time_ns):
+        pass
+    assert str(caught.value).startswith("robot 'r1': tcp/192.0.2.1:18000: zenoh cannot open it")
+    assert ".rs:" not in str(caught.value)
+
+
+def test_leaving_under_a_flood_does_not_hang(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+    fleet = make_fleet(PAIR)
+    stop = threading.Event()
+    with Transport(fleet, "r1", time.time_ns) as r1:
+
+        def flood() -> None:
+            while not stop.is_set():
+                r1.say(estimate("r1", "r2"))
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            for _ in range(5):
+                with Transport(fleet, "r2", time.time_ns) as r2:
+                    until(lambda r2=r2: r2.drain()[0])
+        finally:
+            stop.set()
+            thread.join(10)
+        assert not thread.is_alive()
+
+
+def test_a_robot_is_listed_while_it_is_up(make_fleet: Fleets, until: Until) -> None:
+    fleet = make_fleet(PAIR)
+    config = zenoh.Config.from_json5(peer_config(fleet, "r2"))
+    key = topics.ALIVE.format(fleet="test", robot="*")
+    with zenoh.open(config) as r2:
+
+        def listed() -> list[str]:
+            return [str(reply.ok.key_expr) for reply in r2.liveliness().get(key) if reply.ok]
+
+        with Transport(fleet, "r1", time.time_ns):
+            until(lambda: listed() == [topics.ALIVE.format(fleet="test", robot="r1")])
+        until(lambda: listed() == [])
+
+
+def test_an_observer_sees_all_and_is_heard_by_nobody(
+    make_fleet: Fleets, estimate: Says, state: Callable[..., State], until: Until
+) -> None:
+    fleet = make_fleet(CHAIN)
+    line = LogLine(robot="r3", sent_ns=1, level="info", text="here")
+    with Observer(fleet, time.time_ns) as watch, all_up(fleet, "r1", "r2", "r3") as (r1, r2, r3):
+        seen = set()
+
+        def complete() -> bool:
+            r1.show(state("r1"))
+            r3.show(line)
+            r2.say(estimate("r2", "r3"))
+            for topic, chunks, payload, arrived_ns in watch.drain():
+                decode(payload, topic.message)
+                assert arrived_ns > 1
+                seen.add((topic.name, *chunks.values()))
+            return len(seen) == 3
+
+        until(complete)
+        assert seen == {("state", "test", "r1"), ("log", "test", "r3"), ("link", "test", "r2", "r3")}
+        assert r1.drain() == ((), ())
+
+
+def test_an_observer_hears_the_rows_it_asked_for(
+    make_fleet: Fleets, estimate: Says, state: Callable[..., State], until: Until
+) -> None:
+    fleet = make_fleet(PAIR)
+    with all_up(fleet, "r1", "r2") as (r1, _), Observer(fleet, time.time_ns, rows=(STATE,)) as watch:
+        seen = []
+
+        def enough() -> bool:
+            r1.say(estimate("r1", "r2"))
+            r1.show(state("r1"))
+            seen.extend(watch.drain())
+            return len(seen) > 5
+
+        until(enough)
+        assert {item.topic for item in seen} == {STATE}
+
+
+def test_a_router_shows_all_and_joins_nobody(
+    make_fleet: Fleets, estimate: Says, state: Callable[..., State], until: Until, free_endpoint: str
+) -> None:
+    fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
+    stop = threading.Event()
+    router = threading.Thread(target=run_router, args=(fleet, stop, free_endpoint))
+    client = zenoh.Config.from_json5(
+        f'{{mode: "client", connect: {{endpoints: ["{free_endpoint}"], timeout_ms: 10000}}}}'
+    )
+    with contextlib.ExitStack() as stack:
+        r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))
+        r2 = stack.enter_context(zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r2"))))
+        foreign = r2.declare_subscriber(topics.ALL.format(fleet="test"), zenoh.handlers.RingChannel(10))
+        router.start()
+        stack.callback(router.join, 10)
+        stack.callback(stop.set)
+        console = stack.enter_context(zenoh.open(client))
+        seen = console.declare_subscriber(topics.EVERY_FLEET, zenoh.handlers.RingChannel(100))
+        keys = set()
+
+        def both() -> bool:
+            r1.show(state("r1"))
+            r2.put(topics.key(STATE, fleet="test", robot="r2"), b"")
+            while sample := seen.try_recv():
+                keys.add(str(sample.key_expr))
+            return len(keys) == 2
+
+        until(both)
+        heard = foreign.try_recv()
+        while heard is not None:
+            assert "r1" not in str(heard.key_expr)  # r2 hears itself, and the router brought nothing from r1
+            heard = foreign.try_recv()
+    assert not router.is_alive()

@@ -1,0 +1,135 @@
+"""Both fits against synthetic measurements with known answers, and the paper's own figures."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.config import Body
+from agent.ranging.calibrate import CalibrationRefused, Corner, FocusRow, fit_camera, fit_focus
+from agent.ranging.focus import h
+
+BODY = Body()
+DISTANCES_M = 1 / np.linspace(1 / 1.2, 1 / 0.22, 12)
+
+
+def rows(seed=0, noise=0.5, distances=DISTANCES_M, outliers=0):
+    rng = np.random.default_rng(seed)
+    rho = 102 + 136 / (distances + 0.001) + rng.normal(0, noise, len(distances))
+    rho[:outliers] += 25
+    return [FocusRow(u, r, 90.0) for u, r in zip(distances, rho, strict=True)]
+
+
+def test_without_noise_the_hyperbola_comes_back():
+    fit = fit_focus(rows(noise=0.0))
+    assert (fit.u_inf_m, fit.b_m, fit.rho0) == pytest.approx((-0.001, 136.0, 102.0), rel=1e-6)
+    assert fit.r2 == pytest.approx(1.0)
+
+
+def test_calibration_error_is_small_unbiased_and_as_large_as_it_says():
+    errors, said, noise = [], [], []
+    for seed in range(120):
+        fit = fit_focus(rows(seed))
+        errors.append(h(fit, 102 + 136 / 0.451) - 0.45)
+        J = np.array([1.0, 1 / (136 / 0.451), 136 / (136 / 0.451) ** 2])
+        xx, xy, xz, yy, yz, zz = fit.covariance
+        said.append(math.sqrt(J @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ J))
+        noise.append(fit.noise)
+    assert np.std(errors) < 0.5e-3 and abs(np.mean(errors)) < 0.1e-3
+    assert np.mean(said) == pytest.approx(np.std(errors), rel=0.25)
+    assert np.mean(noise) == pytest.approx(0.5, rel=0.2)
+
+
+def test_one_wrong_peak_does_not_carry_the_fit_away():
+    fit = fit_focus(rows(seed=1, outliers=1))
+    assert h(fit, 102 + 136 / 0.451) == pytest.approx(0.45, abs=2e-3)
+
+
+def test_held_out_error_is_not_smaller_than_the_error_of_the_fit():
+    for seed in range(5):
+        fit = fit_focus(rows(seed))
+        assert fit.held_out_rmse_m >= fit.rmse_m
+
+
+def test_larger_positions_may_focus_farther():
+    mirrored = [FocusRow(r.u_m, 1023 - r.rho, r.width) for r in rows()]
+    fit = fit_focus(mirrored)
+    assert fit.b_m < 0
+    assert h(fit, 1023 - (102 + 136 / 0.451)) == pytest.approx(0.45, abs=2e-3)
+    assert h(fit, 950.0) is None  # beyond infinity is now above the pole
+
+
+def test_the_papers_calibration_in_centimetres():
+    """Synthetic data on the paper's printed curve (k 0.3922, f 0.7431, c 0.7577) reproduce its RMSE of 3.4 and R2 of .99.
+
+    The peak noise, 6.15e-4, is what that RMSE implies; 10 to 130 cm, as the paper's tank allows.
+    """
+    rng = np.random.default_rng(0)
+    rmse, r2 = [], []
+    for _ in range(40):
+        u = np.repeat(np.arange(10.0, 131.0, 5.0), 3)
+        rho = 0.7431 / 0.3922 + 0.7431**2 / 0.3922 / (u - 1.5008)
+        scale = 1e4  # to lens positions: our noise floor is meant for whole ones
+        fit = fit_focus(
+            [
+                FocusRow(a / 100, (b + e) * scale, 100.0)
+                for a, b, e in zip(u, rho, rng.normal(0, 6.15e-4, u.size), strict=True)
+            ]
+        )
+        rmse.append(100 * fit.rmse_m)
+        r2.append(fit.r2)
+    assert 2.8 < np.median(rmse) < 4.2
+    assert 0.985 < np.median(r2) < 0.996
+
+
+@pytest.mark.parametrize(
+    ("distances", "word"),
+    [(DISTANCES_M[:5], "distances"), (np.linspace(0.8, 1.2, 12), "1/u")],
+)
+def test_too_little_is_refused(distances, word):
+    with pytest.raises(CalibrationRefused, match=word):
+        fit_focus(rows(distances=distances))
+
+
+def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8))):
+    rng = np.random.default_rng(3)
+    out = []
+    for d in (0.65, 0.85):
+        for pan, tilt in views:
+            P, T = math.radians(0.8 + 1.01 * pan), math.radians(-0.5 + 0.99 * tilt)
+            at = np.array([d, d * math.tan(math.radians(pan)), d * math.tan(math.radians(tilt))])
+            R = np.array([[math.cos(P), -math.sin(P), 0], [math.sin(P), math.cos(P), 0], [0, 0, 1]]) @ np.array(
+                [[math.cos(T), 0, -math.sin(T)], [0, 1, 0], [math.sin(T), 0, math.cos(T)]]
+            )
+            for y in np.linspace(0.12, -0.12, 7):
+                for z in np.linspace(0.08, -0.08, 5):
+                    point = at + (0, y, z)
+                    g = R.T @ point
+                    px = (
+                        319.5 - 1175 * g[1] / g[0] + rng.normal(0, noise_px),
+                        239.5 - 1175 * g[2] / g[0] + rng.normal(0, noise_px),
+                    )
+                    us = (1500 + pan * BODY.servo_us_per_deg, 1500 + tilt * BODY.servo_us_per_deg)
+                    out.append(Corner(us, tuple(point), px))
+    return out
+
+
+def test_camera_and_servos_come_back():
+    fit = fit_camera(corners(), BODY, (640, 480))
+    assert fit.f_px == pytest.approx(1175, abs=0.3)
+    assert (fit.pan_zero_deg, fit.tilt_zero_deg) == pytest.approx((0.8, -0.5), abs=0.003)
+    assert (fit.pan_gain, fit.tilt_gain) == pytest.approx((1.01, 0.99), abs=5e-4)
+    assert fit.noise_px == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("few", "word"),
+    [
+        (corners()[:30], "corners"),
+        (corners(views=((0, 0), (10, 0), (20, 0))), "tilt"),
+        (corners(views=((0, 0), (0, 10), (0, 8))), "pan"),
+    ],
+)
+def test_a_gimbal_that_did_not_move_is_refused(few, word):
+    with pytest.raises(CalibrationRefused, match=word):
+        fit_camera(few, BODY, (640, 480))

@@ -1,0 +1,181 @@
+"""The recording: what is written is read, in order, whatever happens to the writer."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from pathlib import Path
+
+import msgpack
+import pytest
+
+import replay.log
+from agent.config import ConfigError
+from replay.backlog import Backlog, Entry
+from replay.log import DROPS, LogWriter, info, read
+
+RUN = {"robot": "r1", "seed": 7}
+
+
+def write(writer: LogWriter, count: int, first: int = 0) -> None:
+    for n in range(first, first + count):
+        writer.write(f"/raw/{'in' if n % 2 else 'out'}", 1000 + n, 900 + n, n, bytes([n % 251]) * (n % 40))
+
+
+def test_what_is_written_is_read_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, RUN, {"fleet.toml": "fleet = 'tank'\n"}) as writer:
+        write(writer, 500)
+        writer.write("/text", 5000, 5000, 2**32 + 3, b"{}", encoding="json", metadata={"unit": "m"})
+    records = list(read(path))
+    assert [record.sequence for record in records] == [*range(500), 3]
+    assert records[7] == ("/raw/in", 1007, 907, 7, bytes([7]) * 7)
+    about = info(path)
+    assert about.complete
+    assert about.run == {"robot": "r1", "seed": "7"}
+    assert about.end["cause"] == "clean"
+    assert about.attachments == {"fleet.toml": "fleet = 'tank'\n"}
+    assert about.channels["/text"] == ("json", {"unit": "m"}, 1, 2, 5000, 5000)
+    assert about.channels["/raw/in"].messages == 250
+    assert not path.with_name("r1.mcap.active").exists()
+
+
+def test_the_file_says_that_an_exception_ended_it(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with pytest.raises(ZeroDivisionError), LogWriter(path, RUN) as writer:
+        write(writer, 3)
+        raise ZeroDivisionError
+    assert info(path).end["cause"] == "exception:ZeroDivisionError"
+    assert len(list(read(path))) == 3
+
+
+def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, RUN):
+        pass
+    with pytest.raises(ConfigError, match=r"r1\.mcap: exists already"), LogWriter(path, RUN):
+        pass
+    path.rename(tmp_path / "r1.mcap.active")
+    with pytest.raises(ConfigError, match=r"r1\.mcap\.active: exists already"), LogWriter(path, RUN):
+        pass
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot be written"), LogWriter(tmp_path / "file" / "r1.mcap", RUN):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("content", "message"), [(b"hello, no recording", "is no recording"), (None, "cannot be read")]
+)
+def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path, content: bytes | None, message: str) -> None:
+    path = tmp_path / "x.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=message):
+        list(read(path))
+
+
+def test_what_the_backlog_lost_stands_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay.log, "BACKLOG_MESSAGES", 10)
+    path = tmp_path / "r1.mcap"
+    writer = LogWriter(path, RUN)
+    write(writer, 35)  # before the thread runs, as if the disk stalled
+    with writer:
+        pass
+    records = list(read(path))
+    notes = [msgpack.unpackb(record.data) for record in records if record.channel == DROPS]
+    assert {"channel": "/raw/in", "messages": 12, "first": 1, "last": 23} in notes
+    assert {"channel": "/raw/out", "messages": 13, "first": 0, "last": 24} in notes
+    assert [record.sequence for record in records if record.channel != DROPS] == list(range(25, 35))
+    assert json.loads(info(path).end["dropped"]) == {"/raw/in": 12, "/raw/out": 13}
+
+
+def test_a_backlog_is_bounded_in_bytes_too() -> None:
+    backlog = Backlog(max_messages=100, max_bytes=1000)
+    wake = [backlog.put(Entry("/raw/frame", n, n, n, bytes(100), "msgpack", {})) for n in range(30)]
+    assert wake.index(True) == 5
+    entries, drops = backlog.take()
+    assert [entry.sequence for entry in entries] == list(range(20, 30))
+    assert drops == {"/raw/frame": (20, 0, 19, 19)}
+    assert backlog.take() == (deque(), {})
+
+
+def test_a_failing_disk_stops_the_recording_and_not_the_caller(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, RUN) as writer:
+        writer._file.close()  # every further write fails, as on a disk that went away
+        deadline = time.monotonic() + 10
+        while writer.failed is None and time.monotonic() < deadline:
+            write(writer, 2000)
+            time.sleep(0.05)
+        assert writer.failed is not None
+        write(writer, 10)
+    assert not path.exists()  # the final name promises a finished file
+
+
+def test_every_cut_of_a_file_is_readable_up_to_the_tear(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, RUN, {"fleet.toml": "x" * 100}) as writer:
+        for part in range(4):
+            write(writer, 50, 50 * part)
+            time.sleep(0.6)  # one chunk each
+    whole = path.read_bytes()
+    expected = list(read(path))
+    torn = tmp_path / "torn.mcap.active"
+    lengths = set()
+    cuts = random.Random(1).sample(range(5, len(whole)), 200)
+    for cut in [*cuts, len(whole) - 1]:
+        torn.write_bytes(whole[:cut])
+        records = list(read(torn))
+        assert records == expected[: len(records)]
+        assert not info(torn).complete or cut > len(whole) - 9  # all but the closing magic is there
+        lengths.add(len(records))
+    assert len(lengths) >= 4  # the cuts fell into different chunks
+
+
+def test_a_corrupted_chunk_is_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, RUN) as writer:
+        for n in range(2000):
+            writer.write("/raw/in", n, n, n, random.Random(n).randbytes(100))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    path.write_bytes(data)
+    assert len(list(read(path))) < 2000
+
+
+WRITE_FOR_EVER = """
+import itertools, pathlib, sys, time
+from replay.backlog import Backlog, Entry
+from replay.log import LogWriter
+with LogWriter(pathlib.Path(sys.argv[1]), {}) as writer:
+    for n in itertools.count():
+        writer.write("/raw/in", time.time_ns(), time.time_ns(), n, bytes(200))
+        print(n, flush=True)
+        time.sleep(0.005)
+"""
+
+
+def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    root = Path(replay.log.__file__).parents[1]
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITE_FOR_EVER, path], stdout=subprocess.PIPE, text=True, cwd=root
+    ) as process:
+        assert process.stdout is not None
+        try:
+            while int(process.stdout.readline()) < 300:
+                pass
+        finally:
+            process.send_signal(signal.SIGKILL)
+        written = [int(line) for line in process.stdout]  # until the pipe broke
+    records = list(read(path.with_name("r1.mcap.active")))
+    assert [record.sequence for record in records] == list(range(len(records)))
+    assert len(records) >= 300 - 200  # 5 ms each: one second is 200 at most
+    assert len(records) <= max(written, default=300) + 2
+    assert not info(path.with_name("r1.mcap.active")).complete

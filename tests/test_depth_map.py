@@ -1,0 +1,214 @@
+"""The depth map of a stack with known depths, of a camera, and of the reference stack where it is present."""
+
+import csv
+import os
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+from agent.config import ConfigError, dump
+from agent.depth_map import depth_map, measure, run, sweep
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from hw.camera import CameraError, FocusRange, Frame, Roi
+from hw.camera_files import open_stack
+
+DATA = Path(os.environ.get("AUCAMP_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")) / "focal_stacks"
+FOCUS = FocusFit(
+    u_inf_m=0.05, b_m=200.0, rho0=-300.0, covariance=(0, 0, 0, 0, 0, 0), noise=1.0, width=80.0,
+    lowest=0, highest=1023, r2=1.0, rmse_m=0.0, held_out_rmse_m=0.0,
+)  # fmt: skip
+PINHOLE = CameraFit(width_px=240, height_px=160, f_px=800.0, cx_px=120.0, cy_px=80.0)
+CALIBRATION = Calibration(robot="r1", made="2024-01-01", source="invented", focus=FOCUS, camera=PINHOLE)
+
+
+def quiet(done, total):
+    pass
+
+
+def read_rows(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def blurred(texture, sharp_at, position, per_position):
+    """The texture as a lens shows it whose blur grows with the distance from its sharp position."""
+    return cv2.GaussianBlur(texture, (0, 0), 0.5 + per_position * abs(position - sharp_at))
+
+
+def two_planes(position, left, right, per_position):
+    """160x240: one plane at `left`, one at `right`, and from row 110 on plain grey."""
+    texture = np.random.default_rng(3).integers(0, 256, (160, 240, 3)).astype(np.uint8)
+    halves = ((texture[:, :120], left), (texture[:, 120:], right))
+    image = np.hstack([blurred(half, sharp_at, position, per_position) for half, sharp_at in halves])
+    image[110:] = 128
+    return image
+
+
+class Lens:
+    """A camera with 1024 lens positions that reports one less than it was told, as a driver with a coarse step does."""
+
+    size = (240, 160)
+
+    def __init__(self):
+        self.position = 700
+        self.visited = []
+
+    def focus_range(self):
+        return FocusRange(0, 1023, 1)
+
+    def set_focus(self, position):
+        self.position = max(position - 1, 0)
+        self.visited.append(self.position)
+        return self.position
+
+    def read(self, roi=None, settle_s=0.0, timeout_s=1.0):
+        return Frame(0, 0, two_planes(self.position, 400.4, 640.7, 1 / 100), Roi(0, 0, *self.size))
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def planes(tmp_path):
+    """Thirteen photographs at 0.00, 0.05, … 0.60: the left plane sharp at 0.21, the right one at 0.388."""
+    directory = tmp_path / "planes"
+    directory.mkdir()
+    rows = ["file,focus_position"]
+    for index in range(13):
+        cv2.imwrite(str(directory / f"{index:02}.png"), two_planes(0.05 * index, 0.21, 0.388, 10.0))
+        rows.append(f"{index:02}.png,{0.05 * index:.2f}")
+    (directory / "positions.csv").write_text("\n".join(rows))
+    return directory
+
+
+def test_two_planes_of_a_stack(planes, tmp_path):
+    seen = []
+    result = depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, lambda *now: seen.append(now))
+    assert result.position.shape == (4, 6) and result.range_m is None
+    assert result.accepted[:3].all() and not result.accepted[3].any()  # plain grey has no distance
+    assert np.abs(result.position[:3, :3] - 0.21).max() < 0.1 * 0.05  # a tenth of a step
+    assert np.abs(result.position[:3, 3:] - 0.388).max() < 0.1 * 0.05
+    assert seen == [(n, 13) for n in range(1, 14)]
+
+
+def test_files(planes, tmp_path):
+    result = depth_map(f"stack:{planes}", tmp_path / "map.png", 40, tmp_path, None, quiet)
+    rows = read_rows(tmp_path / "map.csv")
+    assert list(rows[0]) == ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    assert len(rows) == 24
+    last = rows[11]
+    assert (last["row"], last["col"], last["x_px"], last["y_px"], last["accepted"]) == ("1", "5", "219.5", "59.5", "1")
+    assert float(last["focus"]) == pytest.approx(result.position[1, 5], rel=1e-5)
+    picture = cv2.imread(str(tmp_path / "map.png"))
+    assert picture.shape[1] == 1200 and picture.std() > 20
+
+
+def test_the_picture_is_sharp_everywhere(planes):
+    sharp = sweep(open_stack(planes), 40, quiet).sharp
+    for position in (0.20, 0.40):  # each photograph is sharp on one side only
+        photograph = two_planes(position, 0.21, 0.388, 10.0)
+        assert cv2.Laplacian(sharp, cv2.CV_64F).var() > 1.2 * cv2.Laplacian(photograph, cv2.CV_64F).var()
+
+
+def test_a_camera_is_swept_upwards_and_its_own_report_counts(tmp_path):
+    lens = Lens()
+    taken = sweep(lens, 40, quiet)
+    home, *visited = lens.visited
+    assert home == 0 and visited == sorted(visited) and len(visited) == 30 and visited[-1] == 1022
+    result = measure(taken, 40, CALIBRATION)
+    step = 1023 / 29
+    assert np.abs(result.position[:3, :3] - 400.4).max() < 0.1 * step
+    assert np.abs(result.position[:3, 3:] - 640.7).max() < 0.1 * step
+    assert result.range_m[:3, :3] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.01)
+    assert np.isnan(result.range_m[3]).all()
+
+
+def test_ranges_in_the_files(planes, tmp_path):
+    focus = msgspec.structs.replace(FOCUS, b_m=0.1, rho0=0.0)
+    calibration = msgspec.structs.replace(CALIBRATION, focus=focus)
+    depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, calibration, quiet)
+    rows = read_rows(tmp_path / "map.csv")
+    assert float(rows[0]["range_m"]) == pytest.approx(0.05 + 0.1 / 0.21, rel=0.05)
+    assert rows[-1]["range_m"] == ""
+
+
+def test_the_verb_says_what_it_found(planes, tmp_path):
+    (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
+    said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
+    assert said.startswith("18 of 24 blocks") and "map.csv" in said
+
+
+def test_a_place_that_cannot_be_written_is_one_line(planes, tmp_path):
+    (tmp_path / "map.csv").mkdir()
+    with pytest.raises(ConfigError, match=r"map\.png: cannot be written"):
+        depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, quiet)
+
+
+def test_a_scene_without_texture_gives_a_map_without_distances(tmp_path):
+    rows = ["file,focus_position"]
+    for index in range(6):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((64, 64), 90, np.uint8))
+        rows.append(f"{index}.png,{index}")
+    (tmp_path / "positions.csv").write_text("\n".join(rows))
+    result = depth_map(str(tmp_path), tmp_path / "map.png", 16, tmp_path, None, quiet)
+    assert not result.accepted.any()
+    assert (tmp_path / "map.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("block", "out"), [(4, "m.png"), (500, "m.png"), (40, "m.jpg"), (40, "none/m.png")])
+def test_wrong_arguments_are_one_line_and_write_nothing(planes, tmp_path, block, out):
+    with pytest.raises(ConfigError) as caught:
+        depth_map(str(planes), tmp_path / out, block, tmp_path, None, quiet)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / out).exists()
+
+
+def test_sources_that_cannot_be_swept(planes, tmp_path):
+    with pytest.raises(CameraError, match="no such kind of camera"):
+        depth_map(str(tmp_path / "nowhere"), tmp_path / "m.png", 40, tmp_path, None, quiet)
+    (planes / "positions.csv").write_text("file,focus_position\n" + "".join(f"{n:02}.png,{n}\n" for n in range(4)))
+    with pytest.raises(CameraError, match="4 focus positions; a depth map needs at least 5"):
+        depth_map(str(planes), tmp_path / "m.png", 40, tmp_path, None, quiet)
+    video = tmp_path / "v.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 64))
+    writer.write(np.zeros((64, 64, 3), np.uint8))
+    writer.release()
+    with pytest.raises(CameraError, match="cannot be set"):
+        depth_map(f"video:{video}", tmp_path / "m.png", 40, tmp_path, None, quiet)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"reference stacks are not here: set AUCAMP_DATA (looked in {DATA})")
+class TestReferenceStacks:
+    @pytest.mark.parametrize(("block", "rmse_steps", "median_steps"), [(13, 1.05, 0.39), (25, 1.05, 0.50)])
+    def test_simulated_against_truth(self, block, rmse_steps, median_steps):
+        """Bounds: what a parabola through the top three points reached on these photographs at full resolution,
+        25 px blocks: RMSE 1.05 steps, median 0.39. 13 px of the halved ones see as much of the scene; larger blocks
+        span more depth.
+        """
+        stack = DATA / "bracket_simulated"
+        result = measure(sweep(open_stack(stack), block, quiet), block, None)
+        with np.load(stack / "truth.npz") as truth:
+            depth, mask = truth["depth"], truth["mask"]
+        rows, cols = result.position.shape
+        tiles = (slice(rows * block), slice(cols * block))
+        inside = mask[tiles].reshape(rows, block, cols, block).all(axis=(1, 3))
+        true = depth[tiles].reshape(rows, block, cols, block).mean(axis=(1, 3))
+        counted = inside & result.accepted
+        error = (result.position - true)[counted] / 0.02  # steps
+        assert counted.sum() > 0.9 * inside.sum()
+        assert np.sqrt(np.mean(error**2)) < rmse_steps
+        assert np.median(np.abs(error)) < median_steps
+
+    def test_real_bracket(self, tmp_path):
+        result = depth_map(str(DATA / "bracket_real"), tmp_path / "real.png", 32, tmp_path, None, quiet)
+        assert result.accepted.mean() > 0.95  # textured metal all over
+        disc, recess = result.position[4:8, 4:12], result.position[17:19, 8:24]
+        for plane in (disc, recess):
+            assert np.median(np.abs(plane - np.median(plane))) < 0.03  # flat; a third of a step
+        assert np.median(disc) - np.median(recess) > 0.7
+
+    def test_a_stack_without_positions(self, tmp_path):
+        with pytest.raises(CameraError, match=r"positions\.csv is missing"):
+            depth_map(str(DATA / "phone_balls"), tmp_path / "m.png", 50, tmp_path, None, quiet)
