@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -32,7 +32,7 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
     enhance: Annotated[bool, typer.Option(help="White balance before detection (LU2Net is not here yet).")] = False,
-    out: Annotated[Optional[Path], typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
 ) -> None:
     """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
     from agent.demo import demo as run
@@ -45,7 +45,7 @@ def demo(
 def agent(
     fleet: FleetFile,
     robot: RobotName,
-    out: Annotated[Optional[Path], typer.Option(help="Folder of the recording; here if not given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the recording; here if not given.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Start the motors; without it they stay off.")] = False,
 ) -> None:
     """One robot's agent, until Ctrl-C or SIGTERM."""
@@ -57,7 +57,7 @@ def agent(
 @app.command(epilog="Example: aucamp twin fleet.toml")
 def twin(
     fleet: FleetFile,
-    bench: Annotated[Optional[str], typer.Option(help="Clamp this robot on the calibration bench instead.")] = None,
+    bench: Annotated[str | None, typer.Option(help="Clamp this robot on the calibration bench instead.")] = None,
 ) -> None:
     """The tank twin: serial ports and cameras for every robot whose devices are `twin:`."""
     from hw.twin.__main__ import run
@@ -91,7 +91,7 @@ def depth_map(
     source: Annotated[str, typer.Argument(help="Folder of focus-bracketed photographs, or a camera URL.")],
     out: Annotated[Path, typer.Option(help="Picture to write; the numbers go beside it as .csv.")] = Path("depth.png"),
     block: Annotated[int, typer.Option(min=8, help="Side of a block, pixels.")] = 50,
-    calibration: Annotated[Optional[Path], typer.Option(help="Calibration file: gives metres.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Calibration file: gives metres.")] = None,
 ) -> None:
     """How far each part of the view is, from the focus position at which it is sharpest."""
     from agent.depth_map import run
@@ -103,12 +103,12 @@ def depth_map(
 def calibrate_run(
     fleet: FleetFile,
     robot: RobotName,
-    out: Annotated[Optional[Path], typer.Option(help="File to write; the fleet file's own if not given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; the fleet file's own if not given.")] = None,
 ) -> None:
     """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
-    from agent.experiments.bench import run
+    from agent.experiments.calibrate_run import run
 
-    Console().print(run(fleet, robot, out))
+    run(fleet, robot, out, Console())
 
 
 def one_of_protocols(text: str) -> Protocol:
@@ -123,14 +123,12 @@ def main() -> None:
     from hw.camera import CameraError
 
     try:
-        app(standalone_mode=False)
-    except typer.Exit as end:
-        sys.exit(end.exit_code)
+        app()
     except (ConfigError, CameraError) as error:
-        print(f"aucamp: {error}", file=sys.stderr)
+        sys.stderr.write(f"aucamp: {error}\n")
         sys.exit(2)
     except Failed as error:
-        print(f"aucamp: {error}", file=sys.stderr)
+        sys.stderr.write(f"aucamp: {error}\n")
         sys.exit(1)
 
 

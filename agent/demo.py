@@ -7,11 +7,7 @@ until they have settled, stop everything, and only then look at the truth.
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -23,7 +19,7 @@ from rich.live import Live
 from rich.table import Table
 
 from agent.config import ConfigError, Fleet, Protocol, dump, load_fleet
-from agent.launch import Crew, Failed, crew, free_ports, wait_for
+from agent.launch import Crew, crew, free_ports, temporary_folder, wait_for
 from agent.messages import Refusal, State, decode
 from agent.summary import History, control, reasons, score, settled
 from agent.topics import STATE
@@ -53,7 +49,7 @@ def demo(
     if run.exists() and any(run.iterdir()):
         raise ConfigError(f"{run}: not empty; give --out a new folder, recordings are never overwritten")
     run.mkdir(parents=True, exist_ok=True)
-    with sockets_dir() as folder:
+    with temporary_folder() as folder:
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder)
         path = run / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")
@@ -167,15 +163,15 @@ def progress_table(histories: dict[str, History], left_s: float) -> Table:
         if state is None:
             table.add_row(name, "…")
             continue
-        where = " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "–"
+        where = " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "-"
         table.add_row(
             name,
             state.knows,
             str(state.t),
-            "–" if state.acquired_t is None else str(state.acquired_t),
+            "-" if state.acquired_t is None else str(state.acquired_t),
             where,
-            f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "–",
-            " ".join(n.robot for n in state.neighbours if n.used) or "–",
+            f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
+            " ".join(n.robot for n in state.neighbours if n.used) or "-",
             ", ".join(state.faults) or ("" if state.armed else "motors off"),
         )
     return table
@@ -183,8 +179,18 @@ def progress_table(histories: dict[str, History], left_s: float) -> Table:
 
 def result_table(summary: dict[str, Any]) -> Table:
     """Prior and posterior against the truth."""
-    table = Table(title=f"target at {summary['truth_m']} m, protocol {summary['protocol']}, twin seed {summary['seed']}")
-    for column in ("robot", "first view", "iterations", "prior rms mm (x y z)", "posterior error mm (x y z)", "3-D", "%"):
+    table = Table(
+        title=f"target at {summary['truth_m']} m, protocol {summary['protocol']}, twin seed {summary['seed']}"
+    )
+    for column in (
+        "robot",
+        "first view",
+        "iterations",
+        "prior rms mm (x y z)",
+        "posterior error mm (x y z)",
+        "3-D",
+        "%",
+    ):
         table.add_column(column, justify="right")
     for name, row in summary["agents"].items():
         table.add_row(
@@ -193,20 +199,7 @@ def result_table(summary: dict[str, Any]) -> Table:
             str(row["iterations"]),
             " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or []),
             " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or []),
-            f"{row['error_mm']:.2f}" if row["error_mm"] is not None else "–",
-            f"{row['relative_error_percent']:.2f}" if row["relative_error_percent"] is not None else "–",
+            f"{row['error_mm']:.2f}" if row["error_mm"] is not None else "-",
+            f"{row['relative_error_percent']:.2f}" if row["relative_error_percent"] is not None else "-",
         )
     return table
-
-
-@contextmanager
-def sockets_dir() -> Iterator[Path]:
-    """A short path for the twin's sockets, which may not be longer than 107 bytes."""
-    folder = Path(tempfile.mkdtemp(prefix="aucamp-"))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-__all__ = ["Failed", "demo"]

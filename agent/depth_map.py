@@ -28,6 +28,7 @@ SWEEP_STEPS = 30  # lens positions of a camera; of a stack every photograph is u
 HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small steps ring less
 SETTLE_S = 0.05
 MIN_BLOCK_PX = 8  # smaller ones hold more noise than texture
+MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
 
 OnStep = Callable[[int, int], None]  # lens positions done, in all
 
@@ -134,7 +135,8 @@ def measure(taken: Sweep, block: int, calibration: Calibration | None) -> DepthM
     count, rows, cols = taken.clarity.shape
     peaks = fit_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T)
     shape = (rows, cols)
-    position, accepted = peaks.position.reshape(shape), peaks.accepted.reshape(shape)
+    textured = taken.clarity.max(axis=0) - np.median(taken.clarity, axis=0) >= MIN_RISE
+    position, accepted = peaks.position.reshape(shape), peaks.accepted.reshape(shape) & textured
     range_m = None
     if calibration is not None:
         range_m = np.full(shape, np.nan)

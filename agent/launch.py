@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -92,6 +94,16 @@ def crew(logs: Path) -> Iterator[Crew]:
         yield processes
     finally:
         processes.stop_all()
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A folder with a short path: that of a socket may not be longer than 107 bytes."""
+    folder = Path(tempfile.mkdtemp(prefix="aucamp-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: float) -> None:

@@ -23,6 +23,7 @@ Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
 Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
+Level = Literal["info", "warning", "error"]
 
 M = TypeVar("M", bound="Message")
 
@@ -116,7 +117,7 @@ class LogLine(Message, frozen=True, kw_only=True):
     schema: int = SCHEMA
     robot: Id
     sent_ns: Count
-    level: Literal["info", "warning", "error"]
+    level: Level
     text: Annotated[str, Meta(max_length=400)]
 
 

@@ -17,7 +17,6 @@ from threading import Event
 from typing import Protocol
 
 import msgspec
-from hw.stm32 import Stm32, open_port_path
 
 from agent.config import Fleet, dump, load_fleet, load_robot
 from agent.core import Agent
@@ -25,6 +24,7 @@ from agent.messages import (
     Estimate,
     Heard,
     Inputs,
+    Level,
     LogLine,
     Outputs,
     Refused,
@@ -39,6 +39,7 @@ from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
 from agent.transport import Transport
 from hw.camera import open_camera
+from hw.stm32 import Stm32, open_port_path
 from hw.twin.place import twin_dir
 from replay.log import LogWriter
 
@@ -51,7 +52,7 @@ class Eyes(Protocol):
 
 
 class Board(Protocol):
-    def drain(self) -> tuple[Sequence[Telemetry], Sequence[tuple[str, str]]]: ...
+    def drain(self) -> tuple[Sequence[Telemetry], Sequence[tuple[Level, str]]]: ...
     def send(self, set_point: SetPoint, now_ns: int) -> None: ...
 
 

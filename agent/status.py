@@ -9,9 +9,9 @@ from agent.config import Tank
 from agent.control.attitude import AttitudeLog
 from agent.estimation.face import Estimator, Prior, Update
 from agent.estimation.mailbox import Mailbox
-from agent.messages import Inputs, LogLine, NeighbourState, State, Symmetric, Vector
+from agent.messages import Inputs, Level, LogLine, NeighbourState, State, Symmetric, Vector
 
-NO_FRAMES_NS = 800_000_000  # three frames of the slowest rate at which vision looks
+NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
 SELDOM_NS = 5_000_000_000  # a line that repeats is said once in this time
 TANK_MARGIN_M = 0.2  # an estimate may lie this far outside before it is nonsense
 
@@ -73,10 +73,10 @@ class Status:
             self.note("info", f"{knows} at iteration {update.t}", now_ns)
             self._knows = knows
 
-    def note(self, level: Literal["info", "warning", "error"], text: str, now_ns: int) -> None:
+    def note(self, level: Level, text: str, now_ns: int) -> None:
         self._lines.append(LogLine(robot=self._robot, sent_ns=now_ns, level=level, text=text[:400]))
 
-    def note_seldom(self, level: Literal["info", "warning", "error"], about: str, text: str, now_ns: int) -> None:
+    def note_seldom(self, level: Level, about: str, text: str, now_ns: int) -> None:
         """A line that could come with every message: at most one in five seconds for each subject."""
         said_ns = self._said_ns.get(about)
         if said_ns is None or now_ns - said_ns > SELDOM_NS:

@@ -38,9 +38,7 @@ def settled(histories: Iterable[History], after_views: int, window: int, within_
     if any(not states or states[-1].acquired_t is None for states in lasts):
         return False
     last_view = max(states[-1].acquired_t or 0 for states in lasts)
-    return all(
-        states[-1].t >= last_view + after_views and moved_m(states[-window:]) <= within_m for states in lasts
-    )
+    return all(states[-1].t >= last_view + after_views and moved_m(states[-window:]) <= within_m for states in lasts)
 
 
 def moved_m(states: Sequence[State]) -> float:

@@ -61,7 +61,7 @@ class LogWriter:
         """`run` becomes the metadata `aucamp.run`; `attachments` are texts by file name."""
         self.path = path
         self.failed: str | None = None
-        self._active = path.with_name(path.name + ".active")
+        self._active = _active(path)
         self._run, self._attachments = run, attachments or {}
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._wake = threading.Event()
@@ -179,6 +179,15 @@ class _Tally:
         self._last[entry.channel] = entry.sequence
 
 
+def unused(path: Path) -> Path:
+    """`path`, or NAME.2.mcap and so on if it is taken: a robot that starts again keeps what it recorded before."""
+    name, number = path.name.removesuffix(".mcap"), 2
+    while path.exists() or _active(path).exists():
+        path = path.with_name(f"{name}.{number}.mcap")
+        number += 1
+    return path
+
+
 class ChannelInfo(NamedTuple):
     encoding: str
     metadata: dict[str, str]
@@ -260,13 +269,17 @@ def _records(path: Path) -> Iterator[McapRecord]:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the path of a recording") from None
     with file:
-        if file.read(5) != b"\x89MCAP":
+        if not b"\x89MCAP".startswith(file.read(5)):  # less than that: its writer was killed at once
             raise ConfigError(f"{path}: is no recording; give a file that ends in .mcap or .mcap.active")
         file.seek(0)
         stream: Any = _WholeReads(file)
         # Whatever does not parse is the tear: what was written later cannot be found any more.
         with contextlib.suppress(McapError, ValueError, struct.error, zstandard.ZstdError):
             yield from StreamReader(stream, validate_crcs=True, record_size_limit=RECORD_BYTES).records
+
+
+def _active(path: Path) -> Path:
+    return path.with_name(path.name + ".active")
 
 
 def _sync_directory(path: Path) -> None:

@@ -5,7 +5,9 @@ It is an overview. What one robot knew and when is in that robot's own black box
 
 from __future__ import annotations
 
+import logging
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +22,8 @@ from replay.backlog import Backlog, Entry
 from replay.environment import environment
 from replay.log import LogWriter
 
+logger = logging.getLogger(__name__)
+
 PERIOD_S = 0.1  # how often arrivals are decoded and handed to the writer
 SILENCE_S = 3.0  # robots publish five times a second: by now something should have come
 BACKLOG_MESSAGES = 8192
@@ -27,17 +31,18 @@ BACKLOG_BYTES = 16 * 1024 * 1024
 
 
 def record(
-    fleet: Fleet,
-    out: Path,
-    stop: threading.Event,
-    clock: Callable[[], int],
-    warn: Callable[[str], None],
+    fleet: Fleet, out: Path, stop: threading.Event, warn: Callable[[str], None] = logger.warning
 ) -> dict[str, int]:
     """Record into `out` until `stop` is set; returns messages per row of the table, and what was not recorded.
 
-    `clock` gives integer nanoseconds since the Unix epoch that never step back; it becomes the file's log time. `warn`
-    takes one line for a person. Raises ConfigError if the file cannot be written or no session can be opened.
+    Log times are Unix time that never steps back: sampled once, then monotonic. `warn` takes one line for a person.
+    Raises ConfigError if the file cannot be written or no session can be opened.
     """
+    offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def clock() -> int:
+        return offset_ns + time.monotonic_ns()
+
     counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
     started_ns = clock()
     run = {"kind": "fleet", "fleet": fleet.fleet, "started_ns": started_ns, **environment()}

@@ -28,7 +28,12 @@ MISTAKES = {
     "missing key": (("radius_m = 0.07", ""), "target", "radius_m", "add"),
     "out of range": (("radius_m = 0.07", "radius_m = -1.0"), "target", "> 0", "correct"),
     "not a number": (("x_m = 0.30", "x_m = nan"), "robot.r1.pose", "finite", "correct"),
-    "unknown neighbour": (('neighbours = ["r2", "r3", "r4", "r5"]', 'neighbours = ["r9"]'), "r1.neighbours", "r9", "add"),
+    "unknown neighbour": (
+        ('neighbours = ["r2", "r3", "r4", "r5"]', 'neighbours = ["r9"]'),
+        "r1.neighbours",
+        "r9",
+        "add",
+    ),
     "one-sided": (('neighbours = ["r1", "r2", "r3", "r4"]', 'neighbours = ["r1"]'), "r5", "neighbours", "add"),
     "itself": (('["r2", "r3", "r4", "r5"]', '["r1"]'), "r1.neighbours", "itself", "remove"),
     "twice": (('["r2", "r3", "r4", "r5"]', '["r2", "r2", "r3", "r4", "r5"]'), "r1.neighbours", "twice", "remove"),

@@ -5,7 +5,7 @@ import time
 
 import msgpack
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.decoder import decode
@@ -51,6 +51,7 @@ nested = st.recursive(
 )
 
 
+@settings(max_examples=40, deadline=None)  # the nested maps are slow to draw
 @given(st.dictionaries(st.text() | st.binary(), nested))
 def test_no_map_raises_or_breaks_the_line(fields: dict[object, object]) -> None:
     assert decode("key", msgpack.packb(fields)).isprintable()

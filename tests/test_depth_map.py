@@ -200,6 +200,9 @@ class TestReferenceStacks:
         assert counted.sum() > 0.9 * inside.sum()
         assert np.sqrt(np.mean(error**2)) < rmse_steps
         assert np.median(np.abs(error)) < median_steps
+        beside = ~cv2.dilate(mask.astype(np.uint8), np.ones((101, 101)))[tiles].astype(bool)  # 50 px from the object
+        nothing = beside.reshape(rows, block, cols, block).all(axis=(1, 3))
+        assert nothing.sum() > 200 and not result.accepted[nothing].any()
 
     def test_real_bracket(self, tmp_path):
         result = depth_map(str(DATA / "bracket_real"), tmp_path / "real.png", 32, tmp_path, None, quiet)

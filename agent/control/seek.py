@@ -61,7 +61,7 @@ class Seek:
 
     def _lost(self, now_ns: int) -> bool:
         since_ns = max(self._seen.t_ns if self._seen else 0, self.pointing.steady_from_ns)
-        return now_ns - since_ns > LOST_NS or self._seen is None
+        return now_ns - since_ns > LOST_NS
 
     def eye(self, level: Attitude) -> Eye:
         """Where the camera is while the gimbal rests at its goal."""

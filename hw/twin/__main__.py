@@ -71,14 +71,15 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     Dive(fleet, robots, 0).move()  # compiles the physics before the clock starts
     dive = Dive(fleet, robots, time.monotonic_ns())
     dive.boards = [Board(name, folder, tare_pa) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)]
-    servers = []
+    servers: list[FrameServer] = []
     for i, (name, (lens, vcm, painter)) in enumerate(zip(robots, optics, strict=True)):
         clock = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))
         camera = DiveCamera(i, dive.history, lens, vcm, painter, fleet.body.camera_m, clock)
         servers.append(FrameServer(folder / f"{name}.camera", camera))
-    stack.callback(_close_together, [*dive.boards, *servers])
+    devices: list[Board | FrameServer] = [*dive.boards, *servers]
+    stack.callback(_close_together, devices)
     stack.callback(dive.history.close)  # before that: cameras that wait for a frame give up
-    for device in (*dive.boards, *servers):
+    for device in devices:
         device.start()
     _write_truth(folder / "truth.json", fleet, scene, dive)
     _be_ready(folder, stop)

@@ -25,11 +25,11 @@ import numpy as np
 from agent.config import Fleet
 from hw.camera import FocusRange, Frame, Roi
 from hw.twin.body import BODY, draw_servos
-from hw.twin.camera_device import EXPOSURE_NS, FrameClock, elevation_rad, eye
+from hw.twin.camera_device import EXPOSURE_NS, FrameClock, look
 from hw.twin.history import Pose
-from hw.twin.painter import Board
 from hw.twin.servo import motor_deg_after, shaft_deg_after
 from hw.twin.tank import STEP_S
+from hw.twin.view import Board
 
 if TYPE_CHECKING:
     from hw.twin.lens import Lens, Vcm
@@ -102,10 +102,10 @@ class Bench:
             seq = self._clock.next(max(self._now_ns, self._focused_ns + round(settle_s * 1e9)))
             self._now_ns = self._clock.opens_ns(seq) + EXPOSURE_NS
             middle_ns = self._now_ns - EXPOSURE_NS // 2
-            sees = eye(Pose(self._body_m, np.eye(3), *self._shaft_deg), self._mounting.camera_m)
-            distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad(sees.rotation))
-            box = None if roi is None else tuple(roi)
-            image = self._painter.frame(sees, distance_m, board=self._board, roi=box, tick=seq)
+            pose = Pose(self._body_m, np.eye(3), self._shaft_deg[0], self._shaft_deg[1])
+            eye, elevation_rad = look(pose, self._mounting.camera_m)
+            distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
+            image = self._painter.frame(eye, distance_m, board=self._board, roi=roi, tick=seq)
             return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
 
 

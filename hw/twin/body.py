@@ -75,15 +75,15 @@ SERVO_GAIN_SPREAD = 0.01  # a hobby servo's scale error
 SERVO_ZERO_DEG = 1.0  # one spline tooth is more; the crew trims to about this
 
 # Two taut lines fore and aft. The robot cannot observe x, y and yaw; the lines keep what is left of hover
-# disturbances (about 0.3 N and 5 mN m) near 1 mm and 0.1 deg. Both motions are damped by half of critical or more.
-MOORING = (400.0, 50.0, 5.0, 1.0)
+# disturbances (about 0.3 N and 3 mN m) near 1 mm and 0.1 deg. Both motions are damped by half of critical or more.
+MOORING = (300.0, 40.0, 2.0, 0.6)
 
 TETHER_SLACK = 1.1  # paid-out length over the distance from rim to hull
 
 
 def draw_body(
     seed: int, robot: str, start: tuple[float, float, float, float], tank: Tank, mounting: Mounting
-) -> np.void:
+) -> NDArray[np.void]:
     """The hidden record () BODY of one robot; start is its surveyed (x_m, y_m, z_m, yaw_deg)."""
     rng = generator(seed, robot, "body")
     body = np.zeros((), BODY)

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from agent.messages import Vector
 from hw.camera import FocusRange, Frame, Roi
 from hw.twin.history import History, Pose
-from hw.twin.painter import Eye, Hull
 from hw.twin.rotation import GIMBAL_CAMERA, gimbal
+from hw.twin.view import Eye, Hull
 
 if TYPE_CHECKING:
     from hw.twin.lens import Lens, Vcm
@@ -36,15 +36,14 @@ class FrameClock(NamedTuple):
         return self.start_ns + seq * FRAME_NS
 
 
-def eye(pose: Pose, camera_m: tuple[float, float, float]) -> Eye:
-    """The camera of a robot in this pose: its optical centre is the gimbal's pivot, camera_m in the body frame."""
+def look(pose: Pose, camera_m: Vector) -> tuple[Eye, float]:
+    """The camera of a robot in this pose, and how far it looks up (rad), which is how gravity pulls at its lens.
+
+    The optical centre is the gimbal's pivot, camera_m in the body frame.
+    """
     position = pose.position_m + np.sum(pose.rotation * np.asarray(camera_m), axis=1)
-    return Eye(position, pose.rotation @ gimbal(pose.pan_deg, pose.tilt_deg) @ GIMBAL_CAMERA)
-
-
-def elevation_rad(rotation: NDArray[np.float64]) -> float:
-    """How far a camera looks up: what gravity does to its lens."""
-    return math.asin(min(max(float(rotation[2, 2]), -1.0), 1.0))
+    rotation = pose.rotation @ gimbal(pose.pan_deg, pose.tilt_deg) @ GIMBAL_CAMERA
+    return Eye(position, rotation), math.asin(min(max(float(rotation[2, 2]), -1.0), 1.0))
 
 
 class DiveCamera:
@@ -60,7 +59,7 @@ class DiveCamera:
         lens: Lens,
         vcm: Vcm,
         painter: Painter,
-        camera_m: tuple[float, float, float],
+        camera_m: Vector,
         clock: FrameClock,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
@@ -80,8 +79,8 @@ class DiveCamera:
         self._history.wait(opens_ns + EXPOSURE_NS)
         middle_ns = opens_ns + EXPOSURE_NS // 2
         poses = self._history.at(middle_ns)
-        sees = eye(poses[self._me], self._camera_m)
+        eye, elevation_rad = look(poses[self._me], self._camera_m)
         hulls = tuple(Hull(p.position_m, p.rotation) for i, p in enumerate(poses) if i != self._me)
-        distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad(sees.rotation))
-        image = self._painter.frame(sees, distance_m, hulls=hulls, roi=None if roi is None else tuple(roi), tick=seq)
+        distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
+        image = self._painter.frame(eye, distance_m, hulls=hulls, roi=roi, tick=seq)
         return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))

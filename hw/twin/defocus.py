@@ -1,18 +1,18 @@
 """Blur by the lens: every pixel is the mean of the sharp picture over its own circle of confusion.
 
-CoC_px = (A v / p) |X - 1/s|,  X = 1/f - 1/v,  A = f/N,  s the apparent distance (Pentland, PAMI 1987, in vergence).
+CoC_px = (A v / p) |X - 1/s|,  X = 1/f - 1/v,  A = f/N,  s the apparent distance (thin lens, written in vergence).
 A pixel takes its circle from its own depth (gather), so next to a depth edge the halo of a blurred near object
 on a sharp background is missing. It acts on linear radiance, before noise and gamma.
 
-Small circles are summed in full; large ones at half the resolution, recursively. Both keep the second moment
-r^2/4 of a disk exactly, which is what clarity near its peak depends on.
+Small circles are summed in full, as a mix of two disks of a fixed set; large ones at half the resolution, again and
+again. All steps keep the second moment r^2/4 of a disk, which is what clarity near its peak depends on.
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,17 @@ def vergence(lens: Lens, image_distance_m: float) -> float:
     return 1 / lens.focal_m - 1 / image_distance_m
 
 
-def apparent_m(depth_m: float, index: float, gap_m: float) -> float:
+def apparent_m(depth_m: Any, index: float, gap_m: float) -> Any:
     """Where an object at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead (paraxial)."""
     return gap_m + (depth_m - gap_m) / index
+
+
+def circles(depth_m: Floats, lens: Lens, image_distance_m: float, index: float, largest_px: float) -> Floats:
+    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`."""
+    gain = np.float32(circle_gain(lens, image_distance_m))
+    sharp = np.float32(vergence(lens, image_distance_m))
+    error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m)
+    return np.minimum(gain * np.abs(error), np.float32(largest_px))
 
 
 class Taps(NamedTuple):
@@ -119,19 +127,11 @@ def gather(picture, radius, coarse, has_coarse, start, offset, weight, blurred):
     """One level: full sums for small circles, the doubled coarser level for large ones, a blend in between."""
     height, width = radius.shape
     flat = picture.reshape(height * width * 3)
-    result = blurred.reshape(height * width * 3)
     sums = np.empty((len(RADII), 3 * SEGMENT), np.float32)
-    for j in range(height):
-        inner = REACH <= j < height - REACH
-        for i in range(width):
-            if not inner or i < REACH or i >= width - REACH:  # the rim: sums would reach beyond the picture
-                for c in range(3):
-                    blurred[j, i, c] = picture[j, i, c]
-        if not inner:
-            continue
+    blurred[:] = picture  # what stays in the rim, where sums would reach beyond the picture
+    for j in range(REACH, height - REACH):
         for i0 in range(REACH, width - REACH, SEGMENT):
             n = min(SEGMENT, width - REACH - i0)
-            here = (j * width + i0) * 3
             smallest, largest = COARSE_PX, ZERO
             for i in range(i0, i0 + n):
                 smallest, largest = min(smallest, radius[j, i]), max(largest, radius[j, i])
@@ -140,28 +140,23 @@ def gather(picture, radius, coarse, has_coarse, start, offset, weight, blurred):
                     total = sums[k]
                     total[:] = ZERO
                     for tap in range(start[k], start[k + 1]):
-                        w = weight[tap]
-                        source = flat[here + offset[tap] : here + offset[tap] + 3 * n]
+                        first, w = (j * width + i0) * 3 + offset[tap], weight[tap]
+                        source = flat[first : first + 3 * n]  # a slice: with an offset index it would not vectorise
                         for lane in range(3 * n):
                             total[lane] += w * source[lane]
             for i in range(n):
                 r = radius[j, i0 + i]
                 share = min(max((r - FINE_PX) / (COARSE_PX - FINE_PX), ZERO), ONE) if has_coarse else ZERO
-                if share < ONE:
-                    k = _disk(r)
-                    part = min((r * r - SQUARES[k]) / (SQUARES[k + 1] - SQUARES[k]), ONE) * (ONE - share)
-                    for c in range(3):
-                        result[here + 3 * i + c] = (ONE - share - part) * sums[k, 3 * i + c] + part * sums[k + 1, 3 * i + c]
-                if share > ZERO:
-                    y, x = j >> 1, (i0 + i) >> 1
-                    y2, x2 = y + 2 * (j & 1) - 1, x + 2 * ((i0 + i) & 1) - 1
-                    near, side, far = share * NEAR * NEAR, share * NEAR * QUARTER, share * QUARTER * QUARTER
-                    for c in range(3):
-                        doubled = near * coarse[y, x, c] + side * (coarse[y2, x, c] + coarse[y, x2, c]) + far * coarse[y2, x2, c]
-                        if share == ONE:
-                            result[here + 3 * i + c] = doubled
-                        else:
-                            result[here + 3 * i + c] += doubled
+                k = _disk(r)
+                upper = (ONE - share) * min((r * r - SQUARES[k]) / (SQUARES[k + 1] - SQUARES[k]), ONE)
+                lower = ONE - share - upper
+                for c in range(3):
+                    value = ZERO
+                    if share < ONE:
+                        value = lower * sums[k, 3 * i + c] + upper * sums[k + 1, 3 * i + c]
+                    if share > ZERO:
+                        value += share * _doubled(coarse, j, i0 + i, c)
+                    blurred[j, i0 + i, c] = value
 
 
 @inlined
@@ -171,3 +166,12 @@ def _disk(r):
     while k < len(RADII) - 2 and r * r > SQUARES[k + 1]:
         k += 1
     return k
+
+
+@inlined
+def _doubled(coarse, j, i, c):
+    """The coarser level at a pixel of the finer one, bilinear."""
+    y, x = j >> 1, i >> 1
+    y2, x2 = y + 2 * (j & 1) - 1, x + 2 * (i & 1) - 1
+    here = NEAR * coarse[y, x, c] + QUARTER * coarse[y, x2, c]
+    return NEAR * here + QUARTER * (NEAR * coarse[y2, x, c] + QUARTER * coarse[y2, x2, c])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -67,8 +68,8 @@ class Board:
         master, self._slave = os.openpty()
         tty.setraw(self._slave)  # one setting for both ends; a cooked pty would echo and rewrite CR and LF
         os.set_blocking(master, False)
-        ours, theirs = socket.socketpair()
-        ours.setblocking(False)
+        self._bus, theirs = socket.socketpair()
+        self._bus.setblocking(False)
         try:
             with self._log.open("wb") as log:
                 self._process = self._boot(master, theirs.fileno(), log)
@@ -76,7 +77,6 @@ class Board:
             # The firmware alone holds the master: when it dies, the agent's port hangs up as if unplugged.
             os.close(master)
             theirs.close()
-        self._bus = ours
         # We keep the slave open, else the firmware would read EIO whenever the agent closes its end.
         self.port.symlink_to(os.ttyname(self._slave))
 
@@ -149,7 +149,9 @@ class Board:
 
     def close(self) -> None:
         """End the firmware, by the end of its bus or by force, and remove the port."""
-        self._unplug()
+        if self._bus is not None:
+            with contextlib.suppress(OSError):  # it may have died just now
+                self._bus.shutdown(socket.SHUT_WR)
         if self._process is not None:
             try:
                 self._process.wait(STOP_S)
@@ -157,6 +159,7 @@ class Board:
                 self._process.kill()
                 self._process.wait()
             self._process = None
+        self._unplug()  # only now: closing a socket with answers in it would be a reset, not an end
         if self._slave >= 0:
             os.close(self._slave)
             self._slave = -1

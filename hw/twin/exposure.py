@@ -46,8 +46,8 @@ def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
 
 
 @kernel
-def expose(picture, gain, key, x0, y0, left, top, full_width, normal, curve, image):
-    """Fill image (h, w, 3) from picture (., ., 4) at (left, top); (x0, y0) is the image's place in the full frame."""
+def expose(picture, gain, key, x0, y0, full_width, normal, curve, image):
+    """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame."""
     for row in range(image.shape[0]):
         for col in range(image.shape[1]):
             z = key + np.uint64((y0 + row) * full_width + x0 + col) * GOLDEN
@@ -56,6 +56,6 @@ def expose(picture, gain, key, x0, y0, left, top, full_width, normal, curve, ima
             z ^= z >> S31
             for c in range(3):
                 bits = (z if c == 0 else (z >> S24 if c == 1 else z >> S40)) & MASK12
-                light = max(picture[top + row, left + col, c], ZERO) * gain
+                light = max(picture[row, col, c], ZERO) * gain
                 light += math.sqrt(light * INVERSE_WELL + READ_VARIANCE) * normal[bits]
                 image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]

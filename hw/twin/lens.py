@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.config import ConfigError
+
 
 class Lens(NamedTuple):
     """One camera as it was made: the nominal figures of its preset with this robot's tolerances."""
@@ -69,7 +71,12 @@ FAR, NEAR = -1.0, 9.0  # dioptres at both ends of the travel: past infinity, so 
 
 
 def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
-    """The camera that this robot happens to have. Spreads are assumed, of the size that cheap modules show."""
+    """The camera that this robot happens to have. Spreads are assumed, of the size that cheap modules show.
+
+    Raises ConfigError for a preset that does not exist.
+    """
+    if preset not in PRESETS:
+        raise ConfigError(f"camera '{preset}': no such preset; choose one of {', '.join(PRESETS)}")
     nominal = PRESETS[preset]
     focal_m = nominal.focal_m * rng.uniform(0.99, 1.01)
     rest_dioptre = FAR + rng.uniform(-0.15, 0.15)  # modules are set on a collimator, hence relative to their own f

@@ -27,8 +27,8 @@ TINY = np.float32(1e-9)  # stands for a slope of zero
 NEAREST_M = np.float32(1e-3)
 FLOOR_ID, SURFACE_ID, BOARD_ID, SOLID_ID = 4, 5, 6, 7  # identities; below are walls, from SOLID_ID on ellipsoids
 
-kernel = njit(nogil=True, cache=True, fastmath=True)
-inlined = njit(nogil=True, cache=True, fastmath=True, inline="always")
+kernel = njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
+inlined = njit(nogil=True, cache=True, fastmath=True, error_model="numpy", inline="always")
 
 
 class Optics(NamedTuple):

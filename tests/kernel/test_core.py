@@ -36,9 +36,7 @@ def scripted_run(steps: int = 400):
         now[0] += 50_000_000
         for name, agent in agents.items():
             telemetry, _ = motors[name].drain()
-            inputs = Inputs(
-                telemetry=tuple(telemetry), sightings=tuple(scripts[name].drain()), heard=tuple(post[name])
-            )
+            inputs = Inputs(telemetry=tuple(telemetry), sightings=tuple(scripts[name].drain()), heard=tuple(post[name]))
             post[name] = []
             outputs = agent.step(inputs, now[0])
             motors[name].send(outputs.set_point, now[0])

@@ -32,7 +32,7 @@ class Running:
     def __init__(self, pool: ThreadPoolExecutor, fleet: Fleet, out: Path) -> None:
         self.stop = threading.Event()
         self.warnings: list[str] = []
-        self._result = pool.submit(record, fleet, out, self.stop, time.time_ns, self.warnings.append)
+        self._result = pool.submit(record, fleet, out, self.stop, self.warnings.append)
 
     def end(self) -> dict[str, int]:
         self.stop.set()
@@ -151,12 +151,12 @@ def test_an_existing_file_is_one_line(
 
 
 RECORD = """
-import pathlib, signal, sys, threading, time
+import pathlib, signal, sys, threading
 from agent.config import load_fleet
 from replay.recorder import record
 stop = threading.Event()
 signal.signal(signal.SIGTERM, lambda *_: stop.set())
-print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), stop, time.time_ns, print))
+print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), stop))
 """
 
 

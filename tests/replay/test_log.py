@@ -15,7 +15,7 @@ import pytest
 import replay.log
 from agent.config import ConfigError
 from replay.backlog import Backlog, Entry
-from replay.log import DROPS, LogWriter, info, read
+from replay.log import DROPS, LogWriter, info, read, unused
 
 RUN = {"robot": "r1", "seed": 7}
 
@@ -61,6 +61,15 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
     path.rename(tmp_path / "r1.mcap.active")
     with pytest.raises(ConfigError, match=r"r1\.mcap\.active: exists already"), LogWriter(path, RUN):
         pass
+
+
+def test_who_starts_again_gets_another_name(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    assert unused(path) == path
+    path.with_name("r1.mcap.active").write_bytes(b"")
+    assert unused(path).name == "r1.2.mcap"
+    unused(path).write_bytes(b"")
+    assert unused(path).name == "r1.3.mcap"
 
 
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
@@ -129,7 +138,7 @@ def test_every_cut_of_a_file_is_readable_up_to_the_tear(tmp_path: Path) -> None:
     torn = tmp_path / "torn.mcap.active"
     lengths = set()
     cuts = random.Random(1).sample(range(5, len(whole)), 200)
-    for cut in [*cuts, len(whole) - 1]:
+    for cut in [0, 1, *cuts, len(whole) - 1]:
         torn.write_bytes(whole[:cut])
         records = list(read(torn))
         assert records == expected[: len(records)]

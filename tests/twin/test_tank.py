@@ -198,9 +198,9 @@ def test_thrust_follows_with_its_lag_and_fades_without_pulses():
 
 def test_the_mooring_holds_place_and_heading():
     body, state = hull()
-    push(state[0], (0.4, 0.0, 0.0), (0.0, 0.02, 0.0), 100.0)  # 0.4 N, 8 mN m
+    push(state[0], (0.3, 0.0, 0.0), (0.0, 0.01, 0.0), 100.0)  # 0.3 N, 3 mN m
     run(body, state, 5.0)
-    assert state["position_m"][0, 0] - 2.0 == pytest.approx(0.4 / MOORING[0], rel=0.02)
+    assert state["position_m"][0, 0] - 2.0 == pytest.approx(0.3 / MOORING[0], rel=0.02)
     assert 0 < abs(math.degrees(euler_rad(state["quaternion"][0])[2])) < 0.1
 
 

@@ -1,0 +1,124 @@
+"""Where everything is, seen from one camera: poses and sizes become the maps that the ray caster works with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hw.twin import texture
+from hw.twin.lens import Lens
+from hw.twin.raycast import Map, Optics, View
+from hw.twin.scene import Solid
+from hw.twin.texture import MATERIALS
+
+Affine = NDArray[np.float64]  # (3, 4) rotation and shift
+
+HULL_RADII_M = (0.14, 0.14, 0.08)
+FACES = [MATERIALS.index(m) for m in (*[texture.WALL] * 4, texture.FLOOR, texture.SURFACE, texture.BOARD)]
+BALL, STONE, HULL = (MATERIALS.index(m) for m in (texture.BALL, texture.STONE, texture.HULL))
+
+EVERYWHERE, NOWHERE = (-100_000, -100_000, 100_000, 100_000), (0, 0, 0, 0)
+STRAIGHT = 1.3  # rad off the axis; what lies beyond is never in the picture
+BEND, SLACK_PX = 1.15, 12  # refraction draws outer parts further out; generous, for bounds only save time
+
+
+class Eye(NamedTuple):
+    """Optical centre of a camera; `rotation` (3, 3) turns camera axes (right, down, forward) into the world's."""
+
+    position_m: ArrayLike
+    rotation: ArrayLike
+
+
+class Hull(NamedTuple):
+    """Another robot's body, an ellipsoid; `rotation` (3, 3) body to world."""
+
+    position_m: ArrayLike
+    rotation: ArrayLike
+
+
+class Board(NamedTuple):
+    """A calibration board: its plane is x-y, its z points to the viewer; `rotation` (3, 3) board to world."""
+
+    position_m: ArrayLike
+    rotation: ArrayLike
+    size_m: tuple[float, float] = (0.30, 0.20)
+
+
+class Ellipsoid(NamedTuple):
+    position_m: ArrayLike
+    rotation: ArrayLike
+    radii_m: tuple[float, float, float]
+    material: int
+
+
+def make_view(
+    eye: Eye,
+    image_distance_m: float,
+    lens: Lens,
+    index: float,
+    box_m: ArrayLike,
+    solids: Sequence[Solid],
+    hulls: Sequence[Hull],
+    board: Board | None,
+) -> View:
+    """The world (metres, world frame; `box_m` (3,) is the water body) in the camera's own terms.
+
+    The picture's scale follows the image distance: that is focus breathing.
+    """
+    slope = lens.pixel_m / image_distance_m
+    camera = _affine(eye.rotation, eye.position_m)
+    bodies = [Ellipsoid(s.position_m, np.eye(3), s.radii_m, BALL if s.kind == "ball" else STONE) for s in solids]
+    bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in hulls]
+    to_unit = [_relative(b.rotation, b.position_m, camera) / np.array(b.radii_m)[:, None] for b in bodies]
+    optics = (slope, *lens.centre_px, lens.k1, lens.k2, index**2, lens.port_gap_m)
+    return View(
+        optics=Optics(*_float32(optics)),
+        camera=_rows(camera),
+        box=_float32(np.asarray(box_m)),
+        board=_rows(_relative(board.rotation, board.position_m, camera) if board else camera),
+        board_half=_float32((board.size_m[0] / 2, board.size_m[1] / 2) if board else (0.0, 0.0)),
+        solids=np.array(to_unit, np.float32).reshape(-1, 3, 4),
+        bounds=np.array([_bounds(b, camera, lens, index / slope) for b in bodies], np.int64).reshape(-1, 4),
+        radii=np.array([b.radii_m for b in bodies], np.float32).reshape(-1, 3),
+        up=np.array([np.asarray(b.rotation)[2] for b in bodies], np.float32).reshape(-1, 3),
+        material=np.array(FACES + [b.material for b in bodies]),
+    )
+
+
+def _bounds(body: Ellipsoid, camera: Affine, lens: Lens, focal_px: float) -> tuple[int, int, int, int]:
+    """Pixels x0, y0, x1, y1 that the sphere around an ellipsoid can cover; all of them when the camera is close."""
+    radius_m = max(body.radii_m)
+    x, y, z = camera[:, :3].T @ (np.asarray(body.position_m) - camera[:, 3])
+    low, high = [], []
+    for across, centre_px in zip((x, y), lens.centre_px, strict=True):
+        distance = np.hypot(across, z)
+        if distance <= radius_m * 1.01:
+            return EVERYWHERE
+        towards, half = np.arctan2(across, z), np.arcsin(radius_m / distance)
+        if abs(towards) - half >= STRAIGHT:
+            return NOWHERE
+        edges = np.tan(np.clip([towards - half, towards + half], -STRAIGHT, STRAIGHT)) * focal_px
+        low.append(int(min(edges[0], edges[0] * BEND) + centre_px) - SLACK_PX)
+        high.append(int(max(edges[1], edges[1] * BEND) + centre_px) + SLACK_PX)
+    return low[0], low[1], high[0], high[1]
+
+
+def _affine(rotation: ArrayLike, position_m: ArrayLike) -> Affine:
+    return np.column_stack([np.asarray(rotation, float), np.asarray(position_m, float)])
+
+
+def _relative(rotation: ArrayLike, position_m: ArrayLike, camera: Affine) -> Affine:
+    """Camera to body, from body to world (`rotation`, `position_m`) and camera to world."""
+    to_body = np.asarray(rotation, float).T
+    return np.column_stack([to_body @ camera[:, :3], to_body @ (camera[:, 3] - np.asarray(position_m, float))])
+
+
+def _float32(numbers: Iterable[float]) -> tuple[np.float32, ...]:
+    return tuple(np.float32(number) for number in numbers)
+
+
+def _rows(affine: Affine) -> Map:
+    return tuple(_float32(row) for row in affine)

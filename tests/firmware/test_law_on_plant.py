@@ -1,0 +1,184 @@
+"""The hover loop on the plant that it was tuned on, in one process: recovery, steps, saturation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from nominal_plant import ARM_X_M, ARM_Y_M, PA_PER_M, Plant
+
+from hw.firmware import law, pressure, thrust
+
+CYCLE_US = 10_000
+
+
+class Loop:
+    """Plant and law, cycle by cycle; a history of (depth error m, roll deg, pitch deg)."""
+
+    def __init__(self, plant: Plant, depth_m: float) -> None:
+        self.plant, self.ref = plant, [depth_m, 0.0, 0.0]
+        self.plane = pressure.Plane(PA_PER_M, 0.13, 0.13)
+        self.plane.tare_pa = list(plant.tare_pa)
+        self.law = law.choose("observer")
+        self.realised, self.want, self.forces = [0.0] * 3, [0.0] * 3, [0.0] * 8
+        self.answered = 15
+        self.history: list[tuple[float, float, float]] = []
+        self.sense()
+        self.law.reset([self.plane.depth_m, self.plane.roll_rad, self.plane.pitch_rad])
+
+    def sense(self) -> None:
+        self.plane.step(self.plant.pressure_pa(), self.answered, CYCLE_US)
+
+    def run(self, seconds: float) -> Loop:
+        for _ in range(round(seconds * 100)):
+            self.sense()
+            y = [self.plane.depth_m, self.plane.roll_rad, self.plane.pitch_rad]
+            self.law.step(y, self.ref, self.realised, self.want)
+            thrust.central(self.want, 0.0, self.forces, self.realised)
+            self.plant.step([thrust.pulse_us(f, 1500) for f in self.forces])
+            depth, roll, pitch = self.plant.position
+            self.history.append((depth - self.ref[0], math.degrees(roll), math.degrees(pitch)))
+        return self
+
+    def settled_after_s(self) -> float:
+        """When depth came within 1 cm, roll and pitch within 2 degrees for good."""
+        off = np.abs(self.history) > (0.01, 2.0, 2.0)
+        late = np.flatnonzero(off.any(axis=1))
+        return 0.0 if late.size == 0 else (late[-1] + 1) / 100.0
+
+
+def push(loop: Loop) -> Loop:
+    """8 N down on the front left corner for 0.3 s; time counts from its end."""
+    loop.run(2.0)
+    loop.plant.push[:] = (8.0, -8.0 * 0.13, 8.0 * 0.13)
+    loop.run(0.3)
+    loop.plant.push[:] = 0.0
+    loop.history.clear()
+    return loop.run(5.2)
+
+
+def test_hovers():
+    history = np.array(Loop(Plant(1, 0.30), 0.30).run(10.0).history[300:])
+    depth, roll, pitch = np.sqrt(np.mean(history**2, axis=0))
+    assert depth < 0.002 and roll < 0.3 and pitch < 0.3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_recovers_from_a_push(seed):
+    assert push(Loop(Plant(seed, 0.30), 0.30)).settled_after_s() < 1.5
+
+
+def test_the_push_is_felt():
+    loop = Loop(Plant(0, 0.30), 0.30)
+    loop.law.step = lambda *_: None  # nobody steers
+    assert push(loop).settled_after_s() > 5.0
+
+
+@pytest.mark.parametrize(("lag_s", "inertia_factor"), [(0.13, 1.4), (0.08, 0.65)])
+def test_recovers_although_the_robot_is_not_the_one_it_believes_in(lag_s, inertia_factor):
+    loops = [push(Loop(Plant(seed, 0.30, lag_s, inertia_factor), 0.30)) for seed in range(3)]
+    assert max(loop.settled_after_s() for loop in loops) < 2.1
+    assert max(loop.plant.position[0] for loop in loops) < 0.45
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depth_step(seed):
+    loop = Loop(Plant(seed, 0.22), 0.22).run(2.0)
+    loop.ref[0] = 0.41
+    loop.history.clear()
+    loop.run(4.0)
+    assert loop.settled_after_s() < 1.5
+    assert max(error for error, _, _ in loop.history) < 0.010
+    assert np.abs(np.array(loop.history)[-100:, 1:]).max() < 2.0
+
+
+def test_learns_net_weight():
+    loop = Loop(Plant(1, 0.30), 0.30)
+    loop.plant.push[0] = 2.0  # heavy by 2 N
+    loop.run(5.0)
+    assert loop.law.disturbance(0) == pytest.approx(2.0, abs=0.4)
+    assert abs(np.mean([error for error, _, _ in loop.history[-100:]])) < 0.003
+
+
+def test_one_dead_sensor_and_it_stays_level():
+    loop = Loop(Plant(2, 0.30), 0.30)
+    loop.run(1.0)
+    loop.answered = 0b1101
+    push(loop)
+    assert loop.plane.bad == 0b0010
+    assert loop.settled_after_s() < 2.0
+
+
+def test_no_windup_against_the_floor():
+    loop = Loop(Plant(4, 0.30), 0.60)
+    for _ in range(1000):
+        loop.run(0.01)
+        if loop.plant.position[0] > 0.45:
+            loop.plant.position[0] = 0.45
+            loop.plant.speed[0] = 0.0
+    loop.ref[0] = 0.30
+    loop.history.clear()
+    loop.run(5.0)
+    assert loop.settled_after_s() < 2.0
+
+
+# --- allocation and pulses ----------------------------------------------------------------------------------------
+
+
+def test_allocation_matrix_is_orthogonal():
+    H = np.array([(1, 1, 1, 1), thrust.ROLL, thrust.PITCH, thrust.REACTION])
+    assert (H @ H.T == 4 * np.eye(4)).all()
+
+
+def test_within_limits_the_wrench_is_realised_exactly():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        want = list(rng.uniform(-1, 1, 3) * (8.0, 0.4, 0.5))
+        forces, realised = [0.0] * 8, [0.0] * 3
+        assert not thrust.central(want, rng.uniform(-0.02, 0.02), forces, realised)
+        assert realised == pytest.approx(want, abs=1e-12)
+
+
+def test_attitude_before_depth_before_reaction():
+    rng = np.random.default_rng(1)
+    cut = 0
+    for _ in range(1000):
+        want = list(rng.uniform(-1, 1, 3) * (60.0, 3.0, 4.0))
+        reaction_nm = rng.uniform(-0.5, 0.5)
+        forces, realised = [0.0] * 8, [0.0] * 3
+        cut += thrust.central(want, reaction_nm, forces, realised)
+        f = np.array(forces[:4])
+        assert f.min() >= -8.0 - 1e-9 and f.max() <= 10.0 + 1e-9
+        share = np.array([realised[1] / want[1], realised[2] / want[2]])
+        assert share[0] == pytest.approx(share[1]), "the direction of the torque is kept"
+        assert 0 < share[0] <= 1 + 1e-9
+        if share[0] < 0.999:  # attitude has all of its 80 %
+            worst = abs(realised[1]) / ARM_Y_M / 4 + abs(realised[2]) / ARM_X_M / 4
+            assert worst == pytest.approx(0.8 * 8.0)
+        if abs(realised[0] - want[0]) > 1e-6:  # depth was cut: then a thruster is at its limit
+            assert min(10.0 - f.max(), f.min() + 8.0) < 1e-6
+            given = np.dot(thrust.REACTION, f)
+            assert given == pytest.approx(0.0, abs=1e-6), "nothing is left for reaction"
+    assert cut > 500
+
+
+def test_flat_thrusters_push_and_turn():
+    forces = [0.0] * 8
+    assert not thrust.flat(3.0, -2.0, 0.5, forces)
+    angle = np.radians([45, 135, 225, 315])
+    f = np.array(forces[4:])
+    wrench = (-np.sin(angle) @ f, np.cos(angle) @ f, 0.17 * f.sum())
+    assert wrench == pytest.approx((3.0, -2.0, 0.5))
+    assert thrust.flat(30.0, 0.0, 0.0, forces)
+    assert max(forces) <= 10.0 and min(forces) == pytest.approx(-8.0)
+
+
+def test_pulses_rise_with_thrust_and_leap_the_dead_band():
+    forces = np.linspace(-9.0, 11.0, 2001)
+    pulses = [thrust.pulse_us(f, 1500) for f in forces]
+    assert pulses == sorted(pulses)
+    assert pulses[0] == 1100 and pulses[-1] == 1900
+    assert thrust.pulse_us(0.0, 1507) == 1507
+    assert thrust.pulse_us(0.021, 1500) >= 1530 and thrust.pulse_us(-0.021, 1500) <= 1470
+    assert 1499 + 400 <= thrust.pulse_us(10.0, 1500) and thrust.pulse_us(-8.0, 1500) == 1100

@@ -1,0 +1,64 @@
+"""The table of topics: every key is spelt there and nowhere else."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import agent.topics
+from agent.messages import Message
+from agent.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, Topic, key, match
+
+ROOT = Path(agent.topics.__file__).parents[1]
+CHUNKS = {"fleet": "tank", "robot": "r1", "src": "r1", "dst": "r2"}
+
+
+@pytest.mark.parametrize("row", TOPICS, ids=lambda row: row.name)
+def test_a_key_leads_back_to_its_row_and_chunks(row: Topic) -> None:
+    used = {name: CHUNKS[name] for name in re.findall(r"{(\w+)}", row.key)}
+    assert match(key(row, **used)) == (row, used)
+    assert row.writer in used
+
+
+@pytest.mark.parametrize(
+    "stranger",
+    [
+        "",
+        "aucamp",
+        "aucamp/tank/link/r1",
+        "aucamp/tank/link/r1/r2/r3",
+        "aucamp/tank/robot/r1/opinion",
+        "other/tank/link/r1/r2",
+        ALIVE.format(**CHUNKS),
+    ],
+)
+def test_a_key_of_nobody_has_no_row(stranger: str) -> None:
+    assert match(stranger) is None
+
+
+def test_rows_do_not_answer_to_the_same_key() -> None:
+    keys = [key(row, **CHUNKS) for row in TOPICS]
+    assert len(set(keys)) == len(TOPICS) == len({row.name for row in TOPICS})
+    for row, text in zip(TOPICS, keys, strict=True):
+        found = match(text)
+        assert found is not None
+        assert found[0] is row
+
+
+def test_both_ends_of_a_link_stand_in_its_key() -> None:
+    assert key(LINK, fleet="tank", src="*", dst="r2") == "aucamp/tank/link/*/r2"
+    assert key(STATE, fleet="tank", robot="r1") == "aucamp/tank/robot/r1/state"
+    assert key(LOG, fleet="tank", robot="r1").startswith(ALL.format(fleet="tank").removesuffix("**"))
+
+
+@pytest.mark.parametrize("row", TOPICS, ids=lambda row: row.name)
+def test_every_row_has_a_message_and_room_for_two_seconds_of_it(row: Topic) -> None:
+    assert issubclass(row.message, Message)
+    assert row.qos.buffer >= 2 * row.hz
+
+
+def test_no_other_file_spells_a_key() -> None:
+    sources = [path for folder in ("agent", "hw", "replay") for path in (ROOT / folder).rglob("*.py")]
+    assert len(sources) > 5
+    guilty = [str(path.relative_to(ROOT)) for path in sources if "aucamp/" in path.read_text(encoding="utf-8")]
+    assert guilty == ["agent/topics.py"]
