@@ -136,7 +136,7 @@ def dive(
 
 def summarize(fleet: Fleet, histories: dict[str, History], truth: dict[str, Any], wall_s: float) -> dict[str, Any]:
     """The content of summary.json, schema 1."""
-    target_m = tuple(truth["targets"][next(iter(fleet.target))])
+    target_m = tuple(truth["target_m"][next(iter(fleet.target))])
     rows = {name: score(history, target_m) for name, history in histories.items()}
     why = reasons(rows)
     return {

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw.twin.lens import Lens
-from hw.twin.raycast import ONE, ZERO, Floats, inlined, kernel
+from hw.twin.raycast import ONE, ZERO, F, Floats, inlined, kernel
+
+Ints = NDArray[np.int64]
 
 RADII = (0.0, 0.5, 0.8, 1.15, 1.55, 2.05, 2.7, 3.5)  # px; a mix of two neighbours has any r^2 in between
 FINE, COARSE = 2.5, RADII[-1]  # radii px between which the sum goes over from full to half resolution
@@ -52,22 +54,25 @@ def circles(depth_m: Floats, lens: Lens, image_distance_m: float, index: float, 
     gain = np.float32(circle_gain(lens, image_distance_m))
     sharp = np.float32(vergence(lens, image_distance_m))
     error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m)
-    return np.minimum(gain * np.abs(error), np.float32(largest_px))
+    return np.asarray(np.minimum(gain * np.abs(error), np.float32(largest_px)), np.float32)
 
 
 class Taps(NamedTuple):
     """The disks of RADII: disk k has taps start[k] to start[k + 1]."""
 
-    start: NDArray[np.int64]
-    dy: NDArray[np.int64]
-    dx: NDArray[np.int64]
+    start: Ints
+    dy: Ints
+    dx: Ints
     weight: Floats
 
 
 @lru_cache(maxsize=1)
 def taps() -> Taps:
     """Mean of a cubic (Keys) interpolation of the picture over each disk, which has the disk's second moment."""
-    start, dy, dx, weight = [0], [], [], []
+    start: list[int] = [0]
+    dy: list[int] = []
+    dx: list[int] = []
+    weight: list[float] = []
     k = np.arange(-REACH, REACH + 1)
     ring = np.sqrt((np.arange(24) + 0.5) / 24)  # equal areas
     angle = 2 * np.pi * (np.arange(64) + 0.5) / 64
@@ -91,7 +96,7 @@ def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
 def margin(largest_px: float) -> int:
     """Pixels around a region that its blurred picture needs: the rim of the coarsest level, and its doubling."""
     halvings = 0 if largest_px <= FINE else 1 if largest_px <= 2 * FINE else LEVELS
-    return (REACH + 2) * 2**halvings
+    return (REACH + 2) << halvings
 
 
 def blur(picture: Floats, radius: Floats, halvings: int = LEVELS) -> Floats:
@@ -110,7 +115,7 @@ def blur(picture: Floats, radius: Floats, halvings: int = LEVELS) -> Floats:
 
 
 @kernel
-def halve(picture, radius, half, half_radius):
+def halve(picture: Floats, radius: Floats, half: Floats, half_radius: Floats) -> None:
     """2x2 means. Halving and doubling themselves blur by a variance of 1 px^2, which the circle gives up."""
     for j in range(half.shape[0]):
         for i in range(half.shape[1]):
@@ -123,7 +128,16 @@ def halve(picture, radius, half, half_radius):
 
 
 @kernel
-def gather(picture, radius, coarse, has_coarse, start, offset, weight, blurred):
+def gather(
+    picture: Floats,
+    radius: Floats,
+    coarse: Floats,
+    has_coarse: bool,
+    start: Ints,
+    offset: Ints,
+    weight: Floats,
+    blurred: Floats,
+) -> None:
     """One level: full sums for small circles, the doubled coarser level for large ones, a blend in between."""
     height, width = radius.shape
     flat = picture.reshape(height * width * 3)
@@ -160,7 +174,7 @@ def gather(picture, radius, coarse, has_coarse, start, offset, weight, blurred):
 
 
 @inlined
-def _disk(r):
+def _disk(r: F) -> int:
     """The largest k with RADII[k] <= r that has a larger neighbour."""
     k = 0
     while k < len(RADII) - 2 and r * r > SQUARES[k + 1]:
@@ -169,7 +183,7 @@ def _disk(r):
 
 
 @inlined
-def _doubled(coarse, j, i, c):
+def _doubled(coarse: Floats, j: int, i: int, c: int) -> F:
     """The coarser level at a pixel of the finer one, bilinear."""
     y, x = j >> 1, i >> 1
     y2, x2 = y + 2 * (j & 1) - 1, x + 2 * (i & 1) - 1

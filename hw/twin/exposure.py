@@ -13,7 +13,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.raycast import ONE, ZERO, Floats, kernel
+from hw.twin.raycast import ONE, ZERO, F, Floats, kernel
 
 FULL_WELL = 4000.0  # electrons; the shot noise of a pixel at full scale is its root
 READ_NOISE = 0.004  # of full scale
@@ -42,11 +42,22 @@ def gamma_curve() -> NDArray[np.uint8]:
 
 
 def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
-    return np.random.SeedSequence([seed, zlib.crc32(robot.encode()), tick]).generate_state(1, np.uint64)[0]
+    state = np.random.SeedSequence([seed, zlib.crc32(robot.encode()), tick]).generate_state(1, np.uint64)
+    return np.uint64(state[0])
 
 
 @kernel
-def expose(picture, gain, key, x0, y0, full_width, normal, curve, image):
+def expose(
+    picture: Floats,
+    gain: F,
+    key: np.uint64,
+    x0: int,
+    y0: int,
+    full_width: int,
+    normal: Floats,
+    curve: NDArray[np.uint8],
+    image: NDArray[np.uint8],
+) -> None:
     """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame."""
     for row in range(image.shape[0]):
         for col in range(image.shape[1]):

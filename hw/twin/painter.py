@@ -89,7 +89,8 @@ class Painter:
         largest = radius[y - y0 : y - y0 + height, x - x0 : x - x0 + width].max()
         x1, y1, w1, h1 = _grown(part, margin(float(largest)))
         needed = np.s_[y1 - y0 : y1 - y0 + h1, x1 - x0 : x1 - x0 + w1]
-        depth, identity, radius = (np.ascontiguousarray(a[needed]) for a in (depth, identity, radius))
+        depth, radius = np.ascontiguousarray(depth[needed]), np.ascontiguousarray(radius[needed])
+        identity = np.ascontiguousarray(identity[needed])
 
         picture = np.empty((h1, w1, 3), np.float32)
         shade(view, self._looks, x1, y1, depth, identity, picture)

@@ -12,14 +12,16 @@ not change inside a loop is a tuple: an array might overlap with the result, and
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
-Row = tuple[np.float32, np.float32, np.float32, np.float32]  # of an affine map: three factors and a shift
+Identities = NDArray[np.uint8]  # of the surface that a pixel shows
+F = Any  # a float32 scalar inside a kernel
+Row = tuple[F, F, F, F]  # of an affine map: three factors and a shift
 Map = tuple[Row, Row, Row]
 
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -27,6 +29,7 @@ TINY = np.float32(1e-9)  # stands for a slope of zero
 NEAREST_M = np.float32(1e-3)
 FLOOR_ID, SURFACE_ID, BOARD_ID, SOLID_ID = 4, 5, 6, 7  # identities; below are walls, from SOLID_ID on ellipsoids
 
+# numpy's error model: division by zero is inf, not an exception whose branch would forbid SIMD.
 kernel = njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
 inlined = njit(nogil=True, cache=True, fastmath=True, error_model="numpy", inline="always")
 
@@ -34,13 +37,13 @@ inlined = njit(nogil=True, cache=True, fastmath=True, error_model="numpy", inlin
 class Optics(NamedTuple):
     """From pixels to rays, float32."""
 
-    slope: np.float32  # pixel pitch / v
-    cx: np.float32
-    cy: np.float32
-    k1: np.float32
-    k2: np.float32
-    n_squared: np.float32
-    gap: np.float32  # optical centre to port, m
+    slope: F  # pixel pitch / v
+    cx: F
+    cy: F
+    k1: F
+    k2: F
+    n_squared: F
+    gap: F  # optical centre to port, m
 
 
 class View(NamedTuple):
@@ -48,9 +51,9 @@ class View(NamedTuple):
 
     optics: Optics
     camera: Map  # camera to world
-    box: tuple[np.float32, np.float32, np.float32]  # size of the water body
+    box: tuple[F, F, F]  # size of the water body
     board: Map  # camera to board
-    board_half: tuple[np.float32, np.float32]  # half size, 0: there is no board
+    board_half: tuple[F, F]  # half size, 0: there is no board
     solids: Floats  # (E, 3, 4) camera to the unit sphere of each ellipsoid
     bounds: NDArray[np.int64]  # (E, 4) no pixel of the ellipsoid lies outside x0 <= x < x1, y0 <= y < y1
     radii: Floats  # (E, 3) semi-axes
@@ -59,7 +62,7 @@ class View(NamedTuple):
 
 
 @inlined
-def ray(optics, i, j):
+def ray(optics: Optics, i: int, j: int) -> tuple[F, F, F, F]:
     """Slopes mx, my in water and shifts a, b [m] of the ray through pixel (i, j)."""
     x = (np.float32(np.int32(i)) - optics.cx) * optics.slope
     y = (np.float32(np.int32(j)) - optics.cy) * optics.slope
@@ -72,24 +75,24 @@ def ray(optics, i, j):
 
 
 @inlined
-def along(row, mx, my):
+def along(row: Row, mx: F, my: F) -> F:
     """One coordinate of the direction (mx, my, 1) under a map."""
     return row[0] * mx + row[1] * my + row[2]
 
 
 @inlined
-def at(row, x, y, z):
+def at(row: Row, x: F, y: F, z: F) -> F:
     """One coordinate of the point (x, y, z) under a map."""
     return row[0] * x + row[1] * y + row[2] * z + row[3]
 
 
 @inlined
-def map_row(maps, e, axis):
+def map_row(maps: Floats, e: int, axis: int) -> Row:
     return (maps[e, axis, 0], maps[e, axis, 1], maps[e, axis, 2], maps[e, axis, 3])
 
 
 @inlined
-def exit_depth(row, mx, my, a, b, size):
+def exit_depth(row: Row, mx: F, my: F, a: F, b: F, size: F) -> tuple[F, Any]:
     """z-depth at which a ray from inside leaves the slab 0 to `size`, and 1 if it leaves at `size`."""
     speed = along(row, mx, my)
     side = size if speed > ZERO else ZERO
@@ -97,7 +100,7 @@ def exit_depth(row, mx, my, a, b, size):
 
 
 @kernel
-def trace(view, x0, y0, depth, identity):
+def trace(view: View, x0: int, y0: int, depth: Floats, identity: Identities) -> None:
     """Fill z-depth [m] and identity (h, w) of the pixels from (x0, y0) of the full frame on."""
     for row in range(depth.shape[0]):
         for col in range(depth.shape[1]):
@@ -117,7 +120,7 @@ def trace(view, x0, y0, depth, identity):
 
 
 @kernel
-def _trace_board(view, x0, y0, depth, identity):
+def _trace_board(view: View, x0: int, y0: int, depth: Floats, identity: Identities) -> None:
     board, half = view.board, view.board_half
     for row in range(depth.shape[0]):
         for col in range(depth.shape[1]):
@@ -132,7 +135,7 @@ def _trace_board(view, x0, y0, depth, identity):
 
 
 @kernel
-def _trace_solid(view, e, x0, y0, depth, identity):
+def _trace_solid(view: View, e: int, x0: int, y0: int, depth: Floats, identity: Identities) -> None:
     qx, qy, qz = map_row(view.solids, e, 0), map_row(view.solids, e, 1), map_row(view.solids, e, 2)
     bounds = view.bounds[e]
     for row in range(max(bounds[1] - y0, 0), min(bounds[3] - y0, depth.shape[0])):

@@ -11,7 +11,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.raycast import BOARD_ID, FLOOR_ID, ONE, SOLID_ID, Floats, along, at, inlined, kernel, map_row, ray
+from hw.twin.raycast import (
+    BOARD_ID,
+    FLOOR_ID,
+    ONE,
+    SOLID_ID,
+    F,
+    Floats,
+    Identities,
+    View,
+    along,
+    at,
+    inlined,
+    kernel,
+    map_row,
+    ray,
+)
 from hw.twin.texture import LEVELS, SIZE
 
 HALF, QUARTER, TWO = np.float32(0.5), np.float32(0.25), np.float32(2)
@@ -42,7 +57,7 @@ class Looks(NamedTuple):
 
 
 @inlined
-def look_up(atlas, layer, s, t, texels):
+def look_up(atlas: NDArray[np.uint8], layer: int, s: F, t: F, texels: F) -> F:
     """Bilinear sample at (s, t) texels, from the mip level that suits a pixel `texels` wide; 0 to 1."""
     level, scale = 0, ONE
     while texels * scale > LOD_UP and level < LEVELS - 1:
@@ -64,7 +79,7 @@ def look_up(atlas, layer, s, t, texels):
 
 
 @inlined
-def square_wave(x, footprint):
+def square_wave(x: F, footprint: F) -> F:
     """+1 and -1 by turns every SQUARE_M, averaged over a pixel `footprint` wide: edges keep their sub-pixel place."""
     phase = x / (TWO * SQUARE_M) + QUARTER
     inside = QUARTER - abs(phase - math.floor(phase) - HALF)  # signed distance to the edge, periods
@@ -72,7 +87,7 @@ def square_wave(x, footprint):
 
 
 @kernel
-def shade(view, looks, x0, y0, depth, identity, picture):
+def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: Identities, picture: Floats) -> None:
     """Fill picture (h, w, 3), blue green red, from what trace found for the same pixels."""
     camera, surface_m = view.camera, view.box[2]
     pixel = view.optics.slope / math.sqrt(view.optics.n_squared)  # slope of one pixel in water
@@ -116,7 +131,7 @@ def shade(view, looks, x0, y0, depth, identity, picture):
 
 
 @inlined
-def _on_solid(view, e, px, py, u):
+def _on_solid(view: View, e: int, px: F, py: F, u: F) -> tuple[F, F, F]:
     """Texture coordinates [m] and light of a point on an ellipsoid: the face of the cube that the point looks at."""
     kx = at(map_row(view.solids, e, 0), px, py, u)
     ky = at(map_row(view.solids, e, 1), px, py, u)

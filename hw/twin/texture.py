@@ -54,7 +54,7 @@ def _noise(rng: np.random.Generator, slope: float) -> NDArray[np.float64]:
     f[0, 0] = np.inf
     spectrum *= np.maximum(f, 8.0) ** -slope  # flat below 8 waves: no surface is dark on one side
     noise = np.fft.irfft2(spectrum, (SIZE, SIZE))
-    return noise / noise.std()
+    return np.asarray(noise / noise.std())
 
 
 def _grain(rng: np.random.Generator) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,9 +116,10 @@ def _relative(rotation: ArrayLike, position_m: ArrayLike, camera: Affine) -> Aff
     return np.column_stack([to_body @ camera[:, :3], to_body @ (camera[:, 3] - np.asarray(position_m, float))])
 
 
-def _float32(numbers: Iterable[float]) -> tuple[np.float32, ...]:
+def _float32(numbers: Iterable[float]) -> Any:
     return tuple(np.float32(number) for number in numbers)
 
 
 def _rows(affine: Affine) -> Map:
-    return tuple(_float32(row) for row in affine)
+    x, y, z = affine
+    return _float32(x), _float32(y), _float32(z)

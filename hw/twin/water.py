@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hw.twin.scene import SceneWater
 
@@ -48,12 +48,12 @@ def draw_water(water: SceneWater, rng: np.random.Generator) -> Water:
     )
 
 
-def look_through(water: Water, range_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def look_through(water: Water, range_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(..., 3) share of J that arrives over `range_m` (...), and (..., 3) veil in front of it."""
-    z = np.asarray(range_m)[..., None]
+    z = np.asarray(range_m, float)[..., None]
     return np.exp(-water.direct * z), water.veil * -np.expm1(-water.scatter * z)
 
 
-def daylight(water: Water, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def daylight(water: Water, depth_m: ArrayLike) -> NDArray[np.float64]:
     """(..., 3) share of the light at the surface that is left at `depth_m` (...)."""
-    return np.exp(-water.down * np.maximum(depth_m, 0.0)[..., None])
+    return np.asarray(np.exp(-water.down * np.maximum(np.asarray(depth_m, float), 0.0)[..., None]))

@@ -1,4 +1,5 @@
 # Encode and decode every golden frame, on whichever interpreter runs this: check_vectors.py FIRMWARE_DIR VECTORS
+# ruff: noqa: PTH123, T201, UP031 - MicroPython has no pathlib
 import json
 import sys
 

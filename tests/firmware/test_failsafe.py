@@ -1,0 +1,224 @@
+"""The ladder as a table, the arming checks one by one, and which pressures are believed."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hw.firmware import failsafe, pressure, thrust, wire
+from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
+
+MS = 1000
+CYCLE_US = 10 * MS
+AIR = [101000.0, 101200.0, 101300.0, 101100.0]
+
+
+def plane(**state: Any) -> Any:
+    fine = {"depth_m": 0.4, "roll_rad": 0.0, "pitch_rad": 0.0, "bad_count": 0, "disagree": False, "parity_m": 0.0}
+    return SimpleNamespace(**{**fine, "tare_pa": AIR, **state})
+
+
+def climb(seconds: float, age_s: float = 0.0, leak: bool = False, low: bool = False, ladder: Any = None, **state: Any):
+    """The ladder after so long in one situation; age_s is that of the set-point at the end."""
+    ladder = ladder or failsafe.Ladder()
+    cycles = round(seconds * 100)
+    for i in range(cycles):
+        age_us = max(0, round((age_s - (cycles - 1 - i) * 0.01) * 1e6))
+        ladder.step(CYCLE_US, age_us, 500 * MS, plane(**state), leak, low)
+    return ladder
+
+
+@pytest.mark.parametrize(
+    ("situation", "level", "reason"),
+    [
+        ({"seconds": 9.0}, OK, "none"),
+        ({"seconds": 1.0, "age_s": 0.50}, OK, "none"),
+        ({"seconds": 1.0, "age_s": 0.51}, HOLD, "host silent"),
+        ({"seconds": 4.0, "age_s": 3.00}, HOLD, "host silent"),
+        ({"seconds": 4.0, "age_s": 3.01}, SURFACE, "host silent"),
+        ({"seconds": 40.0, "age_s": 33.0}, SURFACE, "host silent"),
+        ({"seconds": 40.0, "age_s": 33.1}, DISARM, "surfacing took too long"),
+        ({"seconds": 6.0, "age_s": 4.9, "depth_m": 0.09}, SURFACE, "host silent"),
+        ({"seconds": 6.0, "age_s": 5.1, "depth_m": 0.09}, DISARM, "surfaced"),
+        ({"seconds": 5.0, "depth_m": 0.09}, OK, "none"),
+        ({"seconds": 0.01, "leak": True}, SURFACE, "leak"),
+        ({"seconds": 1.9, "low": True}, OK, "none"),
+        ({"seconds": 2.1, "low": True}, SURFACE, "battery low"),
+        ({"seconds": 0.01, "disagree": True}, SURFACE, "sensors disagree"),
+        ({"seconds": 1.9, "roll_rad": math.radians(50)}, OK, "none"),
+        ({"seconds": 2.1, "roll_rad": math.radians(50)}, DISARM, "tilted"),
+        ({"seconds": 2.1, "pitch_rad": math.radians(-50)}, DISARM, "tilted"),
+        ({"seconds": 9.0, "pitch_rad": math.radians(40)}, OK, "none"),
+        ({"seconds": 9.0, "bad_count": 1}, OK, "none"),
+        ({"seconds": 0.01, "bad_count": 2}, DISARM, "two sensors bad"),
+    ],
+)
+def test_ladder(situation, level, reason):
+    ladder = climb(**situation)
+    assert (ladder.level, wire.REASONS[ladder.reason]) == (level, reason)
+
+
+def test_hold_is_left_by_a_fresh_set_point_surface_is_not():
+    ladder = climb(1.0, age_s=1.0)
+    assert climb(0.01, ladder=ladder).level == OK
+    ladder = climb(4.0, age_s=4.0)
+    assert climb(1.0, ladder=ladder).level == SURFACE
+    assert ladder.resume() and climb(0.01, ladder=ladder).level == OK
+
+
+def test_a_shorter_life_of_the_set_point_counts():
+    ladder = failsafe.Ladder()
+    assert ladder.step(CYCLE_US, 210 * MS, 200 * MS, plane(), False, False) == HOLD
+
+
+def test_latched_is_for_ever():
+    ladder = failsafe.Ladder()
+    ladder.latch(failsafe.STOP)
+    assert not ladder.resume()
+    assert climb(5.0, ladder=ladder).level == LATCHED
+
+
+GO = {
+    "hello": True,
+    "plane": plane(),
+    "battery_low": False,
+    "leak": False,
+    "neutral": True,
+    "age_us": 100 * MS,
+    "esc_us": 3_000_000,
+    "ladder": failsafe.Ladder(),
+    "loop_max_us": 4000,
+}
+STOPPED = failsafe.Ladder()
+STOPPED.latch(failsafe.STOP)
+
+
+@pytest.mark.parametrize(
+    ("change", "check"),
+    [
+        ({"hello": False}, "no handshake"),
+        ({"plane": plane(bad_count=1)}, "sensors not all good"),
+        ({"plane": plane(parity_m=-0.006)}, "sensors disagree"),
+        ({"plane": plane(tare_pa=None)}, "no tare in air"),
+        ({"plane": plane(roll_rad=0.36)}, "tilted"),
+        ({"battery_low": True}, "battery low"),
+        ({"leak": True}, "leak"),
+        ({"neutral": False}, "set-point not neutral"),
+        ({"age_us": 501 * MS}, "set-point old"),
+        ({"esc_us": 2_990_000}, "ESC neutral for less than 3 s"),
+        ({"ladder": STOPPED}, "fault latched"),
+        ({"loop_max_us": 9000}, "control cycle too slow"),
+    ],
+)
+def test_each_arming_check_alone(change, check):
+    assert failsafe.arm_faults(**GO) == 0
+    assert failsafe.arm_faults(**GO | change) == 1 << wire.ARM_CHECKS.index(check)
+
+
+def test_arming_checks_are_reported_together():
+    bad = plane(bad_count=1, parity_m=1.0, tare_pa=None, roll_rad=1.0)
+    assert (
+        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999) == 2 ** len(wire.ARM_CHECKS) - 1
+    )
+
+
+def test_reasons_are_numbered_alike_on_both_sides():
+    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.PARAMETERS + 1
+
+
+# --- pressure -----------------------------------------------------------------------------------------------------
+
+
+def sensors(depth_m: float, roll_deg: float, pitch_deg: float) -> list[float]:
+    """Absolute pressures at the four corners of a rigid plane, from a rotation matrix and not from the sine formula."""
+    phi, theta = math.radians(roll_deg), math.radians(pitch_deg)
+    up = (-math.sin(theta), math.cos(theta) * math.sin(phi), math.cos(theta) * math.cos(phi))
+    corners = ((0.13, 0.13), (-0.13, 0.13), (-0.13, -0.13), (0.13, -0.13))
+    depths = [depth_m - (x * up[0] + y * up[1]) for x, y in corners]
+    return [air + wire.PA_PER_M * depth for air, depth in zip(AIR, depths, strict=True)]
+
+
+def watch(readings: list[float], seconds: float = 1.0, answered: int = 15, seen: Any = None) -> Any:
+    if seen is None:
+        seen = pressure.Plane(wire.PA_PER_M, 0.13, 0.13)
+        seen.tare_pa = AIR
+    for i in range(round(seconds * 100)):
+        seen.step([pa + 3.0 * (i & 1) for pa in readings], answered, CYCLE_US)
+    return seen
+
+
+@pytest.mark.parametrize("roll", [-35, 0, 2, 20])
+@pytest.mark.parametrize("pitch", [-30, 0, 3, 25])
+def test_depth_roll_and_pitch(roll, pitch):
+    seen = watch(sensors(0.4, roll, pitch))
+    assert seen.bad == 0
+    assert seen.depth_m == pytest.approx(0.4, abs=0.0005)
+    assert math.degrees(seen.roll_rad) == pytest.approx(roll, abs=1e-6)
+    assert math.degrees(seen.pitch_rad) == pytest.approx(pitch, abs=1e-6)
+    assert seen.parity_m == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("dead", range(4))
+@pytest.mark.parametrize("reading", [float("nan"), 5000.0, 200000.0, 95000.0])
+def test_an_impossible_reading_is_replaced_from_the_other_three(dead, reading):
+    seen = watch(sensors(0.4, 5, -3))
+    readings = sensors(0.4, 5, -3)
+    readings[dead] = reading
+    watch(readings, seen=seen)
+    assert seen.bad == 1 << dead
+    assert math.degrees(seen.roll_rad) == pytest.approx(5, abs=0.01)
+    assert math.degrees(seen.pitch_rad) == pytest.approx(-3, abs=0.01)
+    watch(sensors(0.4, 5, -3), 0.9, seen=seen)
+    assert seen.bad == 1 << dead, "not believed again at once"
+    watch(sensors(0.4, 5, -3), 0.2, seen=seen)
+    assert seen.bad == 0
+
+
+def test_one_missed_answer_is_no_fault():
+    seen = watch(sensors(0.4, 5, -3))
+    watch(sensors(0.4, 5, -3), 0.04, answered=0b0111, seen=seen)
+    assert seen.bad == 0
+    watch(sensors(0.4, 5, -3), 0.02, answered=0b0111, seen=seen)
+    assert seen.bad == 0b1000
+
+
+def test_stuck_only_while_the_others_move():
+    seen = pressure.Plane(wire.PA_PER_M, 0.13, 0.13)
+    seen.tare_pa = AIR
+    still = sensors(0.4, 0, 0)
+    for _ in range(600):
+        seen.step(still, 15, CYCLE_US)
+    assert seen.bad == 0, "a quiet tank is no fault"
+    for i in range(600):
+        seen.step([still[0], *(pa + i % 7 for pa in still[1:])], 15, CYCLE_US)
+    assert seen.bad == 0b0001
+
+
+def test_a_shifted_sensor_is_noticed_but_not_named():
+    readings = sensors(0.4, 0, 0)
+    readings[2] += 0.03 * wire.PA_PER_M
+    seen = watch(readings, 3.0)
+    assert seen.disagree and seen.bad == 0
+
+
+def test_tare_refuses_waves_and_water():
+    def tare(*rows: list[float]) -> Any:
+        collector = pressure.Tare()
+        while not collector.step(rows[len(collector._pa[0]) % len(rows)]):
+            pass
+        return collector.result()
+
+    assert tare(AIR) == AIR
+    assert tare(AIR, [pa + 250.0 for pa in AIR]) is None
+    assert tare([AIR[0] + 600.0, *AIR[1:]]) is None
+
+
+def test_numbering_of_thrusters_is_that_of_sensors():
+    """A corner that is too deep gets more lift: the paper's sign."""
+    seen = watch(sensors(0.4, 5, 4))
+    corner = [-(thrust.ROLL[j] * seen.roll_rad + thrust.PITCH[j] * seen.pitch_rad) for j in range(4)]
+    deep = [seen.zeta_m[j] - seen.depth_m for j in range(4)]
+    assert sorted(range(4), key=corner.__getitem__) == sorted(range(4), key=deep.__getitem__)

@@ -1,0 +1,208 @@
+"""The twin as users start it: a process that serves, answers signals, and leaves nothing behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config import load_fleet
+from agent.messages import SetPoint
+from hw.camera import Roi, open_camera
+from hw.twin.bench import BenchClient
+from hw.twin.devices import Board
+from hw.twin.dive import Dive, run_in_lock_step
+from hw.twin.place import claimed, twin_dir
+
+FLEET = """
+fleet = "pair"
+[target.ball]
+radius_m = 0.07
+[robot.r1]
+neighbours = ["r2"]
+listen = "tcp/127.0.0.1:17401"
+serial = "twin:r1"
+camera = "twin:r1"
+pose = { x_m = 0.30, y_m = 0.25, yaw_deg = 34.0 }
+calibration = "r1.toml"
+[robot.r2]
+neighbours = ["r1"]
+listen = "tcp/127.0.0.1:17402"
+serial = "twin:r2"
+camera = "twin:r2"
+pose = { x_m = 1.25, y_m = 0.30, yaw_deg = 152.0 }
+calibration = "r2.toml"
+[twin]
+seed = 3
+dir = "PLACE"
+"""
+
+START_S = 90.0  # on a fresh machine every kernel is compiled first
+
+
+@pytest.fixture
+def fleet_file(tmp_path):
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET.replace("PLACE", str(tmp_path / "twin")))
+    return path
+
+
+@pytest.fixture
+def start(fleet_file):
+    """Start twins, wait until they are ready, and end them."""
+    started = []
+
+    def make(*arguments):
+        command = [sys.executable, "-m", "hw.twin", str(fleet_file), *arguments]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+        started.append(process)
+        ready, end_s = fleet_file.parent / "twin" / "ready", time.monotonic() + START_S
+        while not ready.exists() and process.poll() is None and time.monotonic() < end_s:
+            time.sleep(0.02)
+        return process
+
+    yield make
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def children(pid):
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def exists(pid):
+    return Path(f"/proc/{pid}").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_dive_serves_everybody_and_ends_on_a_signal_with_nothing_left(start, fleet_file, number):
+    process = start()
+    place = twin_dir(load_fleet(fleet_file))
+    names = {path.name for path in place.iterdir()}
+    assert {"r1.serial", "r1.camera", "r2.serial", "r2.camera", "truth.json", "ready"} <= names
+    truth = json.loads((place / "truth.json").read_text())
+    assert truth["target_m"] == {"ball": [0.76, 0.56, 0.07]}
+    assert truth["robot"]["r1"]["position_m"] == pytest.approx([0.30, 0.25, 0.10], abs=5e-3)
+    boards = children(process.pid)
+    assert len(boards) == 2
+    eye = open_camera("twin:r1", place, (640, 480))
+    first, second = eye.read(), eye.read(Roi(96, 96, 64, 64))
+    eye.close()
+    assert first.image.shape == (480, 640, 3)
+    assert second.image.shape == (64, 64, 3)
+    assert second.seq > first.seq
+    assert abs(time.monotonic_ns() - second.t_ns) < 10e9
+    process.send_signal(number)
+    assert process.wait(10) == 0
+    assert process.stderr.read() == "" or "busy" in process.stderr.read()
+    assert {path.name for path in place.iterdir()} == {"lock"}
+    assert not any(exists(pid) for pid in boards)
+
+
+def test_two_twins_do_not_share_a_place(start, fleet_file):
+    start("--bench", "r1")
+    second = start()
+    assert second.wait(START_S) == 2
+    error = second.stderr.read()
+    assert error.startswith("error: ")
+    assert "another twin" in error
+    assert error.count("\n") == 1
+
+
+def test_stale_files_of_a_killed_twin_are_no_obstacle(start, fleet_file):
+    first = start("--bench", "r1")
+    first.kill()
+    first.wait()
+    place = twin_dir(load_fleet(fleet_file))
+    assert (place / "r1.bench").exists()
+    (place / "ready").unlink()
+    second = start("--bench", "r2")
+    assert second.poll() is None
+    assert not (place / "r1.bench").exists()
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ('"twin:r', '"none:r', "no robot lives in the twin"),
+        ("seed = 3", 'scene = "sea"', "no such scene"),
+        ("seed = 3", "sed = 3", "unknown key `sed`"),
+    ],
+)
+def test_what_a_user_can_put_right_is_one_line(fleet_file, before, after, says):
+    fleet_file.write_text(fleet_file.read_text().replace(before, after))
+    command = [sys.executable, "-m", "hw.twin", str(fleet_file)]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2], check=False)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_path_that_no_socket_can_have_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"set twin\.dir"), claimed(tmp_path / ("x" * 100)):
+        pass
+
+
+def test_the_bench_puts_the_board_where_it_is_told_in_no_time(start, fleet_file):
+    start("--bench", "r1")
+    place = twin_dir(load_fleet(fleet_file))
+    eye = open_camera("twin:r1", place, (640, 480))
+    with BenchClient(place / "r1.bench") as bench:
+        bench.place(None, (1500, 1500))
+        nothing = eye.read()
+        bench.place((0.8, 0.0, 0.0), (1500, 1500))
+        board = eye.read()
+        with pytest.raises(ValueError, match="in front"):
+            bench.place((-0.8, 0.0, 0.0), (1500, 1500))
+        bench.place((0.8, 0.0, 0.0), (1600, 1500))  # 9 degrees to the left
+        turned = eye.read()
+    eye.close()
+    assert nothing.t_ns < board.t_ns < turned.t_ns
+    assert board.t_ns - nothing.t_ns > 1e9  # virtual: the servos have settled
+
+    def middle_px(frame):
+        changed = np.abs(frame.image.astype(int) - nothing.image).max(axis=2) > 60
+        return np.mean(np.nonzero(changed[:, 30:-30])[1])
+
+    if np.any(turned.image != board.image):
+        # Looking left, the board moves right by f tan(9 deg), about 180 px; what leaves the frame takes some away.
+        assert middle_px(turned) > middle_px(board) + 60
+
+
+def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
+    stm32_talk = pytest.importorskip("hw.stm32_talk")
+    fleet = load_fleet(fleet_file)
+    dive = Dive(fleet, ["r1"], 0)
+    board = Board("r1", tmp_path, dive.tare_pa[0])
+    dive.boards = [board]
+    talk = stm32_talk.Talk(1)
+    talk.connected()
+    talk.arm()
+    errors_m = []
+    try:
+        board.start()
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        for k in range(1000):
+            now_ns = dive.now_ns
+            try:
+                talk.receive(os.read(port, 4096), now_ns)
+            except BlockingIOError:
+                pass  # nothing said yet
+            out = talk.due(now_ns) + (talk.set_point(SetPoint(depth_m=0.35), now_ns) if k % 5 == 0 else b"")
+            if out:
+                os.write(port, out)
+            run_in_lock_step(dive, 1)
+            errors_m.append(float(dive.states["position_m"][0, 2]) - 0.15)
+        os.close(port)
+    finally:
+        board.close()
+    assert errors_m[0] == pytest.approx(-0.05)  # the crew lets go 5 cm too deep
+    assert np.sqrt(np.mean(np.square(errors_m[-200:]))) < 2e-3
+    assert abs(dive.states["quaternion"][0, 1:3]).max() < 0.005  # half of 0.6 degrees
