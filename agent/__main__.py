@@ -19,6 +19,8 @@ app = typer.Typer(
 )
 calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
 app.add_typer(calibrate_app, name="calibrate")
+replay_app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
+app.add_typer(replay_app, name="replay")
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
@@ -35,9 +37,11 @@ def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
 ) -> None:
     """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
-    from agent.demo import demo as run
+    from agent.demo import demo as dive
+    from replay.report import report
 
-    summary = run(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, Console())
+    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, Console())
+    report(run)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 
@@ -109,6 +113,14 @@ def calibrate_run(
     from agent.experiments.calibrate_run import run
 
     run(fleet, robot, out, Console())
+
+
+@replay_app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
+def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder that a demo wrote.")]) -> None:
+    """One page with the run's figures: report.html in its folder."""
+    from replay.report import report
+
+    Console().print(f"written to {report(run)}")
 
 
 def one_of_protocols(text: str) -> Protocol:

@@ -42,8 +42,8 @@ def demo(
     enhance: bool,
     out: Path | None,
     console: Console,
-) -> dict[str, Any]:
-    """Run the experiment and return the content of summary.json. Raises ConfigError and Failed, one line each."""
+) -> tuple[Path, dict[str, Any]]:
+    """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed."""
     started_s = time.monotonic()
     run = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     if run.exists() and any(run.iterdir()):
@@ -60,7 +60,7 @@ def demo(
     (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     console.print(result_table(summary))
     console.print(f"{summary['verdict']}: {'; '.join(summary['reasons']) or 'all below 0.4 %'}. Written to {run}")
-    return summary
+    return run, summary
 
 
 def demo_fleet(robots: int, protocol: Protocol, loss: float, seed: int, enhance: bool, folder: Path) -> Fleet:

@@ -5,13 +5,10 @@ On the way out the motors go off first, then the last state is shown, then links
 
 from __future__ import annotations
 
-import itertools
-import platform
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from importlib import metadata
 from pathlib import Path
 from threading import Event
 from typing import Protocol
@@ -41,7 +38,8 @@ from agent.transport import Transport
 from hw.camera import open_camera
 from hw.stm32 import Stm32, open_port_path
 from hw.twin.place import twin_dir
-from replay.log import LogWriter
+from replay.environment import environment
+from replay.log import LogWriter, unused
 
 STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 
@@ -85,7 +83,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool) -> None:
         stop = stack.enter_context(until_signal())
         log = stack.enter_context(
             LogWriter(
-                free_name(out or Path(), name),
+                unused((out or Path()) / f"{name}.mcap"),
                 run_facts(fleet, name, clock()),
                 attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
             )
@@ -182,24 +180,13 @@ def until_signal() -> Iterator[Event]:
             signal.signal(number, handler)
 
 
-def free_name(folder: Path, name: str) -> Path:
-    """<name>.mcap, or the first of <name>-2.mcap, <name>-3.mcap, … that no earlier start of this robot has taken."""
-    for number in itertools.count(1):
-        path = folder / (f"{name}.mcap" if number == 1 else f"{name}-{number}.mcap")
-        if not path.exists() and not path.with_name(path.name + ".active").exists():
-            return path
-    raise AssertionError("unreachable")
-
-
 def run_facts(fleet: Fleet, name: str, start_ns: int) -> dict[str, str]:
     """What a reader of the recording needs to know about the run."""
-    packages = ("aucamp", "numpy", "msgpack", "msgspec", "eclipse-zenoh", "opencv-python-headless", "mcap")
     return {
+        "kind": "black box",
         "fleet": fleet.fleet,
         "robot": name,
         "protocol": fleet.estimation.protocol,
         "start_ns": str(start_ns),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        **{package: metadata.version(package) for package in packages},
+        **environment(),
     }

@@ -120,9 +120,11 @@ class Stm32:
         self._closing.set()
         self._wake()
         self._thread.join(2.0)
-        os.close(self._wake_read)
-        os.close(self._wake_write)
         self._thread = None
+        with self._lock:
+            os.close(self._wake_read)
+            os.close(self._wake_write)
+            self._wake_read = self._wake_write = -1
 
     def __enter__(self) -> Stm32:
         self.start()
@@ -142,8 +144,8 @@ class Stm32:
         self._wake()
 
     def _wake(self) -> None:
-        if self._wake_write >= 0:
-            with contextlib.suppress(BlockingIOError):  # it is full of wake-ups already
+        with self._lock, contextlib.suppress(BlockingIOError):  # it is full of wake-ups already
+            if self._wake_write >= 0:
                 os.write(self._wake_write, b"\0")
 
     # --- the thread -----------------------------------------------------------------------------------------------

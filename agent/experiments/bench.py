@@ -82,7 +82,7 @@ def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) 
     for position in np.linspace(limits.lowest, limits.highest, steps):
         positions.append(camera.set_focus(round(position)))
         pictures.append(luminance(camera.read(middle, settle_s=settle_s).image))
-    window = np.outer(np.hanning(SWEEP_PX), np.hanning(SWEEP_PX))  # what grows over the border leaves no step
+    window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]
     rough = fit_peak(positions, clarity)

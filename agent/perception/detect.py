@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SHRINK = 4  # the search runs on a picture this much smaller
-MIN_REDNESS = 0.10  # (R - max(G, B)) / (R + G + B) of the darkest ball; grey stones and yellow hulls stay below 0.05
-DARK = 24.0  # added to R + G + B: the noise of a dark pixel is no colour
+MIN_REDNESS = 0.10  # see redness(): rendered balls have 0.4 to 0.6 in every kind of water, all else below 0.04
+DARK = 24.0  # 8-bit value below which the noise of a pixel counts as no colour
 MIN_RADIUS_PX, MAX_RADIUS_PX = 12.0, 400.0  # 0.07 m at f = 1169 px: beyond 5 m, nearer than 0.2 m
 RAYS = 96  # points of the outline
 BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess
@@ -73,9 +73,12 @@ def find_ball(image: Image, camera: CameraFit, origin_px: tuple[int, int] = (0, 
 
 
 def redness(image: Image) -> NDArray[np.uint8]:
-    """255 (R - max(G, B)) / (R + G + B + dark), clipped at 0: (height, width)."""
-    b, g, r = (plane.astype(np.float32) for plane in cv2.split(image))
-    score = (r - np.maximum(g, b)) / (r + g + b + DARK)
+    """255 (R - max(G, B)) / (R + G + B + dark) in light, clipped at 0: (height, width).
+
+    In light, not in 8-bit values: the gamma would press a veiled red into grey.
+    """
+    b, g, r = (plane.astype(np.float32) ** 2 for plane in cv2.split(image))
+    score = (r - np.maximum(g, b)) / (r + g + b + DARK**2)
     return (255.0 * np.maximum(score, 0.0)).astype(np.uint8)
 
 

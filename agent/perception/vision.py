@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from threading import Condition, Thread
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,6 +96,7 @@ class Vision:
             self._thread.join(1.0)
 
     def _run(self) -> None:
+        cv2.setNumThreads(1)  # two milliseconds a frame; several agents share a few cores
         pause_s = RETRY_S[0]
         while not self._closing:
             try:

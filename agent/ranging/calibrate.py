@@ -23,6 +23,7 @@ MIN_DISTANCES = 6  # three unknowns, and some to check them with
 MIN_SPAN_PER_M = 2.0  # of 1/u: a shorter arc of a hyperbola is a straight line
 MIN_CORNERS = 40  # five unknowns; half a board seen once
 MIN_SETTINGS = 3  # of the gimbal: zero and gain of two axes
+MAX_NOISE_PX = 2.0  # lens distortion that a pinhole leaves is a third of a pixel; a wrong board is worse than this
 HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
 HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
@@ -118,6 +119,9 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
 
     p, _, weights = _gauss_newton(np.array([1.5 * size[0], 0.0, 0.0, 1.0, 1.0]), residual, jacobian)
     r = residual(p)
+    noise_px = _scale(weights * r, 5)
+    if noise_px > MAX_NOISE_PX:
+        raise CalibrationRefused(f"corners miss by {noise_px:.1f} px; check the board's squares and where it stood")
     # A whole view that is off by the same shift is a servo that did not come back to the same angle.
     shift = np.array([r.reshape(2, -1)[:, [c.servos_us == s for c in corners]].mean(axis=1) for s in sorted(settings)])
     return CameraFit(
@@ -130,7 +134,7 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         tilt_zero_deg=math.degrees(p[2]),
         pan_gain=float(p[3]),
         tilt_gain=float(p[4]),
-        noise_px=max(_scale(weights * r, 5), 0.05),
+        noise_px=max(noise_px, 0.05),
         noise_deg=max(math.degrees(math.sqrt(float((shift * shift).mean())) / p[0]), 0.02),
     )
 

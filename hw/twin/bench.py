@@ -179,16 +179,24 @@ class BenchClient:
 
     def place(self, board_m: tuple[float, float, float] | None, servo_us: tuple[float, float]) -> None:
         """Returns when everything is at rest. Raises ValueError if refused, ConnectionError if the bench is gone."""
-        assert self._connection is not None, "use as a context manager"
         board = None if board_m is None else [float(v) for v in board_m]
         request = {"board_m": board, "servo_us": [float(v) for v in servo_us]}
-        self._connection.sendall(json.dumps(request).encode() + b"\n")
+        try:
+            answer = json.loads(self._exchange(json.dumps(request).encode() + b"\n"))
+        except (OSError, json.JSONDecodeError):
+            raise ConnectionError(f"{self._path}: the bench has ended; start it again") from None
+        if "error" in answer:
+            raise ValueError(answer["error"])
+
+    def _exchange(self, line: bytes) -> bytes:
+        """Send a line; returns the line that answers it, short if the bench hangs up."""
+        if self._connection is None:
+            raise RuntimeError("use the client in a with statement")
+        self._connection.sendall(line)
         reply = b""
         while not reply.endswith(b"\n"):
             chunk = self._connection.recv(MAX_LINE)
             if not chunk:
-                raise ConnectionError(f"{self._path}: the bench has ended")
+                break
             reply += chunk
-        answer = json.loads(reply)
-        if "error" in answer:
-            raise ValueError(answer["error"])
+        return reply

@@ -26,7 +26,7 @@ RADII = (0.0, 0.5, 0.8, 1.15, 1.55, 2.05, 2.7, 3.5)  # px; a mix of two neighbou
 FINE, COARSE = 2.5, RADII[-1]  # radii px between which the sum goes over from full to half resolution
 LEVELS = 2  # of halving: circles up to 4 * COARSE in radius
 REACH = math.ceil(COARSE) + 2  # pixels that the largest full sum looks to each side
-NEGLIGIBLE = 1e-3  # weight below which a tap is left out
+NEGLIGIBLE = 3e-4  # weight below which a tap is left out
 SEGMENT = 32  # pixels of a row that share their sums
 
 FINE_PX, COARSE_PX = np.float32(FINE), np.float32(COARSE)

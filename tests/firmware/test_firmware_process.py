@@ -73,7 +73,7 @@ def test_silent_host_hold_surface_disarm(desk):
     desk.arm()
     desk.set_point()
     start_us = desk.now_us
-    when = {}
+    when: dict[int, float] = {}
     for _ in range(3600):
         desk.tick()
         for event in desk.events(wire.EV_LADDER):

@@ -6,13 +6,14 @@ import os
 import sys
 import threading
 import time
+import tty
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from agent.config import ConfigError
-from agent.messages import SetPoint
+from agent.messages import SetPoint, Telemetry
 from hw.firmware import failsafe, wire
 from hw.stm32 import Stm32, open_port_path
 from hw.stm32_talk import CURABLE, Talk
@@ -25,7 +26,7 @@ def desk(put_on_desk):
     return put_on_desk(sys.executable)
 
 
-def drive(desk, driver: Stm32, done: Callable[[], bool], ticks: int = 1200, send: bool = True) -> list:
+def drive(desk, driver: Stm32, done: Callable[[], bool], ticks: int = 1200, send: bool = True) -> list[Telemetry]:
     """Turn the board's clock until `done`; what the driver heard meanwhile. Wall time only lets threads run."""
     telemetry = []
     for i in range(ticks):
@@ -159,8 +160,6 @@ def test_port_that_comes_late_and_is_another_one_later(desk, tmp_path):
 
 def _replug(desk, port: Port) -> None:
     """The board loses power and comes back behind another device file."""
-    import tty
-
     desk.power_off()
     os.close(desk.slave)
     os.close(desk.master)

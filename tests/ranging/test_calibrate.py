@@ -60,9 +60,9 @@ def test_larger_positions_may_focus_farther():
 
 
 def test_the_papers_calibration_in_centimetres():
-    """Synthetic data on the paper's printed curve (k 0.3922, f 0.7431, c 0.7577) reproduce its RMSE of 3.4 and R2 of .99.
+    """Synthetic data on the paper's printed curve (k 0.3922, f 0.7431, c 0.7577) reproduce its RMSE and its R2.
 
-    The peak noise, 6.15e-4, is what that RMSE implies; 10 to 130 cm, as the paper's tank allows.
+    3.4 and .99. The peak noise, 6.15e-4, is what that RMSE implies; 10 to 130 cm, as the paper's tank allows.
     """
     rng = np.random.default_rng(0)
     rmse, r2 = [], []
@@ -103,7 +103,7 @@ def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8))):
             )
             for y in np.linspace(0.12, -0.12, 7):
                 for z in np.linspace(0.08, -0.08, 5):
-                    point = at + (0, y, z)
+                    point = at + np.array([0, y, z])
                     g = R.T @ point
                     px = (
                         319.5 - 1175 * g[1] / g[0] + rng.normal(0, noise_px),
@@ -133,3 +133,9 @@ def test_camera_and_servos_come_back():
 def test_a_gimbal_that_did_not_move_is_refused(few, word):
     with pytest.raises(CalibrationRefused, match=word):
         fit_camera(few, BODY, (640, 480))
+
+
+def test_a_board_of_another_size_is_refused():
+    wrong = [c._replace(px=(1.2 * c.px[0] + 0.1 * c.px[1], c.px[1])) for c in corners()]
+    with pytest.raises(CalibrationRefused, match="corners miss by"):
+        fit_camera(wrong, BODY, (640, 480))

@@ -1,5 +1,6 @@
 """The twin as users start it: a process that serves, answers signals, and leaves nothing behind."""
 
+import contextlib
 import json
 import os
 import signal
@@ -101,7 +102,8 @@ def test_a_dive_serves_everybody_and_ends_on_a_signal_with_nothing_left(start, f
     assert abs(time.monotonic_ns() - second.t_ns) < 10e9
     process.send_signal(number)
     assert process.wait(10) == 0
-    assert process.stderr.read() == "" or "busy" in process.stderr.read()
+    said = process.stderr.read()
+    assert said == "" or "too busy" in said
     assert {path.name for path in place.iterdir()} == {"lock"}
     assert not any(exists(pid) for pid in boards)
 
@@ -171,9 +173,8 @@ def test_the_bench_puts_the_board_where_it_is_told_in_no_time(start, fleet_file)
         changed = np.abs(frame.image.astype(int) - nothing.image).max(axis=2) > 60
         return np.mean(np.nonzero(changed[:, 30:-30])[1])
 
-    if np.any(turned.image != board.image):
-        # Looking left, the board moves right by f tan(9 deg), about 180 px; what leaves the frame takes some away.
-        assert middle_px(turned) > middle_px(board) + 60
+    # Looking left, the board moves right by f tan(9 deg), about 180 px; what leaves the frame takes some away.
+    assert middle_px(turned) > middle_px(board) + 60
 
 
 def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
@@ -191,10 +192,8 @@ def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
         port = os.open(board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         for k in range(1000):
             now_ns = dive.now_ns
-            try:
+            with contextlib.suppress(BlockingIOError):  # nothing said yet
                 talk.receive(os.read(port, 4096), now_ns)
-            except BlockingIOError:
-                pass  # nothing said yet
             out = talk.due(now_ns) + (talk.set_point(SetPoint(depth_m=0.35), now_ns) if k % 5 == 0 else b"")
             if out:
                 os.write(port, out)

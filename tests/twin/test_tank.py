@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.config import Body, Tank
-from hw.twin.body import BODY, HULL_M, MOORING, draw_body
+from hw.twin.body import BODY, HULL_M, MOORING, draw_body, draw_servos
 from hw.twin.forces import GRAVITY_M_S2, TETHER_WEIGHT_N, add_water
 from hw.twin.rotation import euler_rad, matrix, quaternion, to_body, to_world
 from hw.twin.tank import STATE, STEP_S, advance, push
@@ -211,6 +211,15 @@ def test_a_held_robot_does_not_move_but_its_servos_do():
     advance(body, state, np.full((1, 8), 1900.0), np.full((1, 4), 20.0), SIZE_M, SURFACE_M, STEP_S, 500)
     np.testing.assert_array_equal(state["position_m"], before)
     assert np.all(state["shaft_deg"] > 15)
+
+
+def test_the_bench_has_the_servos_of_the_dive():
+    alone = np.zeros((), BODY)
+    draw_servos(alone, 7, "r2", Body())
+    whole = draw_body(7, "r2", (0.3, 0.25, 0.1, 34.0), Tank(), Body())
+    for name in ("servo_gain", "servo_zero_deg", "servo_low_deg", "servo_high_deg"):
+        np.testing.assert_array_equal(alone[name], whole[name])
+    assert np.ptp(alone["servo_gain"]) > 0
 
 
 def test_robots_differ_between_seeds_and_the_same_seed_gives_the_same_robot():

@@ -1,0 +1,103 @@
+"""What a control cycle costs on this machine: the firmware as a process, fed as the twin feeds it."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import tty
+from pathlib import Path
+from typing import Any
+
+from hw.firmware import bus, wire
+
+CYCLES = 3000
+CYCLE_US = 10_000
+SHARE = 0.04  # of a core, at most: three of these run beside vision
+PRESSURE_PA = (104262.0,) * 4  # 0.3 m of water over a tare of 101325 Pa
+
+
+def run() -> dict[str, dict[str, Any]]:
+    """CPU time and turn-around of a cycle in us, armed, set-points at 20 Hz, telemetry at 50 Hz."""
+    with tempfile.TemporaryDirectory() as directory:
+        flash = Path(directory) / "flash.json"
+        flash.write_text(json.dumps({"tare_pa": [101325.0] * 4}))
+        cpu_us = _cycle_us(flash, CYCLES)
+    budget_us = SHARE * CYCLE_US
+    against = f"budget {budget_us:.0f} us, {SHARE:.0%} of a core"
+    return {"firmware_cycle_cpu": {"value": cpu_us, "unit": "us", "against": against, "ratio": cpu_us / budget_us}}
+
+
+def _cycle_us(flash: Path, cycles: int) -> float:
+    """CPU time of the firmware process per armed cycle, start-up taken off by a run of another length."""
+    return (_cpu_s(flash, 2 * cycles) - _cpu_s(flash, cycles)) / cycles * 1e6
+
+
+def _cpu_s(flash: Path, cycles: int) -> float:
+    master, slave = os.openpty()
+    for fd in (master, slave):
+        tty.setraw(fd)
+    os.set_blocking(master, False)
+    ours, theirs = socket.socketpair()
+    main = Path(wire.__file__).with_name("main.py")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    process = subprocess.Popen(
+        [sys.executable, main, str(master), str(theirs.fileno()), flash], pass_fds=[master, theirs.fileno()]
+    )
+    theirs.close()
+    host = _Host(slave)
+    listener = threading.Thread(target=host.listen)
+    listener.start()
+    with ours:
+        for cycle in range(1, cycles + 400):
+            if cycle % 5 == 0:
+                host.talk(cycle)
+            ours.sendall(struct.pack(bus.TICK, cycle * CYCLE_US, *PRESSURE_PA, 15000, 100, 0, 15))
+            pins = struct.unpack(bus.ACT, ours.recv(bus.ACT_SIZE, socket.MSG_WAITALL))
+    process.wait()
+    os.close(master)
+    listener.join()
+    os.close(slave)
+    if not pins[-1]:
+        raise RuntimeError("the firmware never armed: this measures the wrong thing")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+class _Host:
+    """Greets, arms, sends set-points, and reads what comes."""
+
+    def __init__(self, fd: int) -> None:
+        self.fd, self.boot_id, self.writer = fd, 0, wire.Writer()
+
+    def on_frame(self, kind: int, _seq: int, payload: memoryview) -> None:
+        if kind == wire.HELLO_ACK:
+            self.boot_id = wire.unpack(kind, payload)[4]
+
+    def talk(self, cycle: int) -> None:
+        if cycle == 5:
+            os.write(self.fd, self.writer.frame(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1))
+        if cycle % 50 == 0 and cycle >= 320:
+            os.write(self.fd, self.writer.frame(wire.ARM, cycle & 0xFFFF, self.boot_id))
+        os.write(
+            self.fd, self.writer.frame(wire.SETPOINT, 3000, 0, 0, 0, 0, 0, *[1500] * 4, 0, wire.VALID_ALL, 500, cycle)
+        )
+
+    def listen(self) -> None:
+        framer = wire.Framer(self.on_frame)
+        while True:
+            try:
+                chunk = os.read(self.fd, 4096)
+            except OSError:
+                return
+            framer.feed(chunk, len(chunk))
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(), indent=2))

@@ -1,0 +1,70 @@
+"""Tenengrad against the formula written out in plain numpy; the sums are integers, so equality is exact."""
+
+import numpy as np
+import pytest
+
+from agent.perception.clarity import gradient_energy, luminance, tenengrad_blocks, tenengrad_disc
+
+
+def sobel_energy(grey):
+    y = np.pad(grey.astype(np.int64), 1, mode="reflect")
+    height, width = grey.shape
+    part = {(r, c): y[1 + r : 1 + r + height, 1 + c : 1 + c + width] for r in (-1, 0, 1) for c in (-1, 0, 1)}
+    gx = sum(k * (part[r, 1] - part[r, -1]) for r, k in ((-1, 1), (0, 2), (1, 1)))
+    gy = sum(k * (part[1, c] - part[-1, c]) for c, k in ((-1, 1), (0, 2), (1, 1)))
+    return gx * gx + gy * gy
+
+
+@pytest.fixture
+def grey():
+    return np.random.default_rng(0).integers(0, 256, (127, 211), dtype=np.uint8)
+
+
+def test_energy_is_the_formula(grey):
+    assert np.array_equal(gradient_energy(grey), sobel_energy(grey))
+
+
+@pytest.mark.parametrize("block", [50, 25, 127])
+def test_blocks(grey, block):
+    energy = sobel_energy(grey)
+    got = tenengrad_blocks(grey, block)
+    assert got.shape == (127 // block, 211 // block)
+    for r in range(got.shape[0]):
+        for c in range(got.shape[1]):
+            part = energy[r * block : (r + 1) * block, c * block : (c + 1) * block]
+            assert got[r, c] == part.sum() / block**2
+
+
+def test_a_block_of_the_strongest_gradients_does_not_overflow():
+    stripes = np.tile(np.array([0, 0, 255, 255], np.uint8), (100, 25))
+    assert tenengrad_blocks(stripes, 100)[0, 0] == sobel_energy(stripes).sum() / 100**2 > 9e5
+
+
+def test_a_block_larger_than_the_image_is_an_error(grey):
+    with pytest.raises(ValueError, match="200 px does not fit"):
+        tenengrad_blocks(grey, 200)
+
+
+@pytest.mark.parametrize(
+    ("centre", "radius"), [((100.0, 60.0), 30.0), ((99.5, 60.25), 12.7), ((3.0, 2.0), 20.0), ((205.0, 120.0), 30.0)]
+)
+def test_disc(grey, centre, radius):
+    v, u = np.mgrid[: grey.shape[0], : grey.shape[1]]
+    inside = (u - centre[0]) ** 2 + (v - centre[1]) ** 2 <= radius**2
+    value, area = tenengrad_disc(grey, centre, radius)
+    assert area == inside.sum()
+    assert value == sobel_energy(grey)[inside].sum() / area
+
+
+def test_a_disc_outside_the_image_has_no_area(grey):
+    assert tenengrad_disc(grey, (-50.0, 10.0), 20.0) == (0.0, 0.0)
+
+
+def test_white_noise_adds_24_sigma_squared():
+    noise = np.random.default_rng(1).normal(128, 5, (600, 600)).round().astype(np.uint8)
+    assert tenengrad_blocks(noise, 600)[0, 0] == pytest.approx(24 * (25 + 1 / 12), rel=0.03)
+
+
+def test_luminance_of_grey_is_itself(grey):
+    assert luminance(grey) is grey
+    assert np.array_equal(luminance(np.repeat(grey[:, :, None], 3, axis=2)), grey)

@@ -1,0 +1,96 @@
+"""The ball is found where it is: off the axis, out of focus, cut off, in a part of a frame; and not where it is not."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from painted import CAMERA, ball_frame, ball_light, defocus, expose, grain
+
+from agent.perception.detect import find_ball
+
+
+def truth(centre_m, radius_m=0.07):
+    x, y, z = centre_m
+    px = (CAMERA.cx_px + CAMERA.f_px * x / z, CAMERA.cy_px + CAMERA.f_px * y / z)
+    return px, CAMERA.f_px * math.asin(radius_m / math.hypot(x, y, z))
+
+
+@pytest.mark.parametrize("centre_m", [(0.0, 0.0, 0.45), (-0.04, 0.01, 0.5), (0.12, 0.05, 1.0), (0.2, -0.12, 1.2)])
+@pytest.mark.parametrize(("blur_px", "tolerance_px"), [(0.0, 1.0), (4.0, 1.5), (15.0, 3.0)])
+def test_centre_and_radius(centre_m, blur_px, tolerance_px):
+    ball = find_ball(ball_frame(centre_m, blur_px), CAMERA)
+    (u, v), radius = truth(centre_m)
+    assert ball is not None
+    assert math.dist(ball.centre_px, (u, v)) < tolerance_px
+    assert ball.radius_px == pytest.approx(radius, abs=tolerance_px)
+    assert ball.score > 0.9
+
+
+def test_the_centre_of_the_cone_is_not_the_centroid_of_the_image():
+    centre_m = (0.157, 0.0, 0.9)
+    frame = ball_frame(centre_m)
+    ball = find_ball(frame, CAMERA)
+    mask = frame[:, :, 2].astype(int) - frame[:, :, 1] > 40
+    centroid_u = np.nonzero(mask)[1].mean()
+    assert abs(ball.centre_px[0] - truth(centre_m)[0][0]) < 0.6
+    assert centroid_u - truth(centre_m)[0][0] > 1.0
+
+
+def test_a_ball_cut_off_by_the_frame():
+    centre_m = (0.0, 0.10, 0.45)
+    ball = find_ball(ball_frame(centre_m), CAMERA)
+    assert math.dist(ball.centre_px, truth(centre_m)[0]) < 2.5
+    assert ball.score < 0.8
+
+
+def test_part_of_a_frame_gives_pixels_of_the_whole():
+    frame, whole = ball_frame((0.05, 0.02, 0.8), 2.0), None
+    whole = find_ball(frame, CAMERA)
+    part = find_ball(np.ascontiguousarray(frame[150:400, 240:520]), CAMERA, (240, 150))
+    assert math.dist(part.centre_px, whole.centre_px) < 0.3
+    assert part.radius_px == pytest.approx(whole.radius_px, abs=0.3)
+
+
+def test_something_in_front_does_not_move_the_centre():
+    frame = ball_frame((0.0, 0.0, 0.6))
+    cv2.rectangle(frame, (150, 250), (300, 420), (90, 95, 90), -1)
+    ball = find_ball(frame, CAMERA)
+    assert math.dist(ball.centre_px, truth((0.0, 0.0, 0.6))[0]) < 1.5
+    assert 0.5 < ball.score < 0.9
+
+
+def wall(seed, tint=(1.0, 1.0, 1.0)):
+    return expose(np.repeat((0.25 + 0.1 * grain((480, 640), seed))[..., None], 3, axis=-1) * tint, seed)
+
+
+@pytest.mark.parametrize("tint", [(1.0, 1.0, 1.0), (1.0, 0.95, 0.8), (0.5, 0.9, 1.0), (0.02, 0.02, 0.02)])
+def test_nothing_red_nothing_found(tint):
+    assert find_ball(wall(1, tint), CAMERA) is None
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "triangle", "speck"])
+def test_red_but_no_ball(shape):
+    frame = wall(2)
+    if shape == "rectangle":
+        cv2.rectangle(frame, (200, 100), (520, 220), (40, 40, 190), -1)
+    elif shape == "triangle":
+        cv2.fillPoly(frame, [np.array([[100, 400], [500, 400], [300, 50]])], (40, 40, 190))
+    else:
+        cv2.circle(frame, (300, 200), 5, (40, 40, 190), -1)
+    assert find_ball(frame, CAMERA) is None
+
+
+def test_water_takes_red_and_adds_a_veil():
+    light = 0.75 * ball_light((0.02, 0.03, 0.7)) * (1.0, 0.95, 0.7) + np.array([0.08, 0.08, 0.05])
+    ball = find_ball(expose(defocus(light, 2.0), 4), CAMERA)
+    assert math.dist(ball.centre_px, truth((0.02, 0.03, 0.7))[0]) < 1.0
+
+
+def test_the_same_frame_gives_the_same_answer():
+    frame = ball_frame((0.05, 0.02, 0.6), 6.0)
+    assert find_ball(frame, CAMERA) == find_ball(frame.copy(), CAMERA)
+
+
+def test_a_sliver_of_an_image_is_no_error():
+    assert find_ball(np.zeros((10, 300, 3), np.uint8), CAMERA) is None
