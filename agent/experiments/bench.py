@@ -72,8 +72,8 @@ def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) 
     """Sweep once over the whole range of the lens; where the grain of the board is sharpest, if anywhere.
 
     Grain, not edges: a board square to the camera has all its edges at one phase of the pixel grid, and the image
-    grows by percents as the lens moves. Edges then gain and lose up to a tenth of their gradient during the sweep,
-    which moved peaks by 4 lens positions, 6 mm at half a metre; the grain alone repeats to half a position.
+    grows by percents as the lens moves, so edges gain and lose gradient during the sweep. On the twin that scatters
+    peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
     """
     width, height = camera.size
     middle = Roi((width - SWEEP_PX) // 2, (height - SWEEP_PX) // 2, SWEEP_PX, SWEEP_PX)

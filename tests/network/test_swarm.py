@@ -11,14 +11,12 @@ from pathlib import Path
 
 import msgpack
 import msgspec
-import pytest
 import zenoh
 
 from agent import topics
-from agent.config import dump, load_fleet
+from agent.config import dump
 from agent.demo import demo_fleet
-from agent.messages import LogLine, State, decode, encode, encoding
-from agent.messages import Estimate
+from agent.messages import Estimate, LogLine, State, decode, encode, encoding
 from agent.session import observer_config
 from agent.transport import Observer
 from replay.log import read
