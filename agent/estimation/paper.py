@@ -27,10 +27,11 @@ class Paper:
         self.posterior: Posterior | None = None
 
     def adopt(self, t: int) -> None:
-        # One ahead is a neighbour in the same iteration that ticked first. Following that would let N robots drive
-        # each other N iterations a period, and alpha would shrink before the samples are in.
+        # One ahead is a neighbour in the same iteration that ticked first, and who follows ends up beside it, not in
+        # front: else robots would drive each other through more iterations than there are periods, and alpha would
+        # shrink before the samples are in.
         if t > self.t + 1:
-            self.t = t
+            self.t = t - 1
 
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
         usable = mailbox.usable(now_ns, self._validity_ns)

@@ -1,6 +1,7 @@
 """The paper's protocol against its closed form and its stated branches."""
 
 import math
+from random import Random
 
 import pytest
 
@@ -106,20 +107,27 @@ def test_stale_neighbours_do_not_count() -> None:
     assert update.used == ()
 
 
-def test_late_robot_adopts_the_iteration_but_robots_do_not_drive_each_other() -> None:
+def test_late_robot_adopts_the_iteration() -> None:
     robot = Paper(TICK_NS)
     robot.adopt(1)
     assert robot.t == 0
     robot.adopt(16)
+    robot.tick(None, Mailbox("tank", "r1", "ball", ()), 0)
     assert robot.t == 16
-    # three robots whose ticks are spread over the period advance one iteration a period, not three
-    robots = [Paper(TICK_NS) for _ in range(3)]
-    box = Mailbox("tank", "r1", "ball", ())
-    for _ in range(50):
-        for one in robots:
-            one.adopt(max(other.t for other in robots))
-            one.tick(None, box, 0)
-    assert max(one.t for one in robots) <= 51
+
+
+def test_robots_whose_periods_jitter_do_not_drive_each_other() -> None:
+    """Three robots, periods of 1.0 to 1.5 s: the swarm's index never runs ahead of the fastest robot's clock."""
+    random, robots, box = Random(1), [Paper(TICK_NS) for _ in range(3)], Mailbox("tank", "r1", "ball", ())
+    due_s = [0.0, 0.3, 0.6]
+    for _ in range(600):
+        i = min(range(3), key=lambda k: due_s[k])
+        now_s = due_s[i]
+        robots[i].adopt(max(other.t for other in robots))
+        robots[i].tick(None, box, 0)
+        due_s[i] += random.uniform(1.0, 1.5)
+        assert max(one.t for one in robots) <= now_s / 1.0 + 1
+    assert max(one.t for one in robots) - min(one.t for one in robots) <= 2
 
 
 def test_covariance_of_independent_samples_falls_as_one_over_t() -> None:
