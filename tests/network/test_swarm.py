@@ -99,7 +99,7 @@ def test_told_then_seen_then_agreed_and_sigterm_leaves_nothing(tmp_path) -> None
     assert logs == ["r1.mcap", "r2.mcap", "r3.mcap"]
     steps = [r.sequence for r in read(tmp_path / "logs" / "r1.mcap") if r.channel == "/raw/step_in"]
     assert steps == list(range(len(steps)))
-    assert len(steps) > 100
+    assert len(steps) > 20
 
 
 def test_any_one_may_die_and_a_restarted_one_rejoins(tmp_path) -> None:
