@@ -40,7 +40,7 @@ def demo(
     from agent.demo import demo as dive
     from replay.report import report
 
-    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, Console())
+    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, Console(soft_wrap=True))
     report(run)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
@@ -77,7 +77,7 @@ def record(fleet: FleetFile, out: Annotated[Path, typer.Option(help="File to wri
 
     with until_signal() as stop:
         counts = run(load_fleet(fleet), out, stop)
-    Console().print(", ".join(f"{name} {count}" for name, count in counts.items()))
+    Console(soft_wrap=True).print(", ".join(f"{name} {count}" for name, count in counts.items()))
 
 
 @app.command(epilog="Example: aucamp router fleet.toml")
@@ -100,7 +100,7 @@ def depth_map(
     """How far each part of the view is, from the focus position at which it is sharpest."""
     from agent.depth_map import run
 
-    Console().print(run(source, out, block, calibration))
+    Console(soft_wrap=True).print(run(source, out, block, calibration))
 
 
 @calibrate_app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
@@ -112,7 +112,7 @@ def calibrate_run(
     """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
     from agent.experiments.calibrate_run import run
 
-    run(fleet, robot, out, Console())
+    run(fleet, robot, out, Console(soft_wrap=True))
 
 
 @replay_app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
@@ -120,7 +120,7 @@ def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folde
     """One page with the run's figures: report.html in its folder."""
     from replay.report import report
 
-    Console().print(f"written to {report(run)}")
+    Console(soft_wrap=True).print(f"written to {report(run)}")
 
 
 def one_of_protocols(text: str) -> Protocol:

@@ -20,7 +20,8 @@ def main() -> None:
         with console.status(path.stem):
             rows.update(importlib.import_module(f"tests.bench.{path.stem}").run())
     table = Table()
-    for column in ("what", "value", "unit", "against", "ratio"):
+    table.add_column("what", no_wrap=True)
+    for column in ("value", "unit", "against", "ratio"):
         table.add_column(column, justify="right" if column in ("value", "ratio") else "left")
     for name, row in rows.items():
         ratio = "" if row.get("ratio") is None else f"{row['ratio']:.3g}"
