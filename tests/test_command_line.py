@@ -1,0 +1,94 @@
+"""What users type wrong: one line on stderr, exit 2, no traceback; and that a crew's processes do not outlive it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import agent
+from agent.launch import Failed, crew, free_ports, wait_for
+
+TANK = str(Path(agent.__file__).parent / "fleets" / "tank.toml")
+MISTAKES = [
+    (["agent", "nowhere.toml", "--robot", "r1"], "no such file"),
+    (["agent", TANK, "--robot", "r9"], "the file has r1, r2"),
+    (["agent", TANK, "--robot", "r1"], "calibration/r1.toml: no such file"),
+    (["demo", "--robots", "9"], "choose 1 to 5"),
+    (["demo", "--robots", "0"], "choose 1 to 5"),
+    (["demo", "--protocol", "gossip"], "no such protocol"),
+    (["demo", "--out", "/proc"], "not empty"),
+    (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),
+    (["depth-map", "nowhere/"], "nowhere"),
+    (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
+    (["replay", "report", "nowhere"], "no usable summary.json"),
+    (["twin", "nowhere.toml"], "no such file"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"), MISTAKES, ids=lambda v: " ".join(v)[:40] if isinstance(v, list) else ""
+)
+def test_a_mistake_is_one_line(arguments: list[str], expected: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "agent", *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2, done.stderr
+    assert expected in done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+
+
+def test_every_verb_has_help_with_an_example() -> None:
+    from typer.main import get_command
+
+    from agent.__main__ import app
+
+    def verbs(command):
+        for sub in getattr(command, "commands", {}).values():
+            yield from verbs(sub)
+        if not hasattr(command, "commands"):
+            yield command
+
+    for verb in verbs(get_command(app)):
+        assert verb.help, verb.name
+        assert verb.epilog and verb.epilog.startswith("Example: aucamp "), verb.name
+
+
+def test_a_crew_ends_with_its_block_and_names_who_failed(tmp_path: Path) -> None:
+    with pytest.raises(Failed, match=r"bad .*no such file"), crew(tmp_path) as processes:
+        processes.start("bad", "twin", "nowhere.toml")
+        processes.start("other", "record", TANK, "--out", str(tmp_path / "x.mcap"))
+        pid = processes._children[1].process.pid
+        wait_for("never", lambda: False, processes, 20.0)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.launch.STOP_S", 0.3)
+    deaf = subprocess.Popen(
+        [sys.executable, "-c", "import signal,time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"]
+    )
+    from agent.launch import Child, Crew
+
+    time.sleep(0.5)
+    processes = Crew(tmp_path)
+    processes._children.append(Child("deaf", deaf, tmp_path / "log"))
+    processes.stop_all()
+    assert deaf.returncode == -signal.SIGKILL
+
+
+def test_free_ports_are_free_and_below_the_ephemeral_range() -> None:
+    import socket
+
+    first = free_ports(1)[0]
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", first))
+        taken.listen()
+        ports = free_ports(3, first)
+    assert first not in ports
+    assert len(set(ports)) == 3
+    assert max(ports) <= 32767
