@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast, get_args
 
 import typer
 from rich.console import Console
@@ -19,17 +20,23 @@ app = typer.Typer(
 )
 calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
 app.add_typer(calibrate_app, name="calibrate")
+experiment_app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
+app.add_typer(experiment_app, name="experiment")
 replay_app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 app.add_typer(replay_app, name="replay")
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
+Seed = Annotated[int, typer.Option(min=0, help="Which world of the twin.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")]
+Runs = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of runs, or recordings (MCAP).")]
+OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and figures; runs/<UTC> if not given.")]
 
 
 @app.command(epilog="Example: aucamp demo --robots 3 --seed 1")
 def demo(
     robots: Annotated[int, typer.Option(help="How many of the tank's robots.")] = 3,
-    protocol: Annotated[str, typer.Option(help="How robots agree: paper.")] = "paper",
+    protocol: Annotated[str, typer.Option(help="How robots agree: evidence, metropolis or paper.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
@@ -40,7 +47,7 @@ def demo(
     from agent.demo import demo as dive
     from replay.report import report
 
-    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, Console(soft_wrap=True))
+    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal())
     report(run)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
@@ -51,11 +58,13 @@ def agent(
     robot: RobotName,
     out: Annotated[Path | None, typer.Option(help="Folder of the recording; here if not given.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Start the motors; without it they stay off.")] = False,
+    lossless: Annotated[bool, typer.Option("--lossless", help="Record camera frames bit by bit, not as JPEG.")] = False,
+    view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
     """One robot's agent, until Ctrl-C or SIGTERM."""
     from agent.runtime import run
 
-    run(fleet, robot, out, arm)
+    run(fleet, robot, out, arm, lossless, view)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")
@@ -70,14 +79,18 @@ def twin(
 
 
 @app.command(epilog="Example: aucamp record fleet.toml --out fleet.mcap")
-def record(fleet: FleetFile, out: Annotated[Path, typer.Option(help="File to write (MCAP).")]) -> None:
+def record(
+    fleet: FleetFile,
+    out: Annotated[Path, typer.Option(help="File to write (MCAP).")],
+    view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
+) -> None:
     """Record all traffic of a fleet until Ctrl-C or SIGTERM. The robots do not notice."""
     from agent.runtime import until_signal
     from replay.recorder import record as run
 
     with until_signal() as stop:
-        counts = run(load_fleet(fleet), out, stop)
-    Console(soft_wrap=True).print(", ".join(f"{name} {count}" for name, count in counts.items()))
+        counts = run(load_fleet(fleet), out, stop, views=view)
+    terminal().print(", ".join(f"{name} {count}" for name, count in counts.items()))
 
 
 @app.command(epilog="Example: aucamp router fleet.toml")
@@ -90,6 +103,16 @@ def router(fleet: FleetFile) -> None:
         run_router(load_fleet(fleet), stop)
 
 
+@app.command(epilog="Example: aucamp view fleet.toml")
+def view(fleet: FleetFile, port: Annotated[int, typer.Option(help="WebSocket port on this machine.")] = 8765) -> None:
+    """Serve a running fleet's state to Foxglove, on this machine only."""
+    from agent.runtime import until_signal
+    from replay.view import view as serve
+
+    with until_signal() as stop:
+        serve(load_fleet(fleet), stop, port, typer.echo)
+
+
 @app.command("depth-map", epilog="Example: aucamp depth-map photographs/ --out depth.png")
 def depth_map(
     source: Annotated[str, typer.Argument(help="Folder of focus-bracketed photographs, or a camera URL.")],
@@ -100,7 +123,7 @@ def depth_map(
     """How far each part of the view is, from the focus position at which it is sharpest."""
     from agent.depth_map import run
 
-    Console(soft_wrap=True).print(run(source, out, block, calibration))
+    terminal().print(run(source, out, block, calibration))
 
 
 @calibrate_app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
@@ -112,21 +135,157 @@ def calibrate_run(
     """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
     from agent.experiments.calibrate_run import run
 
-    run(fleet, robot, out, Console(soft_wrap=True))
+    run(fleet, robot, out, terminal())
+
+
+@calibrate_app.command("focus", epilog="Example: aucamp calibrate focus table.csv --out calibration/r1.toml")
+def calibrate_focus(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with the columns u_mm and code.")],
+    out: Annotated[Path | None, typer.Option(help="Calibration file whose [focus] is to be written.")] = None,
+) -> None:
+    """Range against sharpest lens position, from a table measured by hand; a plot beside it and a verdict."""
+    from agent.experiments.calibrate_focus import run
+
+    run(table, out, terminal())
+
+
+@calibrate_app.command("camera", epilog="Example: aucamp calibrate camera photographs/ --out calibration/r1.toml")
+def calibrate_camera(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Photographs of a chessboard, taken in water.")],
+    columns: Annotated[int, typer.Option(min=3, help="Inner corners of the board along its longer side.")] = 14,
+    rows: Annotated[int, typer.Option(min=3, help="Inner corners along its shorter side.")] = 9,
+    square_mm: Annotated[float, typer.Option(min=0.1, help="Side of a square.")] = 20.0,
+    out: Annotated[Path | None, typer.Option(help="Calibration file whose [camera] is to be written.")] = None,
+) -> None:
+    """Focal length and centre from photographs of a board."""
+    from agent.experiments.calibrate_camera import run
+
+    run(folder, columns, rows, square_mm, out, terminal())
+
+
+@experiment_app.command("calibration", epilog="Example: aucamp experiment calibration --seed 3")
+def experiment_calibration(seed: Seed = 0, out: OutFolder = None) -> None:
+    """Range against focus position, on the twin's bench."""
+    from agent.experiments.calibration import calibration
+
+    calibration(seed, out, terminal())
+
+
+@experiment_app.command("depth", epilog="Example: aucamp experiment depth --seed 1")
+def experiment_depth(seed: Seed = 0, out: OutFolder = None) -> None:
+    """Depth of whole views from focus, against the twin's truth: our peak and the paper's."""
+    from agent.experiments.depth_table import run
+
+    run(seed, out, terminal())
+
+
+@experiment_app.command("localization", epilog="Example: aucamp experiment localization --quick")
+def experiment_localization(
+    seed: Seed = 0,
+    out: OutFolder = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few draws, small swarms: for a look.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="More draws, losses and robots.")] = False,
+) -> None:
+    """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, a robot that is wrong."""
+    from agent.experiments.localization import localization, table
+    from agent.launch import run_folder, with_bar
+
+    console, folder = terminal(), run_folder(out)
+    result = with_bar(console, "dives", lambda show: localization(seed, folder, show, quick, full))
+    console.print(table(result))
+    console.print(f"written to {folder}")
+
+
+@experiment_app.command("orientation", epilog="Example: aucamp experiment orientation --seeds 5")
+def experiment_orientation(
+    seed: Seed = 0, seeds: Annotated[int, typer.Option(min=1, help="Robots per case.")] = 20, out: OutFolder = None
+) -> None:
+    """Push and depth step under the three control laws, real firmware on the twin's physics."""
+    from agent.experiments.orientation import run
+
+    run(seed, seeds, out, terminal())
+
+
+@replay_app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")
+def replay_info(
+    files: Recordings, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False
+) -> None:
+    """What is in a recording, and whether it is whole."""
+    from replay.info import info_all
+
+    info_all(files, as_json, typer.echo)
+
+
+@replay_app.command("recover", epilog="Example: aucamp replay recover r1.mcap.active")
+def replay_recover(
+    files: Recordings,
+    force: Annotated[bool, typer.Option("--force", help="Even if it looks as if it were being written.")] = False,
+) -> None:
+    """Mend a torn recording into a new file, and say what was lost."""
+    from replay.recover import recover_all
+
+    raise typer.Exit(recover_all(files, force, typer.echo))
+
+
+@replay_app.command("check", epilog="Example: aucamp replay check runs/20260101T120000Z")
+def replay_check(
+    paths: Runs,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    ignore: Annotated[Path | None, typer.Option(help="Fields that may differ (TOML).")] = None,
+    vision: Annotated[bool, typer.Option("--vision", help="See the recorded frames again instead.")] = False,
+    update: Annotated[bool, typer.Option("--update", help="Accept what today's code gives; needs --reason.")] = False,
+    reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
+) -> None:
+    """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
+    from agent.perception.again import see_again
+    from replay.accept import accept
+    from replay.check import check, text
+    from replay.vision_check import check_vision
+
+    bar = Console(stderr=True)
+    if update:
+        for accepted in accept(paths, reason):
+            typer.echo(str(accepted))
+    elif vision:
+        seen = check_vision(paths, see_again, bar)
+        for one in seen:
+            typer.echo(json.dumps(one.as_json()) if as_json else str(one))
+        raise typer.Exit(2 if any(not one.frames for one in seen) else int(any(not one.passed for one in seen)))
+    else:
+        checked = check(paths, ignore, bar)
+        typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
+        raise typer.Exit(checked.exit_code)
+
+
+@replay_app.command("explain", epilog="Example: aucamp replay explain r1.mcap --at 16")
+def replay_explain(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="One robot's recording.")],
+    at: Annotated[str | None, typer.Option(help="Iteration 16, time 12.5s or step:812; the last if not given.")] = None,
+) -> None:
+    """Why a robot believed what it believed: whom it heard, with which weights."""
+    from replay.explain import explain
+
+    typer.echo(explain(file, at))
 
 
 @replay_app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
-def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder that a demo wrote.")]) -> None:
+def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
     """One page with the run's figures: report.html in its folder."""
     from replay.report import report
 
-    Console(soft_wrap=True).print(f"written to {report(run)}")
+    terminal().print(f"written to {report(run)}")
+
+
+def terminal() -> Console:
+    """Lines with paths are not folded; a pipe is as wide as our widest table."""
+    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
 
 
 def one_of_protocols(text: str) -> Protocol:
-    if text != "paper":
-        raise ConfigError(f"--protocol {text}: no such protocol; choose paper")
-    return "paper"
+    for protocol in get_args(Protocol):
+        if text == protocol:
+            return cast(Protocol, protocol)
+    raise ConfigError(f"--protocol {text}: no such protocol; choose {', '.join(get_args(Protocol))}")
 
 
 def main() -> None:

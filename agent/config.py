@@ -14,7 +14,7 @@ from msgspec import Meta
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
-Protocol = Literal["paper"]
+Protocol = Literal["paper", "metropolis", "evidence"]
 
 T = TypeVar("T")
 
@@ -47,7 +47,7 @@ class Target(Struct, frozen=True, kw_only=True):
 
 
 class Estimation(Struct, frozen=True, kw_only=True):
-    protocol: Protocol = "paper"
+    protocol: Protocol = "evidence"
     iteration_s: Positive = 1.0  # the paper's t -> t + 1: one attempt to measure, one update
     validity_s: Positive = 0.5  # a neighbour unheard for longer leaves the valid set
 
@@ -182,6 +182,10 @@ def _check(fleet: Fleet, path: Path) -> None:
     """What a type cannot say: the graph is symmetric and the endpoints are distinct and usable."""
     if not fleet.robot:
         raise ConfigError(f"{path}: key 'robot': the fleet has no robot; add a table [robot.r1]")
+    if len(fleet.target) != 1:
+        raise ConfigError(
+            f"{path}: key 'target': {len(fleet.target)} targets; agents follow one, keep one [target.NAME]"
+        )
     owner: dict[str, str] = {}
     for name, robot in fleet.robot.items():
         key = f"robot.{name}"

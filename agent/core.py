@@ -9,9 +9,9 @@ from agent.config import Fleet
 from agent.control.attitude import AttitudeLog
 from agent.control.seek import Seek
 from agent.control.sweep import Measurement, Rejected
+from agent.estimation.choice import estimator
 from agent.estimation.face import Estimator, Prior, Update
 from agent.estimation.mailbox import Mailbox
-from agent.estimation.paper import Paper
 from agent.hearing import Hearing
 from agent.messages import Estimate, Inputs, Outputs, SetPoint, State, SweepPlan
 from agent.ranging.calibration import Calibration
@@ -35,16 +35,16 @@ class Agent:
         self._say_ns = round(1e9 / fleet.link.send_hz)
 
         self.mailbox = Mailbox(fleet.fleet, name, self._target, robot.neighbours)
-        self.estimator: Estimator = Paper(self._validity_ns)
+        self.estimator: Estimator = estimator(fleet, name, self._target, incarnation)
         self.seek = Seek(fleet, robot, calibration)
         self.attitude = AttitudeLog()
-        self.hearing = Hearing(self.mailbox, fleet.tank)
+        self.hearing = Hearing(self.mailbox, self.estimator, fleet.tank)
         self.status = Status(fleet.fleet, name, self._target, incarnation)
 
         self.prior: Prior | None = None  # measured since the last iteration
         self.update: Update | None = None
         self.last_state: State | None = None
-        self._iterated_ns = self._said_ns = self._stated_ns = 0
+        self._iterated_ns = self._say_due_ns = self._state_due_ns = 0
         self._said = 0
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
@@ -58,6 +58,7 @@ class Agent:
         self.hearing.take(inputs.heard, inputs.refused, self.status, now_ns)
         for telemetry in inputs.telemetry:
             self.attitude.add(telemetry)
+            self.seek.sweep.telemetry(telemetry)
         for sighting in inputs.sightings:
             self.seek.watch(sighting)
         self.status.devices(inputs, self.attitude, now_ns)
@@ -91,7 +92,7 @@ class Agent:
         if fix is None or not inside(fix.position_m, self._fleet.tank):
             self.status.note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
             return
-        self.prior = Prior(fix.position_m, fix.covariance_m2, result.t_ns)
+        self.prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2)
         self.status.measured(self.prior)
 
     def _iterate(self, now_ns: int) -> None:
@@ -114,12 +115,11 @@ class Agent:
         return self.seek.act(now_ns, level, believed.x_m if believed else None, wanted=self.prior is None)
 
     def _say(self, now_ns: int) -> tuple[Estimate, ...]:
-        """The posterior to each neighbour; an empty one, as heartbeat, while there is none."""
-        if now_ns - self._said_ns < self._say_ns:
+        """What the protocol has for each neighbour; without news it is still the heartbeat."""
+        if now_ns < self._say_due_ns:
             return ()
-        self._said_ns = now_ns
+        self._say_due_ns = next_due_ns(self._say_due_ns, self._say_ns, now_ns)
         self._said += 1
-        believed = self.estimator.posterior
         return tuple(
             Estimate(
                 fleet=self._fleet.fleet,
@@ -131,16 +131,15 @@ class Agent:
                 target=self._target,
                 t=self.estimator.t,
                 valid=self.estimator.valid,
-                x_m=believed.x_m if believed else None,
-                cov_m2=believed.cov_m2 if believed else None,
+                **self.estimator.say(neighbour, now_ns)._asdict(),
             )
             for neighbour in self._robot.neighbours
         )
 
     def _state(self, now_ns: int) -> State | None:
-        if now_ns - self._stated_ns < STATE_NS:
+        if now_ns < self._state_due_ns:
             return None
-        self._stated_ns = now_ns
+        self._state_due_ns = next_due_ns(self._state_due_ns, STATE_NS, now_ns)
         self.last_state = self.status.state(
             self.estimator,
             self.update,
@@ -156,3 +155,9 @@ class Agent:
         pan_us, tilt_us = self.seek.pointing.servos_us(now_ns)
         centre_us = round(self._fleet.body.servo_centre_us)
         return SetPoint(depth_m=self._robot.depth_m, servos_us=(pan_us, tilt_us, centre_us, centre_us))
+
+
+def next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:
+    """The next time on a period's grid, so that steps that come a little late do not lower the rate; a grid that is
+    more than a period behind starts anew."""
+    return due_ns + period_ns if now_ns - due_ns < period_ns else now_ns + period_ns

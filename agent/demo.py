@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import time
-from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from rich.live import Live
 from rich.table import Table
 
 from agent.config import ConfigError, Fleet, Protocol, dump, load_fleet
-from agent.launch import Crew, crew, free_ports, temporary_folder, wait_for
+from agent.launch import Crew, crew, free_ports, run_folder, shipped_fleet, temporary_folder, wait_for
 from agent.messages import Refusal, State, decode
 from agent.summary import History, control, reasons, score, settled
 from agent.topics import STATE
@@ -45,10 +43,7 @@ def demo(
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed."""
     started_s = time.monotonic()
-    run = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    if run.exists() and any(run.iterdir()):
-        raise ConfigError(f"{run}: not empty; give --out a new folder, recordings are never overwritten")
-    run.mkdir(parents=True, exist_ok=True)
+    run = run_folder(out)
     with temporary_folder() as folder:
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder)
         path = run / "fleet.toml"
@@ -65,7 +60,7 @@ def demo(
 
 def demo_fleet(robots: int, protocol: Protocol, loss: float, seed: int, enhance: bool, folder: Path) -> Fleet:
     """The tank's fleet file with its first robots only, on ports that are free now."""
-    shipped = Path(str(resources.files("agent") / "fleets" / "tank.toml"))
+    shipped = shipped_fleet()
     fleet = load_fleet(shipped)
     if not 1 <= robots <= len(fleet.robot):
         raise ConfigError(f"--robots {robots}: {shipped.name} has {len(fleet.robot)}; choose 1 to {len(fleet.robot)}")

@@ -1,7 +1,8 @@
 """`aucamp depth-map SOURCE`: sweep the focus once, give every block of the picture the distance of its clarity peak.
 
 Blocks without a single clear peak (no texture, a depth edge, sharpest outside the sweep) get no distance. The grid of
-blocks stays where it is: with a lens whose picture grows during the sweep, use large blocks.
+blocks grows with the picture (focus breathing), so that a block keeps its piece of the scene; the picture itself is
+never resampled, which would change its clarity.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,9 +20,10 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from agent.config import ConfigError
-from agent.perception.clarity import luminance, tenengrad_blocks
+from agent.perception.breathing import measure_growth
+from agent.perception.clarity import grid, luminance, tenengrad_grid
 from agent.ranging.calibration import Calibration, load_calibration
-from agent.ranging.focus import MIN_POSITIONS, Array, fit_peaks, h
+from agent.ranging.focus import MIN_POSITIONS, Array, Method, fit_peaks, h
 from hw.camera import Camera, CameraError, Image, nearest, open_camera
 from hw.camera_files import StackCamera
 
@@ -28,6 +31,8 @@ SWEEP_STEPS = 30  # lens positions of a camera; of a stack every photograph is u
 HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small steps ring less
 SETTLE_S = 0.05
 MIN_BLOCK_PX = 8  # smaller ones hold more noise than texture
+MIN_QUALITY = 0.96  # of a block's peak: over many blocks a wrong one costs more than a missing one
+MAX_GROWTH = 0.2  # of the picture in one sweep: beyond it it is not breathing
 MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
 
 OnStep = Callable[[int, int], None]  # lens positions done, in all
@@ -37,6 +42,8 @@ class Sweep(NamedTuple):
     focus: Array  # (n,) lens positions, as the driver reports them; of a stack in the unit of its positions.csv
     clarity: Array  # (n, rows, cols)
     sharp: Image  # (height, width, 3), each block from the frame in which it is sharpest
+    growth: float  # of the picture from the first position to the last, relative
+    reference: int  # the position whose picture is largest; blocks are squares there, and smaller in the others
 
 
 class DepthMap(NamedTuple):
@@ -49,20 +56,27 @@ class DepthMap(NamedTuple):
     accepted: NDArray[np.bool_]
     range_m: Array | None  # z-depth from the gimbal pivot; NaN where there is none. None without a calibration
     sharp: Image
+    growth: float
 
 
 def depth_map(
-    source: str, out: Path, block: int, twin_dir: Path, calibration: Calibration | None, progress: OnStep
+    source: str,
+    out: Path,
+    block: int,
+    twin_dir: Path,
+    calibration: Calibration | None,
+    progress: OnStep,
+    growth: float | None = None,
 ) -> DepthMap:
     """Sweep `source` (a camera address, or a directory of photographs), write the PNG `out` and a CSV beside it.
 
-    block: edge in pixels. Raises CameraError and ConfigError, each one line.
+    block: edge in pixels. growth: see `sweep`. Raises CameraError and ConfigError, each one line.
     """
     if out.suffix.lower() != ".png" or not out.parent.is_dir():
         raise ConfigError(f"{out}: give a name that ends in .png, in a directory that exists")
     camera = open_camera(f"stack:{source}" if Path(source).is_dir() else source, twin_dir, None)
     try:
-        result = measure(sweep(camera, block, progress), block, calibration)
+        result = measure(sweep(camera, block, progress, growth), block, calibration)
     finally:
         camera.close()
     try:
@@ -73,47 +87,63 @@ def depth_map(
     return result
 
 
-def run(source: str, out: Path, block: int, calibration: Path | None) -> str:
+def run(source: str, out: Path, block: int, calibration: Path | None, growth: float | None = None) -> str:
     """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera."""
     known = None if calibration is None else load_calibration(calibration)
     with Progress(transient=True) as bar:
         task = bar.add_task("focus sweep", total=None)
         result = depth_map(
-            source, out, block, Path(), known, lambda done, total: bar.update(task, completed=done, total=total)
+            source, out, block, Path(), known, lambda done, total: bar.update(task, completed=done, total=total), growth
         )
     found, blocks = np.count_nonzero(result.accepted), result.accepted.size
-    return f"{found} of {blocks} blocks have a clear peak: {out}, {out.with_suffix('.csv')}"
+    return (
+        f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: "
+        f"{out}, {out.with_suffix('.csv')}"
+    )
 
 
-def sweep(camera: Camera, block: int, progress: OnStep) -> Sweep:
-    """Clarity of every block at every lens position, from the lowest upwards: one direction, one hysteresis."""
+def sweep(camera: Camera, block: int, progress: OnStep, growth: float | None = None) -> Sweep:
+    """Clarity of every block at every lens position, from the lowest upwards: one direction, one hysteresis.
+
+    growth: of the picture from the first position to the last, 0.03 for three percent; None measures it, and
+    takes none where the frames do not tell. Raises
+    ConfigError for a block or a growth that cannot be, CameraError for a source without focus.
+    """
     width, height = camera.size
     if not MIN_BLOCK_PX <= block <= min(width, height):
         raise ConfigError(
             f"--block {block}: the picture is {width}x{height}; choose {MIN_BLOCK_PX} to {min(width, height)}"
         )
+    if growth is not None and not abs(growth) <= MAX_GROWTH:
+        raise ConfigError(f"growth {growth}: give the share of the picture, -{MAX_GROWTH} to {MAX_GROWTH}")
     positions = _positions(camera)
     camera.set_focus(positions[0])
     camera.read(settle_s=HOME_SETTLE_S)
-    focus, clarity = [], []
-    sharp = best = None
+    focus, images = [], []
     for done, position in enumerate(positions, start=1):
         focus.append(float(camera.set_focus(position)))
-        image = camera.read(settle_s=SETTLE_S).image
-        energy = tenengrad_blocks(luminance(image), block)
-        clarity.append(energy)
-        if sharp is None or best is None:
-            sharp, best = image.copy(), energy
-        else:
-            better = energy > best
-            best = np.where(better, energy, best)
-            pixels = better.repeat(block, axis=0).repeat(block, axis=1)
-            inner = (slice(pixels.shape[0]), slice(pixels.shape[1]))
-            sharp[inner][pixels] = image[inner][pixels]
+        images.append(camera.read(settle_s=SETTLE_S).image)
         progress(done, len(positions))
-    assert sharp is not None  # there were positions
     scale = np.array(camera.positions) if isinstance(camera, StackCamera) else np.array(focus)
-    return Sweep(scale, np.array(clarity), sharp)
+    if growth is None:
+        growth = measure_growth([luminance(image) for image in images]) or 0.0  # unknown: as good as any
+    return clarity_of(images, scale, block, growth)
+
+
+def clarity_of(images: list[Image], focus: Array, block: int, growth: float) -> Sweep:
+    """The frames of a sweep -> clarity on a grid that grows as they do; growth is linear in the lens position."""
+    height, width = images[0].shape[:2]
+    size = 1.0 + growth * (focus - focus[0]) / (focus[-1] - focus[0])
+    reference = int(size.argmax())  # nothing of a grid that fits the largest picture leaves the others
+    grids = [(grid(height, block, k), grid(width, block, k)) for k in size / size[reference]]
+    clarity = np.array([tenengrad_grid(image, *edges) for image, edges in zip(images, grids, strict=True)])
+    sharp = images[reference].copy()
+    for (row, col), best in np.ndenumerate(clarity.argmax(axis=0)):
+        rows, cols = grids[best]
+        part = images[best][rows[row] : rows[row + 1], cols[col] : cols[col + 1]]
+        place = np.s_[row * block : (row + 1) * block, col * block : (col + 1) * block]
+        sharp[place] = cv2.resize(part, (block, block))  # for the eye alone
+    return Sweep(focus, clarity, sharp, growth, reference)
 
 
 def _positions(camera: Camera) -> list[int]:
@@ -130,13 +160,20 @@ def _positions(camera: Camera) -> list[int]:
     return positions
 
 
-def measure(taken: Sweep, block: int, calibration: Calibration | None) -> DepthMap:
-    """Peak of every block's curve, and its range where a calibration tells it."""
+def measure(
+    taken: Sweep,
+    block: int,
+    calibration: Calibration | None,
+    method: Method = "matched",
+    min_quality: float = MIN_QUALITY,
+) -> DepthMap:
+    """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks."""
     count, rows, cols = taken.clarity.shape
-    peaks = fit_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T)
+    peaks = fit_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T, method=method)
     shape = (rows, cols)
     textured = taken.clarity.max(axis=0) - np.median(taken.clarity, axis=0) >= MIN_RISE
-    position, accepted = peaks.position.reshape(shape), peaks.accepted.reshape(shape) & textured
+    position = peaks.position.reshape(shape)
+    accepted = (peaks.accepted & (peaks.quality >= min_quality)).reshape(shape) & textured
     range_m = None
     if calibration is not None:
         range_m = np.full(shape, np.nan)
@@ -145,7 +182,14 @@ def measure(taken: Sweep, block: int, calibration: Calibration | None) -> DepthM
             if z_m is not None:  # else sharp at infinity
                 range_m[tuple(cell)] = z_m
     return DepthMap(
-        block, position, peaks.sigma.reshape(shape), peaks.quality.reshape(shape), accepted, range_m, taken.sharp
+        block_px=block,
+        position=position,
+        sigma=peaks.sigma.reshape(shape),
+        quality=peaks.quality.reshape(shape),
+        accepted=accepted,
+        range_m=range_m,
+        sharp=taken.sharp,
+        growth=taken.growth,
     )
 
 
@@ -178,22 +222,31 @@ def draw(result: DepthMap, path: Path) -> None:
         values, label = np.where(result.accepted, result.position, np.nan), "focus position of the clarity peak"
     shown = np.isfinite(values)
     right.set_title(f"{np.count_nonzero(shown)} of {shown.size} blocks of {result.block_px} px; hatched: no distance")
-    _draw_cells(right, values, result.block_px, label)
+    draw_cells(right, values, result.block_px, label)
     for axes in (left, right):
         axes.set(xlim=(0, width), ylim=(height, 0), xlabel="x in px", ylabel="y in px")
     figure.savefig(path, dpi=100)
 
 
-def _draw_cells(axes: Axes, values: Array, block: int, label: str) -> None:
+def draw_cells(
+    axes: Axes,
+    values: Array,
+    block: int,
+    label: str,
+    limits: tuple[float, float] | None = None,
+    colours: str = "viridis",
+) -> None:
+    """One colour a block, NaN hatched, with a scale; limits of the colours, by default from the values."""
     axes.patch.set(facecolor="0.88", edgecolor="0.65", hatch="///")  # seen through cells without a value
     axes.set_aspect("equal")
     shown = values[np.isfinite(values)]
     if shown.size == 0:
         return
-    low, high = np.percentile(shown, (1, 99))  # a few wrong peaks shall not take the colours of all others
+    # A few wrong peaks shall not take the colours of all others.
+    low, high = np.percentile(shown, (1, 99)) if limits is None else limits
     rows, cols = values.shape
     cells = axes.imshow(
-        np.ma.masked_invalid(values), extent=(0, cols * block, rows * block, 0), vmin=low, vmax=high, cmap="viridis"
+        np.ma.masked_invalid(values), extent=(0, cols * block, rows * block, 0), vmin=low, vmax=high, cmap=colours
     )
     bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map, whatever its shape
     axes.figure.colorbar(cells, cax=bar, label=label, extend="both")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from agent.config import Tank
+from agent.estimation.face import Estimator
 from agent.estimation.mailbox import Mailbox
 from agent.messages import Estimate, Heard, Refusal, Refused, decode
 from agent.status import Status, inside
@@ -11,12 +12,12 @@ from agent.status import Status, inside
 class Hearing:
     """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
 
-    def __init__(self, mailbox: Mailbox, tank: Tank) -> None:
-        self._mailbox, self._tank = mailbox, tank
+    def __init__(self, mailbox: Mailbox, estimator: Estimator, tank: Tank) -> None:
+        self._mailbox, self._estimator, self._tank = mailbox, estimator, tank
         self.refused: dict[str, int] = {}
 
     def take(self, heard: tuple[Heard, ...], refused: tuple[Refused, ...], status: Status, now_ns: int) -> None:
-        """Put what can be believed into the mailbox."""
+        """Give what can be believed to the mailbox and to the protocol."""
         for turned_away in refused:
             self._count(turned_away.reason, turned_away.count, "transport", "turned away unread", status, now_ns)
         for item in heard:
@@ -24,7 +25,9 @@ class Hearing:
                 estimate = decode(item.payload, Estimate)
                 if estimate.x_m is not None and not inside(estimate.x_m, self._tank):
                     raise Refusal("place", "estimate outside the tank")
-                self._mailbox.put(item.src, estimate, item.arrived_ns)
+                letter = self._mailbox.put(item.src, estimate, item.arrived_ns)
+                for kind in self._estimator.hear(letter):
+                    self._count(kind, 1, item.src, "part of a message", status, now_ns)
             except Refusal as refusal:
                 self._count(refusal.kind, 1, item.src, str(refusal), status, now_ns)
 

@@ -11,10 +11,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
-from agent.config import MAX_PORT
+from rich.console import Console
+from rich.progress import Progress
+
+from agent.config import MAX_PORT, ConfigError
+
+T = TypeVar("T")
 
 STOP_S = 4.0  # from SIGTERM to SIGKILL: an agent needs under 2 s, a recorder finishes its file
 
@@ -106,6 +113,20 @@ def temporary_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def shipped_fleet() -> Path:
+    """The fleet file of the tank that comes with the package."""
+    return Path(str(resources.files("agent") / "fleets" / "tank.toml"))
+
+
+def run_folder(out: Path | None) -> Path:
+    """Where a run writes: the folder that was asked for, else runs/<UTC>. Raises ConfigError if it holds anything."""
+    folder = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ConfigError(f"{folder}: not empty; give --out a new folder, recordings are never overwritten")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: float) -> None:
     """Poll until ready. Raises Failed when a process ends meanwhile or time runs out."""
     deadline_s = time.monotonic() + timeout_s
@@ -137,3 +158,10 @@ def describe(child: Child) -> str:
 def last_line(log: Path) -> str:
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"
+
+
+def with_bar(console: Console, what: str, work: Callable[[Callable[[int, int], None]], T]) -> T:
+    """Do some work that calls show(done, total), with a bar meanwhile."""
+    with Progress(console=console) as bar:
+        task = bar.add_task(what)
+        return work(lambda done, total: bar.update(task, completed=done, total=total))

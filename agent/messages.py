@@ -51,6 +51,54 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 # --- between robots -------------------------------------------------------------------------------------------
 
 
+class Epoch(msgspec.Struct, frozen=True, array_like=True, order=True):
+    """Which stretch of a target's history evidence belongs to: the larger one wins, and older evidence is let go."""
+
+    counter: Annotated[int, Meta(ge=0, le=10**9)] = 0
+    moving: bool = False  # in this epoch the target moves: samples travel, not sums
+    proposer: Annotated[str, Meta(max_length=16)] = ""  # breaks ties
+
+
+class Entry(msgspec.Struct, frozen=True, array_like=True):
+    """All that one robot, since one of its starts, has measured of a resting target: a sum, so newer replaces older."""
+
+    origin: Id
+    incarnation: Count
+    count: Annotated[int, Meta(ge=1)]  # samples in it; only the origin adds, one at a time, so also its version
+    information: Symmetric  # sum of R^-1, 1/m^2
+    vector: Vector  # sum of R^-1 x̂, 1/m
+    systematic_m2: Symmetric  # mean over the samples of what does not average out
+
+
+class Sample(msgspec.Struct, frozen=True, array_like=True):
+    """One measurement of a target that moves."""
+
+    origin: Id
+    incarnation: Count
+    number: Annotated[int, Meta(ge=1)]  # counts the samples of this origin and incarnation
+    age_ns: Count  # since the exposure, by the clocks of those that carried it
+    information: Symmetric  # R^-1, 1/m^2
+    vector: Vector  # R^-1 x̂, 1/m
+
+
+class Holding(msgspec.Struct, frozen=True, array_like=True):
+    """One line of a digest: what the sender has of an origin, so that nobody sends it again."""
+
+    origin: Id
+    incarnation: Count
+    newest: Count  # count of its entry, or number of its newest sample
+    older: Annotated[int, Meta(ge=0, lt=2**32)] = 0  # bit k: sample `newest - 1 - k` is here too
+
+
+class Gossip(msgspec.Struct, frozen=True, array_like=True):
+    """What the protocol `evidence` says beside the estimate."""
+
+    epoch: Epoch = Epoch()
+    entries: Annotated[tuple[Entry, ...], Meta(max_length=64)] = ()
+    samples: Annotated[tuple[Sample, ...], Meta(max_length=64)] = ()
+    digest: Annotated[tuple[Holding, ...], Meta(max_length=64)] = ()
+
+
 class Estimate(Message, frozen=True, kw_only=True):
     """A robot's a-posteriori estimate to one neighbour; also its heartbeat, sent whether it knows anything or not."""
 
@@ -66,6 +114,8 @@ class Estimate(Message, frozen=True, kw_only=True):
     valid: bool  # the sender sees the target: it is in S^t
     x_m: Vector | None = None  # posterior
     cov_m2: Symmetric | None = None
+    degree: Count | None = None  # `metropolis`: how many neighbours the sender has
+    gossip: Gossip | None = None  # `evidence`
 
 
 # --- to whoever looks -----------------------------------------------------------------------------------------
@@ -78,6 +128,19 @@ class NeighbourState(Message, frozen=True, kw_only=True):
     used: bool = False  # took part in the last update
     heard: Count = 0
     gaps: Count = 0  # missing sequence numbers
+
+
+class Explain(Message, frozen=True, kw_only=True):
+    """Why the last iteration ended where it did; `State.rule`, `alpha` and `neighbours` tell the rest."""
+
+    status: str = ""  # `evidence`: none, single, ok, ambiguous, outlier
+    weights: dict[str, float] = {}  # share of each robot's word in the posterior, beside alpha of the own prior
+    votes: dict[str, int] = {}  # `evidence`: how many origins agree with this one, itself included
+    doubted: dict[str, float] = {}  # origins that count less than they claim: factor; 0: left out
+    ages_s: dict[str, float] = {}  # of the newest word of each neighbour, when the iteration ran
+    epoch: Epoch = Epoch()
+    nis: float | None = None  # normalised innovation squared of the own prior; mean 3 when all is well
+    speed_m_s: float | None = None  # of a target that moves
 
 
 class State(Message, frozen=True, kw_only=True):
@@ -101,6 +164,7 @@ class State(Message, frozen=True, kw_only=True):
     posterior_sigma_m: float | None = None
     alpha: float | None = None  # step size of the last update
     rule: str = ""  # which branch of the protocol fired
+    explain: Explain | None = None
     neighbours: tuple[NeighbourState, ...] = ()
     depth_m: float | None = None
     roll_deg: float | None = None

@@ -15,9 +15,10 @@ from typing import Protocol
 
 import msgspec
 
-from agent.config import Fleet, dump, load_fleet, load_robot
+from agent.config import Fleet, load_fleet, load_robot
 from agent.core import Agent
 from agent.messages import (
+    SCHEMA,
     Estimate,
     Heard,
     Inputs,
@@ -36,10 +37,12 @@ from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
 from agent.transport import Transport
 from hw.camera import open_camera
+from hw.firmware import wire
+from hw.firmware.failsafe import SURFACE
 from hw.stm32 import Stm32, open_port_path
 from hw.twin.place import twin_dir
+from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.environment import environment
-from replay.log import LogWriter, unused
 
 STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 
@@ -60,13 +63,14 @@ class Network(Protocol):
     def show(self, message: State | LogLine) -> None: ...
 
 
-BlackBox = Callable[[int, int, bytes, bytes], None]  # step, now_ns, inputs, outputs
+BlackBox = Callable[[int, int, bytes, bytes | None], None]  # step, now_ns, inputs, outputs; None: the step raised
 
 
-def run(fleet_path: Path, name: str, out: Path | None, arm: bool) -> None:
+def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool = False, views: bool = True) -> None:
     """One agent process, from its fleet file until SIGTERM or Ctrl-C. Raises ConfigError before anything moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
+    `lossless` records frames bit by bit, `views` adds channels for viewers to the recording.
     """
     fleet = load_fleet(fleet_path)
     robot = load_robot(fleet, name, fleet_path)
@@ -78,16 +82,14 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool) -> None:
         """Unix time that never steps back: sampled once, then monotonic."""
         return offset_ns + time.monotonic_ns()
 
-    agent = Agent(fleet, name, calibration, incarnation=clock())
+    incarnation = clock()
+    agent = Agent(fleet, name, calibration, incarnation)
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         log = stack.enter_context(
-            LogWriter(
-                unused((out or Path()) / f"{name}.mcap"),
-                run_facts(fleet, name, clock()),
-                attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
-            )
+            black_box_log(out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views)
         )
+        box = BlackBoxWriter(log, clock, lossless)
         network = stack.enter_context(Transport(fleet, name, clock))
         stack.callback(goodbye, agent, network, clock)  # after the motors are off, before the link closes
         size = (fleet.camera.width_px, fleet.camera.height_px)
@@ -97,23 +99,25 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool) -> None:
             next(iter(fleet.target)),
             calibration.camera,
             epoch_offset_ns=offset_ns,
+            on_frame=lambda frame, sighting: box.frame(frame.image, frame.roi, sighting),
         )
         eyes.start()
         stack.callback(eyes.close)
-        board = stack.enter_context(Stm32(open_port_path(robot.serial, sockets), clock))
+        board = stack.enter_context(Stm32(open_port_path(robot.serial, sockets), clock, tap=box.serial))
         if arm:
             board.arm()
+        resume = board.arm if arm else lambda: None
 
         lost: list[str] = []
 
-        def black_box(step: int, now_ns: int, inputs: bytes, outputs: bytes) -> None:
+        def black_box(step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
             if log.failed and not lost:
                 lost.append(log.failed)
-                network.show(LogLine(robot=name, sent_ns=now_ns, level="error", text=f"not recording: {log.failed}"))
-            log.write("/raw/step_in", now_ns, now_ns, step, inputs, metadata={"schema": "aucamp.Inputs"})
-            log.write("/raw/step_out", now_ns, now_ns, step, outputs, metadata={"schema": "aucamp.Outputs"})
+                text = f"not recording: {log.failed}"[:400]
+                network.show(LogLine(robot=name, sent_ns=now_ns, level="error", text=text))
+            box.step(step, now_ns, inputs, outputs)
 
-        loop(agent, name, eyes, board, network, black_box, clock, stop)
+        loop(agent, name, eyes, board, network, black_box, clock, stop, resume)
 
 
 def loop(
@@ -125,15 +129,22 @@ def loop(
     black_box: BlackBox,
     clock: Callable[[], int],
     stop: Event,
+    resume: Callable[[], None] = lambda: None,
 ) -> None:
-    """Step at 20 Hz until `stop`."""
+    """Step at 20 Hz until `stop`. `resume` is called when a robot rises for no other reason than our silence."""
     step, due_s = 0, time.monotonic()
     while not stop.is_set():
         telemetry, lines = board.drain()
+        if telemetry and surfacing_for_silence(telemetry[-1]):
+            resume()
         heard, refused = network.drain()
         inputs = Inputs(telemetry=tuple(telemetry), sightings=tuple(eyes.drain()), heard=heard, refused=refused)
         now_ns = clock()
-        outputs = agent.step(inputs, now_ns)
+        try:
+            outputs = agent.step(inputs, now_ns)
+        except Exception:
+            black_box(step, now_ns, encode(inputs), None)  # inputs that break a step are what a black box is for
+            raise
         black_box(step, now_ns, encode(inputs), encode(outputs))
         act(outputs, eyes, board, network, now_ns)
         for level, text in lines:
@@ -141,6 +152,13 @@ def loop(
         step += 1
         due_s = max(due_s + STEP_S, time.monotonic() - STEP_S)  # after a stall: no burst of late steps
         stop.wait(max(0.0, due_s - time.monotonic()))
+
+
+def surfacing_for_silence(telemetry: Telemetry) -> bool:
+    """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and who
+    started it with --arm wants the dive to go on; a leak, a low battery or a bad sensor is for a person to judge."""
+    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
+    return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own
 
 
 def goodbye(agent: Agent, network: Network, clock: Callable[[], int]) -> None:
@@ -180,13 +198,15 @@ def until_signal() -> Iterator[Event]:
             signal.signal(number, handler)
 
 
-def run_facts(fleet: Fleet, name: str, start_ns: int) -> dict[str, str]:
+def run_facts(fleet: Fleet, name: str, incarnation: int) -> dict[str, str]:
     """What a reader of the recording needs to know about the run."""
     return {
         "kind": "black box",
         "fleet": fleet.fleet,
         "robot": name,
         "protocol": fleet.estimation.protocol,
-        "start_ns": str(start_ns),
+        "seed": str(fleet.twin.seed),
+        "schema": str(SCHEMA),
+        "incarnation": str(incarnation),  # Unix time of the start, ns
         **environment(),
     }

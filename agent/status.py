@@ -118,6 +118,7 @@ class Status:
             posterior_sigma_m=sigma_m(posterior.cov_m2) if posterior else None,
             alpha=update.alpha if update else None,
             rule=update.rule if update else "",
+            explain=update.explain if update else None,
             neighbours=tuple(neighbour_state(mailbox, name, name in used, now_ns) for name in mailbox.senders),
             depth_m=telemetry.depth_m if telemetry else None,
             roll_deg=telemetry.roll_deg if telemetry else None,

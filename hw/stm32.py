@@ -7,20 +7,26 @@ import os
 import select
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 import serial
 
 from agent.config import ConfigError
 from agent.messages import SetPoint, Telemetry
-from hw.firmware import wire
-from hw.stm32_talk import Counters, Said, Talk
+from hw.firmware import parameters, wire
+from hw.stm32_orders import Outcome
+from hw.stm32_talk import Counters, Greeting, Said, Talk
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
 TURN_S = 0.05  # the thread looks at least so often whether something is to be said again
 MAX_WAITING = 1024  # bytes not yet taken by the port: beyond it a set-point is stale before it leaves
+Mode = Literal["hold", "stabilise", "surface", "bench"]
+Tap = Callable[[bool, bytes], None]  # (whether from the board, bytes), called in the driver's thread
+MODES: tuple[Mode, ...] = ("hold", "stabilise", "surface", "bench")  # in the order of wire.HOLD ...
 LAST_ORDER_S = 0.3  # how long close() waits for the board to say that the motors are off
 
 
@@ -34,17 +40,27 @@ def open_port_path(url: str, twin_dir: Path) -> str:
     return str(twin_dir / f"{name}.serial")
 
 
+def parameter_id(name: str) -> int:
+    """Number of a parameter. Raises ConfigError that names those that there are."""
+    if name not in parameters.IDS:
+        raise ConfigError(f"parameter '{name}' is not known, write one of: {' '.join(parameters.NAMES)}")
+    return int(parameters.IDS[name])
+
+
 class Stm32:
     """Owns the port in a thread of its own; every method returns at once, `close` within LAST_ORDER_S and a turn.
 
     The caller sends a set-point at 20 Hz or faster: it is the heartbeat, without it the board holds, then surfaces.
+    Orders other than arm and stop answer with a future, which ends within 2 s (a tare: 5 s) whatever happens, with
+    "no board" or "no answer" if need be. Poll it; callbacks would run in the driver's thread, under its lock.
     As a context manager it starts on entry and closes, motors first, on the way out, exception or not.
     """
 
-    def __init__(self, port: str, clock: Callable[[], int], baud: int = BAUD) -> None:
-        """`clock` gives the nanoseconds that telemetry is stamped with."""
+    def __init__(self, port: str, clock: Callable[[], int], baud: int = BAUD, tap: Tap | None = None) -> None:
+        """`clock` gives the nanoseconds that telemetry is stamped with; `tap` sees the bytes of both directions."""
         self.port = port
         self._clock = clock
+        self._tap = tap
         self._baud = baud
         self._talk = Talk(0)
         self._lock = threading.Lock()  # guards everything below and the talk
@@ -103,6 +119,49 @@ class Stm32:
         """Motors off, and no arming until the board was restarted."""
         self._stop(wire.ESTOP)
 
+    def mode(self, mode: Mode, thruster: int = 0) -> Future[Outcome]:
+        """hold: depth and level; stabilise: level alone; surface: go up, until an order to arm calls the robot back;
+        bench: as soon as it is armed, turn one thruster (1-8) slowly, to see which it is and which way it pushes."""
+        return self._ask(wire.MODE, MODES.index(mode), thruster)
+
+    def tare(self, depth_m: float = 0.0) -> Future[Outcome]:
+        """Take the next 2 s of pressures for those at `depth_m`, 0 in air. Refused where they spread or disagree."""
+        return self._ask(wire.TARE, wire.fixed(depth_m, 1e3))
+
+    def parameter(self, name: str) -> Future[Outcome]:
+        """One parameter, by its name in hw.firmware.parameters. Raises ConfigError for a name that there is not."""
+        return self._ask(wire.PARAM_GET, parameter_id(name))
+
+    def parameters(self) -> Future[Outcome]:
+        """All of them."""
+        return self._ask(wire.PARAM_LIST)
+
+    def set_parameter(self, name: str, value: float) -> Future[Outcome]:
+        """Until the next boot, or for good with `save_parameters`; refused while armed. Raises ConfigError for a name
+        or value that cannot be. A board that restarts while we look on is told again what was set and not saved."""
+        i = parameter_id(name)
+        if not parameters.in_range(i, value):
+            _, unit, _, lowest, highest, kind, _ = parameters.TABLE[i]
+            whole = " whole" if kind == parameters.WHOLE else ""
+            raise ConfigError(
+                f"{name} = {value:g}: write a{whole} number from {lowest:g} to {highest:g} {unit}".rstrip()
+            )
+        return self._ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
+
+    def save_parameters(self) -> Future[Outcome]:
+        """All values in force go to the board's flash."""
+        return self._ask(wire.PARAM_SAVE)
+
+    def reboot(self) -> Future[Outcome]:
+        """Refused while armed. The one way out of a latched fault short of pulling the plug."""
+        return self._ask(wire.REBOOT, wire.REBOOT_MAGIC)
+
+    @property
+    def greeting(self) -> Greeting | None:
+        """What the board said of itself when it last greeted."""
+        with self._lock:
+            return self._talk.greeting
+
     @property
     def counters(self) -> Counters:
         with self._lock:
@@ -135,6 +194,12 @@ class Stm32:
     ) -> None:
         self.close()
 
+    def _ask(self, kind: int, *fields: float) -> Future[Outcome]:
+        with self._lock:
+            future = self._talk.ask(kind, *fields)
+        self._wake()
+        return future
+
     def _stop(self, kind: int) -> None:
         with self._lock:
             self._talk.stop(kind)
@@ -166,6 +231,7 @@ class Stm32:
     def _lost(self, error: OSError) -> None:
         with self._lock:
             self._connected = False
+            self._talk.hung_up()
             self._talk.say("warning", f"{self.port}: {error}")
 
     def _serve(self, fd: int) -> None:
@@ -180,7 +246,10 @@ class Stm32:
                 self._waiting += self._talk.due(self._clock())
                 if self._waiting:
                     with contextlib.suppress(BlockingIOError):
-                        del self._waiting[: os.write(fd, self._waiting)]
+                        sent = self._waiting[: os.write(fd, self._waiting)]
+                        del self._waiting[: len(sent)]
+                        if self._tap is not None:
+                            self._tap(False, bytes(sent))
                 if self._talk.is_answered():
                     self._silent.set()
                 writable = [fd] if self._waiting else []
@@ -191,5 +260,7 @@ class Stm32:
                 chunk = os.read(fd, 4096)
                 if not chunk:
                     raise OSError("the port has gone")
+                if self._tap is not None:
+                    self._tap(True, chunk)
                 with self._lock:
                     self._talk.receive(chunk, self._clock())

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from concurrent.futures import Future
 from typing import Literal, NamedTuple
 
 from agent.messages import SetPoint, Telemetry
-from hw.firmware import wire
+from hw.firmware import parameters, wire
+from hw.stm32_orders import NO_BOARD, Order, Orders, Outcome
 
 HELLO_EVERY_NS = 500_000_000
-REPEAT_AFTER_NS = 100_000_000  # a command without answer; four attempts reach 99.4 % at 15 % loss each way
-ATTEMPTS = 4
 ARM_AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
 TTL_MS = 500  # of a set-point; the board holds position after it
 
@@ -47,13 +47,19 @@ class Counters(NamedTuple):
     reconnects: int = 0  # times the port was opened again
     dropped: int = 0  # telemetry that nobody fetched in time
     latency_ns: int | None = None  # newest: from handing over a set-point to telemetry that shows it
+    board_rx_ok: int = 0  # frames that the board got from us
+    board_rx_bad: int = 0  # broken ones
 
 
-class Command(NamedTuple):
-    kind: int
-    req_id: int
-    attempts_left: int
-    due_ns: int
+class Greeting(NamedTuple):
+    """Who the board says it is."""
+
+    build: str
+    uid: str  # of the chip, hexadecimal
+    boot_id: int
+    reset_cause: int  # wire.POWER_ON ...
+    parameters_crc: int  # parameters.crc of the values in force
+    capabilities: int  # bits wire.CAN_...
 
 
 class Talk:
@@ -65,14 +71,18 @@ class Talk:
     def __init__(self, host_boot: int) -> None:
         self.wants_armed = False
         self.armed = False  # what the board said last
+        self._ordered = False  # arm() was called and the board has not agreed yet
         self.telemetry: deque[Telemetry] = deque()
         self.said: deque[Said] = deque(maxlen=KEEP_SAID)
         self._host_boot = host_boot
         self._writer = wire.Writer()
+        self.greeting: Greeting | None = None  # of the newest boot
         self._boot_id: int | None = None
-        self._req_id = 0
+        self._orders = Orders()
+        self._set: dict[int, float] = {}  # parameters set and not saved: a board that restarts gets them again
         self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
         self._latency_ns: int | None = None
+        self._board_rx = (0, 0)
         self._last_text = ""
         self._begin()
 
@@ -80,7 +90,7 @@ class Talk:
         self._framer = wire.Framer(self._on_frame)
         self._hello = False
         self._hello_due_ns: int | None = None
-        self._command: Command | None = None
+        self._orders.drop(NO_BOARD)
         self._arm_due_ns = 0
         self._next_seq: int | None = None
         self._sent_ns: dict[int, int] = {}  # set-points under way, by their sequence number
@@ -99,7 +109,12 @@ class Talk:
     def counters(self) -> Counters:
         ok, bad = self._framer.rx_ok, self._framer.rx_bad
         total = self._counts | {"rx_ok": self._counts["rx_ok"] + ok, "rx_bad": self._counts["rx_bad"] + bad}
-        return Counters(**total | {"reconnects": max(0, total["reconnects"])}, latency_ns=self._latency_ns)
+        return Counters(
+            **total | {"reconnects": max(0, total["reconnects"])},
+            latency_ns=self._latency_ns,
+            board_rx_ok=self._board_rx[0],
+            board_rx_bad=self._board_rx[1],
+        )
 
     # --- to the board ---------------------------------------------------------------------------------------------
 
@@ -125,19 +140,35 @@ class Talk:
         )
 
     def arm(self) -> None:
-        """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends."""
-        self.wants_armed = True
+        """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends.
+
+        An armed board that surfaces is called back to work by the same order.
+        """
+        self.wants_armed = self._ordered = True
         self._arm_due_ns = 0
         self._refusal = ""
 
     def stop(self, kind: int) -> None:
         """DISARM or ESTOP, ahead of any other command."""
         self.wants_armed = False
-        self._order(kind)
+        self._orders.overtake(Order(kind))
+
+    def ask(self, kind: int, *fields: float) -> Future[Outcome]:
+        """Any other order of wire.TABLE, with its fields after req_id and boot_id; without a board it ends at once."""
+        order = Order(kind, fields)
+        if self._hello:
+            return self._orders.ask(order)
+        order.end(NO_BOARD)
+        return order.future
+
+    def hung_up(self) -> None:
+        """The port has gone, and with it what was asked."""
+        self._hello = False
+        self._orders.drop(NO_BOARD)
 
     def is_answered(self) -> bool:
-        """No command waits for its answer."""
-        return self._command is None
+        """No order waits for its answer."""
+        return self._orders.current is None
 
     def due(self, now_ns: int) -> bytes:
         """The frames that it is time to send, perhaps none."""
@@ -146,25 +177,18 @@ class Talk:
             # a zero first, so that noise before it does not swallow the frame
             out += b"\0" + self._frame(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), self._host_boot)
             self._hello_due_ns = now_ns + HELLO_EVERY_NS
-        idle = self._hello and self._command is None
-        if idle and self.wants_armed and not self.armed and now_ns >= self._arm_due_ns:
-            self._order(wire.ARM)
-        command = self._command
-        if command is not None and now_ns >= command.due_ns:
-            if command.attempts_left:
-                out += self._frame(command.kind, command.req_id, self._boot_id or 0)
-                left = command.attempts_left - 1
-                self._command = command._replace(attempts_left=left, due_ns=now_ns + REPEAT_AFTER_NS)
-            else:
-                self._command = None
-                self._arm_due_ns = now_ns + ARM_AGAIN_NS
+        current = self._orders.current
+        idle = self._hello and self._orders.idle
+        if idle and self.wants_armed and (self._ordered or not self.armed) and now_ns >= self._arm_due_ns:
+            self._orders.ask(Order(wire.ARM))
+        order = self._orders.due(now_ns, ready=self._hello)
+        if order is not None:
+            out += self._frame(order.kind, order.req_id, self._boot_id or 0, *order.fields)
+        elif current is not None and self._orders.current is None and current.kind == wire.ARM:
+            self._arm_due_ns = now_ns + ARM_AGAIN_NS
         return out
 
-    def _order(self, kind: int) -> None:
-        self._req_id = (self._req_id + 1) & 0xFFFF
-        self._command = Command(kind, self._req_id, ATTEMPTS, 0)
-
-    def _frame(self, kind: int, *fields: int) -> bytes:
+    def _frame(self, kind: int, *fields: float) -> bytes:
         return bytes(self._writer.frame(kind, *fields))
 
     # --- from the board -------------------------------------------------------------------------------------------
@@ -186,26 +210,42 @@ class Talk:
             self._on_telemetry(wire.unpack(kind, payload))
         elif kind == wire.ACK:
             self._on_ack(*wire.unpack(kind, payload))
+        elif kind == wire.PARAM_VALUE:
+            self._on_value(*wire.unpack(kind, payload))
+        elif kind == wire.STATUS:
+            self._board_rx = wire.unpack(kind, payload)[6:8]
         elif kind == wire.EVENT:
             self._on_event(*wire.unpack(kind, payload))
         elif kind == wire.LOG:
             level, text = wire.unpack(kind, payload)
             self.say(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
 
-    def _on_hello_ack(self, protocol: int, schema: int, build: bytes, uid: bytes, boot_id: int, *_: int) -> None:
-        if (protocol, schema) != (wire.PROTOCOL, wire.schema_crc()):
+    def _on_hello_ack(
+        self, protocol: int, schema: int, build: bytes, uid: bytes, boot_id: int, cause: int, _state: int, *rest: int
+    ) -> None:
+        crc, count, capabilities = rest
+        if (protocol, schema) != (wire.PROTOCOL, wire.schema_crc()) or count != len(parameters.TABLE):
             self.say("error", "the board speaks another protocol; flash the firmware of this release")
             return
+        known = self.greeting
+        name = build.decode(errors="replace")
+        self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
             self._give_up("the board has restarted; arm again")
         self._boot_id = boot_id
         self._hello = True
-        self.say("info", f"board {build.decode(errors='replace')}, boot {boot_id:08x}")
+        self.say("info", f"board {name}, boot {boot_id:08x}")
+        if known is not None and known.boot_id != boot_id:
+            self._events.clear()  # numbered anew
+            again = self._set if known.uid == self.greeting.uid else {}
+            self._set = {}
+            for i, value in again.items():
+                self.ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
 
     def _on_telemetry(self, fields: tuple[int, ...]) -> None:
         t_us, state, ladder, flags, *rest = fields
         if not flags & wire.FLAG_HELLO:  # it has restarted behind our back
-            self._hello = False
+            self.hung_up()
             return
         zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
         _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
@@ -237,18 +277,24 @@ class Talk:
             )
         )
 
-    def _on_ack(self, req_id: int, kind: int, result: int, boot_id: int) -> None:
-        command = self._command
-        if command is None or (req_id, kind) != (command.req_id, command.kind):
+    def _on_ack(self, req_id: int, kind: int, result: int, _boot_id: int) -> None:
+        if self._orders.on_ack(req_id, kind, result, self._now_ns) is None:
             return
-        self._command = None
+        if result == wire.STALE_BOOT:
+            self._hello = False
         if kind == wire.ARM:
             self.armed = result == wire.OK
+            self._ordered = self._ordered and not self.armed
             self._arm_due_ns = self._now_ns + ARM_AGAIN_NS
-            if result == wire.STALE_BOOT:
-                self._hello = False
-        else:
-            self.armed = False  # stopped by our own order: nothing to report
+        elif kind in (wire.DISARM, wire.ESTOP):
+            self.armed = False  # by our own order: nothing to report
+        elif kind == wire.PARAM_SAVE and result == wire.OK:
+            self._set = {}
+
+    def _on_value(self, req_id: int, _boot_id: int, i: int, _type: int, _flags: int, value: float) -> None:
+        order = self._orders.on_value(req_id, i, value)
+        if order is not None and order.kind == wire.PARAM_SET:
+            self._set[i] = value
 
     def _on_event(self, _t_us: int, code: int, before: int, after: int, severity: int, arg: int, count: int) -> None:
         if count in self._events:

@@ -9,18 +9,20 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import zenoh
 
 from agent import topics
 from agent.config import ConfigError, Fleet, dump
-from agent.messages import MAX_PAYLOAD, Refusal, decode
+from agent.messages import MAX_PAYLOAD, SCHEMA, Refusal, decode
 from agent.session import observer_config
 from replay.backlog import Backlog, Entry
+from replay.derive import Derive
 from replay.environment import environment
-from replay.log import LogWriter
+from replay.log import Limits, LogWriter, drop_note
 
 logger = logging.getLogger(__name__)
 
@@ -31,12 +33,18 @@ BACKLOG_BYTES = 16 * 1024 * 1024
 
 
 def record(
-    fleet: Fleet, out: Path, stop: threading.Event, warn: Callable[[str], None] = logger.warning
+    fleet: Fleet,
+    out: Path,
+    stop: threading.Event,
+    warn: Callable[[str], None] = logger.warning,
+    views: bool = True,
+    limits: Limits = Limits(),  # noqa: B008 - a NamedTuple cannot change
 ) -> dict[str, int]:
     """Record into `out` until `stop` is set; returns messages per row of the table, and what was not recorded.
 
-    Log times are Unix time that never steps back: sampled once, then monotonic. `warn` takes one line for a person.
-    Raises ConfigError if the file cannot be written or no session can be opened.
+    Log times are Unix time that never steps back: sampled once, then monotonic. `warn` takes one line for a person,
+    `views` adds channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
+    has become full, and if no session can be opened.
     """
     offset_ns = time.time_ns() - time.monotonic_ns()
 
@@ -45,23 +53,36 @@ def record(
 
     counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
     started_ns = clock()
-    run = {"kind": "fleet", "fleet": fleet.fleet, "started_ns": started_ns, **environment()}
-    ear = _Ear(clock)
+    ear = Ear(clock)
     warned = False
-    with LogWriter(out, run, {"fleet.toml": dump(fleet)}) as log, _session(fleet) as session:
-        _listen(session, fleet, ear)
+    log = LogWriter(out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=Derive(fleet) if views else None)
+    with log, listening(fleet, ear, "recorder"):
         while not stop.wait(PERIOD_S):
-            _write(ear, log, counts)
+            for entry in taken(ear, counts):
+                log.put(entry)
             if log.failed:
                 raise ConfigError(f"{out}: recording stopped: {log.failed}")
             if not warned and not any(counts.values()) and clock() - started_ns > SILENCE_S * 1e9:
                 warned = True
                 warn(f"nothing heard from fleet '{fleet.fleet}' in {SILENCE_S:.0f} s: no robot up, or another fleet")
-        _write(ear, log, counts)
+        for entry in taken(ear, counts):
+            log.put(entry)
     return {**counts, **ear.refused}
 
 
-class _Ear:
+def facts(fleet: Fleet) -> dict[str, str]:
+    """What a reader of the recording needs to know about the run."""
+    return {
+        "kind": "fleet",
+        "fleet": fleet.fleet,
+        "protocol": fleet.estimation.protocol,
+        "seed": str(fleet.twin.seed),
+        "schema": str(SCHEMA),
+        **environment(),
+    }
+
+
+class Ear:
     """Called in Zenoh's threads: stamps, and appends or counts. All else is done when the backlog is taken."""
 
     def __init__(self, clock: Callable[[], int]) -> None:
@@ -95,23 +116,35 @@ class _Ear:
             self.refused[reason] += 1
 
 
-def _listen(session: zenoh.Session, fleet: Fleet, ear: _Ear) -> None:
-    """Subscribe row by row, so that a row that stays mute is seen to be; and to everything, for keys of nobody."""
+@contextmanager
+def listening(fleet: Fleet, ear: Ear, name: str) -> Iterator[None]:
+    """A session called `name` that hears every robot of a fleet. Raises ConfigError if it cannot be opened.
+
+    Subscribed row by row, so that a row that stays mute is seen to be; and to everything, for keys of nobody.
+    """
 
     def handler(called: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
         return zenoh.handlers.Callback(called, indirect=False)  # in Zenoh's thread: the stamp is the arrival
 
+    try:
+        session = zenoh.open(zenoh.Config.from_json5(observer_config(fleet, name)))
+    except zenoh.ZError as error:
+        raise ConfigError(f"fleet '{fleet.fleet}': zenoh cannot open a session: {error}") from None
     anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*"}
-    for row in topics.TOPICS:
-        session.declare_subscriber(topics.key(row, **anyone), handler(ear.message))
-    session.declare_subscriber(topics.ALL.format(**anyone), handler(ear.stranger))
-    session.liveliness().declare_subscriber(topics.ALIVE.format(**anyone), handler(ear.token), history=True)
+    with session:
+        for row in topics.TOPICS:
+            session.declare_subscriber(topics.key(row, **anyone), handler(ear.message))
+        session.declare_subscriber(topics.ALL.format(**anyone), handler(ear.stranger))
+        session.liveliness().declare_subscriber(topics.ALIVE.format(**anyone), handler(ear.token), history=True)
+        yield
 
 
-def _write(ear: _Ear, log: LogWriter, counts: dict[str, int]) -> None:
-    """Hand arrivals to the writer: bytes unchanged, the sender's time and number beside them where they decode."""
+def taken(ear: Ear, counts: dict[str, int]) -> Iterator[Entry]:
+    """What arrived, as entries of a fleet file: bytes unchanged, the sender's time and number where they decode."""
     entries, drops = ear.backlog.take()
-    counts["overrun"] += sum(drop.messages for drop in drops.values())
+    for key, drop in drops.items():
+        counts["overrun"] += drop.messages
+        yield drop_note(f"/zenoh/{key}", drop)
     for entry in entries:
         row = topics.match(entry.channel)
         counts[row[0].name if row else "alive"] += 1
@@ -124,12 +157,6 @@ def _write(ear: _Ear, log: LogWriter, counts: dict[str, int]) -> None:
                 sequence = getattr(message, "seq", 0)
             except Refusal:
                 counts["not decoded"] += 1
-        channel = f"/zenoh/{entry.channel}"
-        log.write(channel, entry.log_time_ns, publish_ns, sequence, entry.data, entry.encoding, metadata)
-
-
-def _session(fleet: Fleet) -> zenoh.Session:
-    try:
-        return zenoh.open(zenoh.Config.from_json5(observer_config(fleet, "recorder")))
-    except zenoh.ZError as error:
-        raise ConfigError(f"fleet '{fleet.fleet}': zenoh cannot open a session: {error}") from None
+        yield entry._replace(
+            channel=f"/zenoh/{entry.channel}", publish_time_ns=publish_ns, sequence=sequence, metadata=metadata
+        )

@@ -41,6 +41,12 @@ MISTAKES = {
     "high port": (("127.0.0.1:17402", "127.0.0.1:40000"), "r2.listen", "40000", "32767"),
     "no endpoint": (("tcp/127.0.0.1:17402", "localhost"), "r2.listen", "localhost", "tcp/HOST:PORT"),
     "below the floor": (('serial = "twin:r1"', 'serial = "twin:r1"\ndepth_m = 0.9'), "r1.depth_m", "floor", "0.5"),
+    "two targets": (
+        ("[estimation]", "[target.fish]\nradius_m = 0.1\n[estimation]"),
+        "key 'target'",
+        "2 targets",
+        "keep one",
+    ),
     "bad name": (('fleet = "tank"', 'fleet = "Tank 3"'), "fleet", "regex", "correct"),
     "not TOML": (('fleet = "tank"', "fleet = tank"), "fleet.toml", "not valid TOML", "line 4"),
 }

@@ -10,15 +10,17 @@ from __future__ import annotations
 import itertools
 from typing import NamedTuple
 
-from agent.messages import Sighting, SweepPlan
+from agent.messages import Sighting, SweepPlan, Telemetry
 from agent.ranging.calibration import FocusFit
 from agent.ranging.focus import Peak, fit_peak
 
 TRACK_STEPS = 7
 TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
+WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
 HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
 FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
 MOTION_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
+TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
 SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should is given up
 STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
@@ -53,6 +55,7 @@ class Sweep:
         self._plan: SweepPlan | None = None
         self._deadline_ns = 0
         self._frames: list[Sighting] = []
+        self._tilts: list[tuple[float, float]] = []  # roll and pitch since the sweep began, degrees
         self._last: Measurement | None = None
         self._failures = 0
 
@@ -68,13 +71,14 @@ class Sweep:
     def start(self, now_ns: int) -> SweepPlan:
         """Begin the next sweep: full when there is no peak to track."""
         if self._last is not None and self._failures < FAILURES_BEFORE_FULL:
-            positions = track_positions(self._last.focus, self._last.width)
+            span = TRACK_SPAN * (WIDER if self._failures else 1.0)
+            positions = track_positions(self._last.focus, self._last.width, span)
         else:
             self._last = None
             positions = full_positions(self._fit, self._full_steps)
         home = round(positions[0] - HOME * self._fit.width)
         self._number += 1
-        self._frames = []
+        self._frames, self._tilts = [], []
         self._plan = SweepPlan(sweep=self._number, focus=(max(home, 0), *positions))
         self._deadline_ns = now_ns + SLACK_NS + len(positions) * STEP_NS
         return self._plan
@@ -83,6 +87,11 @@ class Sweep:
         """Collect a frame of the running sweep; others pass by."""
         if self._plan is not None and sighting.sweep == self._plan.sweep:
             self._frames.append(sighting)
+
+    def telemetry(self, telemetry: Telemetry) -> None:
+        """Watch how still the robot is while a sweep runs."""
+        if self._plan is not None:
+            self._tilts.append((telemetry.roll_deg, telemetry.pitch_deg))
 
     def finish(self, now_ns: int) -> Measurement | Rejected | None:
         """The result once the last position has been seen or time has run out; None while the sweep runs."""
@@ -114,6 +123,9 @@ class Sweep:
         for a, b in itertools.pairwise(good):
             if distance_px(a, b) > MOTION_LIMIT_PX:
                 return Rejected(f"moved {distance_px(a, b):.0f} px between frames")
+        turned_deg = max((max(axis) - min(axis) for axis in zip(*self._tilts, strict=True)), default=0.0)
+        if turned_deg > TILT_LIMIT_DEG:
+            return Rejected(f"tilted by {turned_deg:.1f} degrees during the sweep")
         width = None if self._last is None else self._last.width
         peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], width)
         if not isinstance(peak, Peak):
@@ -137,9 +149,9 @@ def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
     return spread(max(fit.lowest - margin, 0.0), fit.highest + margin, steps)
 
 
-def track_positions(peak: float, width: float) -> tuple[int, ...]:
-    """A few positions around the last peak, wide enough to see both flanks."""
-    return spread(max(peak - TRACK_SPAN * width, 0.0), peak + TRACK_SPAN * width, TRACK_STEPS)
+def track_positions(peak: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
+    """A few positions around the last peak, `span` half-widths to either side: wide enough to see both flanks."""
+    return spread(max(peak - span * width, 0.0), peak + span * width, TRACK_STEPS)
 
 
 def spread(first: float, last: float, steps: int) -> tuple[int, ...]:

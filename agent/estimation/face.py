@@ -1,19 +1,31 @@
-"""What every protocol offers to the kernel, in the paper's words: x̂ is the prior, x the posterior, S the valid set."""
+"""What every protocol offers to the kernel, in the paper's words: x̂ is the prior, x the posterior, S the valid set.
+
+An estimator belongs to one robot and one target. Its life is a circle: `hear` what neighbours said, `tick` once an
+iteration, `say` the outcome to each neighbour, as often as the link allows.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from agent.estimation.mailbox import Mailbox
-from agent.messages import Symmetric, Vector
+from agent.estimation.mailbox import Letter, Mailbox
+from agent.messages import Explain, Gossip, Symmetric, Vector
+
+NOTHING: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Prior(NamedTuple):
     """x̂: one measurement of this robot's own camera, world frame."""
 
     x_m: Vector
-    cov_m2: Symmetric
+    random_m2: Symmetric  # covariance of what averages out over measurements
     t_ns: int  # when the sharpest frame was exposed
+    systematic_m2: Symmetric = NOTHING  # of what does not: the same error in every measurement of this robot
+
+    @property
+    def cov_m2(self) -> Symmetric:
+        xx, xy, xz, yy, yz, zz = (a + b for a, b in zip(self.random_m2, self.systematic_m2, strict=True))
+        return xx, xy, xz, yy, yz, zz
 
 
 class Posterior(NamedTuple):
@@ -30,6 +42,16 @@ class Update(NamedTuple):
     rule: str  # which branch of the protocol fired
     alpha: float  # step size towards the own prior
     used: tuple[str, ...]  # N_i ∩ S^t: the neighbours that counted
+    explain: Explain = Explain()
+
+
+class Word(NamedTuple):
+    """What goes to a neighbour beside `t` and `valid`: fields of messages.Estimate."""
+
+    x_m: Vector | None
+    cov_m2: Symmetric | None
+    degree: int | None = None
+    gossip: Gossip | None = None
 
 
 class Estimator(Protocol):
@@ -40,5 +62,11 @@ class Estimator(Protocol):
     def adopt(self, t: int) -> None:
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""
 
+    def hear(self, letter: Letter) -> tuple[str, ...]:
+        """Take in a message that the mailbox accepted. Returns the kinds of what in it was not believed."""
+
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
         """One iteration: the newest usable word of each neighbour and, if the target was seen, a prior."""
+
+    def say(self, to: str, now_ns: int) -> Word:
+        """What to tell this neighbour now. Time never decreases from call to call."""

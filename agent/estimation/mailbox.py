@@ -38,7 +38,7 @@ class Mailbox:
         self.senders: dict[str, Sender] = {name: Sender() for name in sorted(neighbours)}
         self._quickest: dict[str, dict[int, int]] = {name: {} for name in self.senders}
 
-    def put(self, src: str, estimate: Estimate, arrived_ns: int) -> None:
+    def put(self, src: str, estimate: Estimate, arrived_ns: int) -> Letter:
         """Keep a decoded message that came on the key of `src`. Raises Refusal when it does not belong there."""
         if src not in self.senders:
             raise Refusal("address", "not a neighbour")
@@ -57,7 +57,9 @@ class Mailbox:
             if gap < 0:
                 raise Refusal("order", "repeated or out of order")
         late_ns = self._late_ns(src, arrived_ns - estimate.sent_ns, arrived_ns)
-        self.senders[src] = Sender(sender.heard + 1, sender.gaps + gap, Letter(estimate, arrived_ns, late_ns))
+        letter = Letter(estimate, arrived_ns, late_ns)
+        self.senders[src] = Sender(sender.heard + 1, sender.gaps + gap, letter)
+        return letter
 
     def age_ns(self, src: str, now_ns: int) -> int | None:
         """How old the newest word of a neighbour is; None when it never spoke."""
@@ -74,6 +76,11 @@ class Mailbox:
                 if estimate.valid and estimate.x_m is not None:
                     found.append((name, estimate))
         return tuple(found)
+
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """How old the newest word of each neighbour is; those that never spoke are left out."""
+        ages_ns = {name: self.age_ns(name, now_ns) for name in self.senders}
+        return {name: age_ns * 1e-9 for name, age_ns in ages_ns.items() if age_ns is not None}
 
     def newest_t(self, now_ns: int, validity_ns: int) -> int:
         """The largest iteration that a neighbour heard of late has reached; 0 when all are silent."""

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from agent.estimation.face import Posterior, Prior, Update
-from agent.estimation.mailbox import Mailbox
-from agent.messages import Symmetric, Vector
+from agent.estimation.face import Posterior, Prior, Update, Word
+from agent.estimation.mailbox import Letter, Mailbox
+from agent.messages import Explain, Symmetric, Vector
 
 
 class Paper:
@@ -33,9 +33,15 @@ class Paper:
         if t > self.t + 1:
             self.t = t - 1
 
+    def hear(self, letter: Letter) -> tuple[str, ...]:
+        return ()  # only the newest word counts, and the mailbox has it
+
+    def say(self, to: str, now_ns: int) -> Word:
+        return Word(*self.posterior) if self.posterior else Word(None, None)
+
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
         usable = mailbox.usable(now_ns, self._validity_ns)
-        said = [Posterior(e.x_m, e.cov_m2 or UNKNOWN) for _, e in usable if e.x_m is not None]
+        said = [(Posterior(e.x_m, e.cov_m2 or UNKNOWN), 1.0 / len(usable)) for _, e in usable if e.x_m is not None]
         self.valid = prior is not None
         alpha = 0.0
         if said and prior is not None:
@@ -49,21 +55,23 @@ class Paper:
         else:
             rule = "hold"
         self.t += 1
-        return Update(self.t, rule, alpha, tuple(name for name, _ in usable))
+        weights = {name: (1.0 - alpha) / len(usable) for name, _ in usable}
+        explain = Explain(weights=weights, ages_s=mailbox.ages_s(now_ns))
+        return Update(self.t, rule, alpha, tuple(weights), explain)
 
 
 UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that states no covariance
 
 
-def mix(said: Sequence[Posterior], prior: Prior | None, alpha: float) -> Posterior:
-    """The right side of (ac), and a covariance for it.
+def mix(said: Sequence[tuple[Posterior, float]], prior: Prior | None, alpha: float) -> Posterior:
+    """(1 - alpha) sum w x + alpha x̂ over weights that sum to 1, and a covariance for it.
 
     The paper has no covariance. Neighbours share most of their past, so their mean is credited with the mean of
     their covariances (full correlation, an upper bound); the own prior is new and independent.
     """
-    keep, weight = 1.0 - alpha, (1.0 - alpha) / len(said)
-    x = [math.fsum(weight * p.x_m[k] for p in said) for k in range(3)]
-    cov = [math.fsum(keep * weight * p.cov_m2[k] for p in said) for k in range(6)]
+    keep = 1.0 - alpha
+    x = [math.fsum(keep * w * p.x_m[k] for p, w in said) for k in range(3)]
+    cov = [math.fsum(keep * keep * w * p.cov_m2[k] for p, w in said) for k in range(6)]
     if prior is not None:
         x = [a + alpha * b for a, b in zip(x, prior.x_m, strict=True)]
         cov = [a + alpha * alpha * b for a, b in zip(cov, prior.cov_m2, strict=True)]

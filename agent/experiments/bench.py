@@ -41,23 +41,13 @@ BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
     """Run the whole procedure. Raises CalibrationRefused, ConfigError for a camera without focus, CameraError."""
-    limits = camera.focus_range()
-    if limits is None:
-        raise ConfigError(f"robot.{robot}.camera: its focus cannot be set; a calibration needs one that can")
     total = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)
-    rows: list[FocusRow] = []
-    centre_us = round(fleet.body.servo_centre_us)
-    for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES)):
-        approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
-        peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
-        if peak is not None:
-            rows.append(FocusRow(float(u_m), peak.position, peak.width))
-        progress(done + 1, total)
-    focus = fit_focus(rows)
+    focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, total)))
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
         corners += view
         progress(done + 1, total)
+    centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
     return Calibration(
         robot=robot,
@@ -66,6 +56,22 @@ def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: 
         focus=focus,
         camera=fit_camera(corners, fleet.body, camera.size),
     )
+
+
+def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -> list[FocusRow]:
+    """The sharpest lens position at each distance; a distance without a clear peak is left out."""
+    limits = camera.focus_range()
+    if limits is None:
+        raise ConfigError("the camera's focus cannot be set; a calibration needs one that can")
+    rows: list[FocusRow] = []
+    centre_us = round(fleet.body.servo_centre_us)
+    for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES), start=1):
+        approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
+        peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        if peak is not None:
+            rows.append(FocusRow(float(u_m), peak.position, peak.width))
+        progress(done, DISTANCES)
+    return rows
 
 
 def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:

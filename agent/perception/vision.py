@@ -142,7 +142,7 @@ class Vision:
         """Read a frame, find the target in it and say so. In a sweep only the part around the last ball is read."""
         roi = around(self._ball, camera.size) if sweep and self._ball else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
-        ball, sighting = self._sight(frame, sweep, index, radius_px)
+        ball, sighting = self.sight(frame, sweep, index, radius_px)
         self._ball = ball
         self.frames += 1
         with self._changed:
@@ -152,7 +152,8 @@ class Vision:
             self._on_frame(frame, sighting)
         return ball
 
-    def _sight(self, frame: Frame, sweep: int, index: int, radius_px: float | None) -> tuple[Ball | None, Sighting]:
+    def sight(self, frame: Frame, sweep: int, index: int, radius_px: float | None) -> tuple[Ball | None, Sighting]:
+        """What one frame shows; `radius_px`: of the sweep's first ball. Replay calls it as well."""
         ball = find_ball(
             enhance(frame.image) if self._settings.enhance else frame.image, self._fit, (frame.roi.x, frame.roi.y)
         )

@@ -27,7 +27,7 @@ MAX_NOISE_PX = 2.0  # lens distortion that a pinhole leaves is a third of a pixe
 HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
 HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
-NOISE_FLOOR = 0.05  # lens positions: a driver that numbers whole steps does not repeat better than that
+NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
 
 
 class FocusRow(NamedTuple):
@@ -67,7 +67,7 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
     if float((travel * p[1]).min()) <= 0.0:
         raise CalibrationRefused("the pole of the fit lies inside the measurements; check the table for wrong peaks")
     residual = travel - p[1] / (u - p[0])
-    noise = max(_scale(weights * residual, 3), NOISE_FLOOR)
+    noise = max(_scale(weights * residual, 3), NOISE_FLOOR * float(np.ptp(rho)))
     error_m = p[0] + p[1] / travel - u
     held_out_m = np.concatenate([_held_out_m(u, rho, distance) for distance in distances])
     return FocusFit(
@@ -83,6 +83,20 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
         rmse_m=math.sqrt(float((error_m**2).mean())),
         held_out_rmse_m=math.sqrt(float((held_out_m**2).mean())),
     )
+
+
+class LeftOut(NamedTuple):
+    """How well the other distances foretell one."""
+
+    u_m: float
+    error_m: float  # rms over its rows, of the fit to all the others
+
+
+def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
+    """Per distance, not per row: the rows of one distance share the error of its tape measure."""
+    u, rho = (np.array([row[i] for row in rows], float) for i in (0, 1))
+    errors = ((d, _held_out_m(u, rho, d)) for d in sorted({float(d) for d in u}))
+    return [LeftOut(d, math.sqrt(float((e * e).mean()))) for d, e in errors]
 
 
 def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> CameraFit:

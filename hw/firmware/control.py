@@ -1,13 +1,19 @@
 # From pressures and set-point to pulses, armed or not. No bytes, no hardware: those are tether.py and the HAL.
+import math
+
 import failsafe
 import law
+import parameters
 import pressure
 import thrust
 import wire
 
 SENSOR_HALF_M = 0.13  # sensors sit at (+-0.13, +-0.13) m
-BATTERY_MIN_MV = 12000  # 3.0 V a cell of four; below it the ESCs brown out
+GRAVITY_M_S2 = 9.80665
+BATTERY_S = 1.0  # the voltage that thrust is scaled with is smoothed over this: the probe's noise is not the battery's
+STEEPEST_RAD = 0.785  # net weight is carried along the robot's own axis up to this tilt
 NEVER_US = 1 << 29  # an age that is past every limit and fits the board's 31 bit integers
+BENCH_US = 60  # over neutral: a propeller in air turns visibly and slowly
 
 
 class SetPoint:
@@ -17,6 +23,7 @@ class SetPoint:
         self.age_us = NEVER_US
         self.ttl_us = 0
         self.seq = 0  # of the frame that brought it
+        self.host_ms = None  # the host's clock in it, modulo 2**32
         self.depth_m = 0.0
         self.tilt_rad = [0.0, 0.0]  # roll, pitch
         self.force_n = [0.0, 0.0]  # forward, left
@@ -35,9 +42,10 @@ class Control:
 
     def __init__(self):
         self.state = wire.DISARMED
+        self.mode = wire.HOLD
+        self.bench_thruster = 0  # 1-8: turns in mode BENCH
         self.plane = pressure.Plane(wire.PA_PER_M, SENSOR_HALF_M, SENSOR_HALF_M)
         self.ladder = failsafe.Ladder()
-        self.law = law.choose("observer")
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
         self.pulses_us = [thrust.NEUTRAL_US] * 8
@@ -45,18 +53,43 @@ class Control:
         self.esc_us = 0  # for how long all pulses have been neutral
         self.leak = False
         self.battery_low = False
+        self.tare_old = False
+        self._battery_mv = 0.0  # smoothed
+        self._forces_n = [0.0] * 8
         # one value each for depth, roll, pitch
         self._y = [0.0] * 3
         self._ref = [0.0] * 3
         self._want = [0.0] * 3
         self._realised = [0.0] * 3
-        self._forces_n = [0.0] * 8
+        self.configure(parameters.from_flash({}))
+
+    def configure(self, values):
+        """Take new parameters, in the order of their table. For a disarmed robot: the law begins anew."""
+        self.values = values
+        of = {name: values[i] for i, name in enumerate(parameters.NAMES)}
+        self.law = (
+            law.Pi,
+            lambda: law.Pid(int(of["pid_set"])),
+            lambda: law.Observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]),
+        )[int(of["law"])]()
+        self.plane.pa_per_m = of["water_kg_m3"] * GRAVITY_M_S2
+        self._thrust_max_n = of["thrust_max_N"]
+        self._net_weight_n = of["net_weight_N"]
+        self._curve_battery_mv = of["curve_battery_mV"]
+        self._battery_min_mv = of["battery_min_mV"]
+        self._slew_n = of["slew_N"]
+        for j in range(8):
+            self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])
 
     def sense(self, pressure_pa, answered, battery_mv, leak, dt_us):
         """Begin a cycle with what the sensors say."""
         self.set_point.age_us = min(self.set_point.age_us + dt_us, NEVER_US)
         self.leak = bool(leak)
-        self.battery_low = battery_mv < BATTERY_MIN_MV
+        self.battery_low = battery_mv < self._battery_min_mv
+        if self._battery_mv:
+            self._battery_mv += (battery_mv - self._battery_mv) * min(1.0, dt_us * 1e-6 / BATTERY_S)
+        else:
+            self._battery_mv = float(battery_mv)
         self.plane.step(pressure_pa, answered, dt_us)
 
     def act(self, dt_us):
@@ -69,28 +102,63 @@ class Control:
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
         )
+        if level >= failsafe.HOLD and self.mode == wire.BENCH:
+            self.ladder.give_up()
+            level = failsafe.DISARM
         if level >= failsafe.DISARM:
             self.disarm()
             return True
         if level >= failsafe.HOLD:
             self.set_point.level_out()
+            if self.mode == wire.STABILISE:  # with nobody there, drifting up or down is no option
+                self.hold_here()
         if level == failsafe.SURFACE:
             if before != level:
                 self.set_point.depth_m = self.plane.depth_m
-            self.set_point.depth_m = max(0.0, self.set_point.depth_m - failsafe.ASCENT_M_S * dt_us * 1e-6)
-        self._drive()
+            self.set_point.depth_m = max(failsafe.AFLOAT_M, self.set_point.depth_m - failsafe.ASCENT_M_S * dt_us * 1e-6)
+        if self.mode == wire.BENCH:
+            self._turn_one()
+        else:
+            self._drive()
         return level != before
 
+    def surface(self):
+        """By order: level and upwards, whatever the set-point says, until an order to arm calls the robot back."""
+        if self.ladder.level < failsafe.SURFACE:
+            self.ladder.surface()
+            self.hold_here()
+            self.set_point.level_out()
+
+    def hold_here(self):
+        """Keep the depth that there is."""
+        self.mode = wire.HOLD
+        self.set_point.depth_m = self.plane.depth_m
+
+    def _turn_one(self):
+        for j in range(8):
+            self.pulses_us[j] = self.neutral_us[j] + (BENCH_US if j + 1 == self.bench_thruster else 0)
+
     def _drive(self):
-        plane, set_point = self.plane, self.set_point
-        self._y[0], self._y[1], self._y[2] = plane.depth_m, plane.roll_rad, plane.pitch_rad
+        plane, set_point, y, want, realised = self.plane, self.set_point, self._y, self._want, self._realised
+        y[0], y[1], y[2] = plane.depth_m, plane.roll_rad, plane.pitch_rad
         self._ref[0], self._ref[1], self._ref[2] = set_point.depth_m, set_point.tilt_rad[0], set_point.tilt_rad[1]
-        self.law.step(self._y, self._ref, self._realised, self._want)
-        self.saturated = 1 if thrust.central(self._want, 0.0, self._forces_n, self._realised) else 0
-        if thrust.flat(set_point.force_n[0], set_point.force_n[1], set_point.yaw_nm, self._forces_n):
+        if self.mode == wire.STABILISE:
+            self._ref[0] = y[0]
+        self.law.step(y, self._ref, realised, want)
+        if self.mode == wire.STABILISE:
+            want[0] = 0.0
+        # What carries the weight is none of the law's: it neither asks for it nor learns of it.
+        weight_n = self._net_weight_n
+        if weight_n:
+            weight_n /= math.cos(min(abs(y[1]), STEEPEST_RAD)) * math.cos(min(abs(y[2]), STEEPEST_RAD))
+        want[0] += weight_n
+        full = thrust.full_n(self._thrust_max_n, self._battery_mv / self._curve_battery_mv)
+        self.saturated = 1 if thrust.central(want, 0.0, full, self._slew_n, self._forces_n, realised) else 0
+        realised[0] -= weight_n
+        if thrust.flat(set_point.force_n[0], set_point.force_n[1], set_point.yaw_nm, full, self._forces_n):
             self.saturated |= 2
         for j in range(8):
-            self.pulses_us[j] = thrust.pulse_us(self._forces_n[j], self.neutral_us[j])
+            self.pulses_us[j] = thrust.pulse_us(self._forces_n[j], self.neutral_us[j], full)
 
     def arm_faults(self, hello, loop_max_us):
         """What speaks against arming, as the bit mask of failsafe.arm_faults.
@@ -108,6 +176,7 @@ class Control:
             NEVER_US if armed else self.esc_us,
             self.ladder,
             loop_max_us,
+            self.tare_old and not armed,
         )
 
     def arm(self):
@@ -118,11 +187,15 @@ class Control:
         self.state = wire.ARMED
         self._y[0], self._y[1], self._y[2] = self.plane.depth_m, self.plane.roll_rad, self.plane.pitch_rad
         self.law.reset(self._y)
-        self._realised[0] = self._realised[1] = self._realised[2] = 0.0
+        for i in range(3):
+            self._realised[i] = 0.0
+        for j in range(8):
+            self._forces_n[j] = 0.0
 
     def disarm(self):
         """All pulses to neutral, now."""
         self.state = wire.DISARMED
+        self.mode = wire.HOLD
         self.saturated = 0
         for j in range(8):
             self.pulses_us[j] = self.neutral_us[j]

@@ -6,6 +6,7 @@ HOLD_AFTER_US = 500000  # 10 lost set-points at 20 Hz
 SURFACE_AFTER_US = 3000000  # as ArduSub's pilot input
 DISARM_AFTER_US = 30000000  # of surfacing without reaching the surface: it is held fast, or out of power
 SURFACED_M, SURFACED_FOR_US = 0.10, 2000000
+AFLOAT_M = 0.08  # where surfacing ends: a hull lifted out of the water would plunge when the motors stop
 TILT_RAD, TILT_FOR_US = 0.785, 2000000  # 45 degrees
 BATTERY_FOR_US = 2000000  # sag under a burst of thrust is not an empty battery
 ASCENT_M_S = 0.07
@@ -14,9 +15,10 @@ ARM_TILT_RAD = 0.349  # 20 degrees
 ARM_PARITY_M = 0.005
 ESC_NEUTRAL_US = 3000000  # an ESC arms after 3 s of neutral pulses
 LOOP_LIMIT_US = 9000
+TARE_FOR_MS = 12 * 3600 * 1000  # the weather moves by 1 hPa, a centimetre of water, within hours
 
 # Indices of wire.REASONS
-NONE, ORDER, SILENT, LEAK, BATTERY, SENSORS, SURFACED, STUCK, TILTED, TWO_BAD, STOP, PARAMETERS = range(12)
+NONE, ORDER, SILENT, LEAK, BATTERY, SENSORS, SURFACED, STUCK, TILTED, TWO_BAD, STOP, PARAMETERS, WATCHDOG = range(13)
 
 
 class Ladder:
@@ -32,6 +34,15 @@ class Ladder:
         if self.level != LATCHED:
             self.__init__()
         return self.level == OK
+
+    def surface(self):
+        """By order: go up."""
+        if self.level < SURFACE:
+            self._climb(SURFACE, ORDER)
+
+    def give_up(self):
+        """Disarm for the reason that stands."""
+        self.level = DISARM
 
     def latch(self, reason):
         """Neutral until reboot."""
@@ -75,11 +86,11 @@ class Ladder:
         self.reason = reason
 
 
-def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us):
+def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us, tare_old):
     """Bit mask, in the order of wire.ARM_CHECKS, of all that speaks against arming; 0: go.
 
     hello: the handshake agreed; neutral: no planar push, no tilt is asked for; esc_us: for how long all pulses have
-    been neutral.
+    been neutral; tare_old: it was made more than TARE_FOR_MS ago.
     """
     checks = (
         not hello,
@@ -94,6 +105,7 @@ def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder,
         esc_us < ESC_NEUTRAL_US,
         ladder.level == LATCHED,
         loop_max_us >= LOOP_LIMIT_US,
+        tare_old,
     )
     mask = 0
     for i in range(len(checks)):

@@ -6,15 +6,21 @@ import os
 import struct
 
 import bus
+import wire
 
+RESET_CAUSE = "AUCAMP_RESET_CAUSE"  # the environment variable that stands for the chip's register
 EIO, EAGAIN = 5, 11  # errno: nobody has the other end of the pty open; its buffer is full or empty
 
 
 class Hal:
     """One board. `wait_tick` ends a cycle and begins the next."""
 
+    capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED
+    temperature_c = float("nan")  # the simulated bus has no thermometer
+
     def __init__(self, serial_fd, bus_fd, flash_path):
         """serial_fd: master of a raw, non-blocking pty; bus_fd: stream of the records in bus.py, blocking."""
+        self._reset_cause = int(os.getenv(RESET_CAUSE) or wire.POWER_ON)
         self._serial = open(serial_fd, "r+b", buffering=0)
         self._bus = open(bus_fd, "r+b", buffering=0)
         self._flash_path = flash_path
@@ -80,8 +86,8 @@ class Hal:
             if error.args[0] not in (EIO, EAGAIN):
                 raise
 
-    def feed(self):
-        """The watchdog: the twin sees by itself that no answer comes."""
+    def end_cycle(self):
+        """Pins go out with the next wait_tick; and no watchdog: the twin sees by itself that no answer comes."""
 
     def collect(self):
         """Collect garbage where the interpreter does not count references; returns the time it took in us."""
@@ -94,9 +100,13 @@ class Hal:
         return gc.mem_free() if hasattr(gc, "mem_free") else 0
 
     def boot_info(self):
-        """Unique id (12 bytes), a fresh random boot id, reset cause (1: power on)."""
+        """Unique id (12 bytes), a fresh random boot id, reset cause."""
         uid = (self._flash_path.encode() + bytes(12))[-24:-12]
-        return uid, int.from_bytes(os.urandom(4), "little"), 1
+        return uid, int.from_bytes(os.urandom(4), "little"), self._reset_cause
+
+    def reboot(self):
+        """Forget everything but flash: main.py makes a new Firmware on this board."""
+        self._reset_cause = wire.BY_ORDER
 
     def load_flash(self):
         """What survives a power cut: a dict, empty on a fresh board. ValueError: there is something, but no JSON."""

@@ -9,6 +9,7 @@ LOWEST_PA, HIGHEST_PA = 30000.0, 120000.0  # what an MS5837-02BA can say, 300 to
 ABOVE_WATER_M = 0.10  # higher than this above the surface is no place of a submerged robot (ArduPilot issue 9837)
 BAD_AFTER = 5  # faulty readings in a row (50 ms); below that the last good one stands in
 GOOD_AFTER = 100  # good readings in a row (1 s)
+SPIKE_M = 0.05  # a sensor that leaves the plane of the others by more within a cycle is doubted, for BAD_AFTER cycles
 STUCK_AFTER_US = 5000000  # the same reading for so long is a fault only while the others move (ArduPilot issue 30854)
 MOVING_US = 1000000
 PARITY_LIMIT_M = 0.020
@@ -28,6 +29,7 @@ class Plane:
     """The plane through the four sensors, followed from cycle to cycle."""
 
     def __init__(self, pa_per_m, half_x_m, half_y_m):
+        self.pa_per_m = pa_per_m  # pressure of a metre of this water
         self.tare_pa = None  # absolute pressure of each sensor in air, before the dive
         self.zeta_m = [0.0] * 4  # depth of each sensor below its tare
         self.depth_m = self.roll_rad = self.pitch_rad = 0.0
@@ -35,19 +37,24 @@ class Plane:
         self.bad = 0  # bit mask of sensors not believed
         self.bad_count = 0
         self.disagree = False  # one of them is wrong and nobody knows which
-        self._pa_per_m = pa_per_m
         self._half_x_m = half_x_m
         self._half_y_m = half_y_m
         self._last_pa = [0.0] * 4
         self._same_us = [0] * 4
         self._faults = [BAD_AFTER] * 4  # a sensor is bad until it has spoken
         self._goods = [GOOD_AFTER - 1] * 4
+        self._new_m = [0.0] * 4
+        self._spikes = 0  # cycles in a row
         self._parity_us = 0
 
     def step(self, raw_pa, answered, dt_us):
         """Take absolute pressures in Pa; `answered` is the bit mask of sensors that were there."""
         for k in range(4):
-            self._follow(k, raw_pa[k], answered >> k & 1, dt_us)
+            tare = 101325.0 if self.tare_pa is None else self.tare_pa[k]
+            self._new_m[k] = (raw_pa[k] - tare) / self.pa_per_m
+        spike = self._spike()
+        for k in range(4):
+            self._follow(k, raw_pa[k], answered >> k & 1 and k != spike, dt_us)
         self.bad = self.bad_count = 0
         for k in range(4):
             if self._faults[k] >= BAD_AFTER:
@@ -65,9 +72,24 @@ class Plane:
         self.pitch_rad = -_asin(0.25 * (-z[0] + z[1] + z[2] - z[3]) / self._half_x_m)
         self.roll_rad = -_asin(0.25 * (z[0] + z[1] - z[2] - z[3]) / (self._half_y_m * math.cos(self.pitch_rad)))
 
+    def _spike(self):
+        """The sensor that has leapt out of the plane just now, or -1. One that stays out is for parity to judge."""
+        z, new = self.zeta_m, self._new_m
+        leap = new[0] - z[0] - new[1] + z[1] + new[2] - z[2] - new[3] + z[3]
+        if self.bad_count or not abs(leap) > SPIKE_M:
+            self._spikes = 0
+            return -1
+        self._spikes += 1
+        if self._spikes >= BAD_AFTER:
+            return -1
+        worst = 0
+        for k in range(1, 4):
+            if abs(new[k] - z[k]) > abs(new[worst] - z[worst]):
+                worst = k
+        return worst
+
     def _follow(self, k, pa, answered, dt_us):
-        tare = 101325.0 if self.tare_pa is None else self.tare_pa[k]
-        zeta = (pa - tare) / self._pa_per_m
+        zeta = self._new_m[k]
         if pa == self._last_pa[k]:
             self._same_us[k] = min(self._same_us[k] + dt_us, STUCK_AFTER_US)
         else:
@@ -96,7 +118,10 @@ def _asin(x):
 
 
 class Tare:
-    """Zero of the four sensors in air: medians of 2 s, or the reason why there is none."""
+    """Zero of the four sensors in air: medians of 2 s, or None.
+
+    Made on the host's order, with the motors off: the one place that may take memory as it goes.
+    """
 
     SAMPLES = 200
     SPREAD_PA = 200.0  # 2 mbar: more is handling, splashing, or a sensor that is not well

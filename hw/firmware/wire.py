@@ -19,7 +19,9 @@ PA_PER_M = 9789.0
 TELEM, STATUS, EVENT, LOG = 0x01, 0x02, 0x03, 0x04
 SETPOINT = 0x10
 HELLO, HELLO_ACK = 0x20, 0x21
-ACK, ARM, DISARM, TARE, ESTOP = 0x30, 0x31, 0x32, 0x39, 0x3B
+ACK, ARM, DISARM, MODE = 0x30, 0x31, 0x32, 0x33
+PARAM_GET, PARAM_SET, PARAM_VALUE, PARAM_LIST, PARAM_SAVE = 0x34, 0x35, 0x36, 0x37, 0x38
+TARE, REBOOT, ESTOP = 0x39, 0x3A, 0x3B
 
 # type, name, payload, fields with their units; "x4" repeats a field. LOG alone has a tail: its text in UTF-8.
 TABLE = (
@@ -54,7 +56,14 @@ TABLE = (
     (ACK, "ACK", "<HBBI", "req_id type result boot_id"),
     (ARM, "ARM", "<HI", "req_id boot_id"),
     (DISARM, "DISARM", "<HI", "req_id boot_id"),
+    (MODE, "MODE", "<HIBB", "req_id boot_id mode thruster"),
+    (PARAM_GET, "PARAM_GET", "<HIH", "req_id boot_id id"),
+    (PARAM_SET, "PARAM_SET", "<HIHBBf", "req_id boot_id id type flags value"),
+    (PARAM_VALUE, "PARAM_VALUE", "<HIHBBf", "req_id boot_id id type flags value"),
+    (PARAM_LIST, "PARAM_LIST", "<HI", "req_id boot_id"),
+    (PARAM_SAVE, "PARAM_SAVE", "<HI", "req_id boot_id"),
     (TARE, "TARE", "<HIh", "req_id boot_id depth_mm"),
+    (REBOOT, "REBOOT", "<HII", "req_id boot_id magic"),
     (ESTOP, "ESTOP", "<HI", "req_id boot_id"),
 )
 
@@ -64,13 +73,26 @@ SIZE = {row[0]: struct.calcsize(row[2]) for row in TABLE}
 # TELEM state, and bits of its flags
 DISARMED, ARMED = 0, 1
 FLAG_HELLO, FLAG_DEGRADED, FLAG_TARED, FLAG_LEAK, FLAG_BATTERY, FLAG_FRESH = 1, 2, 4, 8, 16, 32
+MODE_SHIFT = 8  # two bits of the flags: the mode
+
+# MODE: keep depth and level; keep level, no vertical thrust; go up and stop there; turn one thruster, law off
+HOLD, STABILISE, SURFACE, BENCH = 0, 1, 2, 3
+
+UNSAVED = 1  # PARAM_VALUE flags: it is not what is in flash
+
+REBOOT_MAGIC = 0xB007B007  # a flipped bit in another command shall not restart a robot
+
+# HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32
+CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL, SIMULATED = 1, 2, 4, 8, 16
+POWER_ON, BY_PIN, BY_WATCHDOG, BY_ORDER = 1, 2, 3, 5
 
 # SETPOINT valid bits: a part whose bit is clear keeps what was last set
 VALID_DEPTH, VALID_ATTITUDE, VALID_FORCE, VALID_SERVO, VALID_LIGHT = 1, 2, 4, 8, 16
 VALID_ALL = 31
 
-# ACK results
-OK, REFUSED, UNKNOWN, STALE_BOOT, BUSY, RANGE = 0, 1, 2, 3, 4, 5
+# ACK results; RUNNING: begun, repeat the request until it brings another result
+OK, REFUSED, UNKNOWN, STALE_BOOT, BUSY, RANGE, RUNNING = 0, 1, 2, 3, 4, 5, 6
+RESULTS = ("ok", "refused", "unknown", "stale boot", "busy", "out of range", "running")
 
 # EVENT codes; arg is an index of REASONS, for an arming refusal the bit mask of ARM_CHECKS that failed
 EV_BOOT, EV_ARMED, EV_DISARMED, EV_LADDER, EV_ARM_REFUSED = 1, 2, 3, 4, 5
@@ -89,6 +111,7 @@ REASONS = (
     "two sensors bad",
     "emergency stop",
     "parameters unreadable",
+    "watchdog",
 )
 
 ARM_CHECKS = (
@@ -104,6 +127,7 @@ ARM_CHECKS = (
     "ESC neutral for less than 3 s",
     "fault latched",
     "control cycle too slow",
+    "tare older than 12 h",
 )
 
 

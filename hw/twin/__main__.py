@@ -17,7 +17,7 @@ from agent.config import ConfigError, Fleet, load_fleet, load_robot
 from hw.camera import CameraError
 from hw.twin.bench import Bench, serve
 from hw.twin.camera_device import FRAME_NS, DiveCamera, FrameClock
-from hw.twin.devices import Board
+from hw.twin.devices import Board, interpreter
 from hw.twin.dive import Dive, run_at_wall_clock
 from hw.twin.frame_socket import FrameServer
 from hw.twin.lens import Lens, Vcm, draw_lens
@@ -68,9 +68,13 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
     scene = load_scene(fleet.twin.scene)
     optics = [_optics(fleet, scene, name) for name in robots]
-    Dive(fleet, robots, 0).move()  # compiles the physics before the clock starts
-    dive = Dive(fleet, robots, time.monotonic_ns())
-    dive.boards = [Board(name, folder, tare_pa) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)]
+    Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
+    dive = Dive(fleet, robots, time.monotonic_ns(), waves=scene.waves, events=scene.event)
+    runs = interpreter()
+    sys.stdout.write(f"twin: the firmware runs under {runs}\n")
+    dive.boards = [
+        Board(name, folder, tare_pa, interpreter=runs) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)
+    ]
     servers: list[FrameServer] = []
     for i, (name, (lens, vcm, painter)) in enumerate(zip(robots, optics, strict=True)):
         clock = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))

@@ -33,6 +33,7 @@ BODY = np.dtype(
         ("thrust_gain", "f8", 8),
         ("thrust_lag_s", "f8", 8),
         ("sensor_m", "f8"),  # pressure sensors at (+-s, +-s)
+        ("stagnation", "f8"),  # share of the dynamic pressure that they see
         ("servo_gain", "f8", 4),  # camera pan, camera tilt, lamp pan, lamp tilt
         ("servo_zero_deg", "f8", 4),
         ("servo_low_deg", "f8", 4),  # mechanical stops
@@ -106,6 +107,7 @@ def draw_body(
     body["arm_m"] = np.asarray(ARM_M) + rng.uniform(-ARM_SPREAD_M, ARM_SPREAD_M, 2)
     body["reaction_m"] = about(REACTION_M, REACTION_SPREAD)
     body["sensor_m"] = SENSOR_M + rng.uniform(-SENSOR_SPREAD_M, SENSOR_SPREAD_M)
+    body["stagnation"] = 1.0
     body["neutral_us"] = rng.uniform(-NEUTRAL_SPREAD_US, NEUTRAL_SPREAD_US, 8)
     body["thrust_gain"] = about((1.0,) * 8, THRUST_SPREAD)
     body["thrust_lag_s"] = LAG_S * rng.uniform(*LAG_FACTOR, 8)

@@ -1,45 +1,48 @@
-"""One robot's control module as the agent meets it: a serial port, and behind it the firmware in its own process."""
+"""One robot's control module as the agent meets it: a serial port, and behind it a board that runs the firmware.
+
+The board does what a board does whatever its firmware thinks: it boots when power comes, and its watchdog resets a
+firmware that is silent for half a second. Flash outlives both. No boot is armed by the one before.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import select
-import socket
+import shutil
 import struct
-import subprocess
 import sys
 import time
-import tty
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import Any
 
-from hw.firmware.bus import ACT, ACT_SIZE, TICK
+from hw.firmware.bus import TICK
+from hw.firmware.wire import BY_WATCHDOG, POWER_ON
+from hw.twin.boot import Act, Boot, boot
+from hw.twin.cable import Cable
 
 FIRMWARE = Path(__file__).parents[1] / "firmware" / "main.py"
 
-BATTERY_MV, CURRENT_10MA = 14_800, 150  # a full four-cell pack that does not sag yet
+
+def interpreter() -> str:
+    """The board's own interpreter where its Unix port is installed, beside this Python or on PATH; else this Python."""
+    beside = str(Path(sys.executable).parent)
+    return shutil.which("micropython", path=beside) or shutil.which("micropython") or sys.executable
+
+
+BATTERY_MV, CURRENT_10MA = 14_800, 150  # a four-cell pack, nothing running but the electronics
 ALL_SENSORS = 0b1111
 
 # A control module that is busy answers within 1 ms; the pace of the water waits no longer for one that is late.
 PATIENCE_S = 0.002
-STOP_S = 0.3  # from the end of its bus to the kill
-
-
-class Act(NamedTuple):
-    """What the pins of the board do since `clock_us`."""
-
-    clock_us: int
-    pulses_us: tuple[int, ...]  # (8,) T1-T8
-    servos_us: tuple[int, ...]  # (4,) camera pan, camera tilt, lamp pan, lamp tilt
-    lamp_permille: int
-    armed: bool
+WATCHDOG_US = 500_000  # as hal_stm32 sets the chip's independent watchdog; it begins with the first answer
+RESTART_US = 1_000_000  # a firmware that ends at once is started once a second
 
 
 class Board:
-    """A firmware process between its pty and its bus. Nothing happens before start()."""
+    """A control module between its cable and its bus. Nothing happens before start(); time is the clock of `tick`.
+
+    `settings` go to the flash beside the tare, for example {"law": "pid"}.
+    """
 
     def __init__(
         self,
@@ -48,119 +51,140 @@ class Board:
         tare_pa: Sequence[float],
         firmware: Path = FIRMWARE,
         interpreter: str = sys.executable,
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
         self.robot = robot
         self.port = folder / f"{robot}.serial"
         self._flash = folder / f"{robot}.flash.json"
         self._log = folder / f"{robot}.firmware.log"
-        self._tare_pa = [float(p) for p in tare_pa]
+        self._burnt = {"tare_pa": [float(p) for p in tare_pa], **(settings or {})}
         self._command = [interpreter, str(firmware)]
-        self._process: subprocess.Popen[bytes] | None = None
-        self._slave = -1
-        self._bus: socket.socket | None = None
-        self._rest = b""
-        self._asked_us = -1  # clock of the last tick sent
-        self._answered_us = -1
+        self._cable = Cable(self.port)
+        self._boot: Boot | None = None
+        self._clock_us = 0
+        self._booted_us = 0
+        self._plug_us: int | None = None  # when the cable, when power comes back
+        self._power_us: int | None = None
+        self._told = ""
 
     def start(self) -> None:
-        """Burn the flash, open the port and boot."""
-        self._flash.write_text(json.dumps({"tare_pa": self._tare_pa}))
-        master, self._slave = os.openpty()
-        tty.setraw(self._slave)  # one setting for both ends; a cooked pty would echo and rewrite CR and LF
-        os.set_blocking(master, False)
-        self._bus, theirs = socket.socketpair()
-        self._bus.setblocking(False)
-        try:
-            with self._log.open("wb") as log:
-                self._process = self._boot(master, theirs.fileno(), log)
-        finally:
-            # The firmware alone holds the master: when it dies, the agent's port hangs up as if unplugged.
-            os.close(master)
-            theirs.close()
-        # We keep the slave open, else the firmware would read EIO whenever the agent closes its end.
-        self.port.symlink_to(os.ttyname(self._slave))
+        """Burn the flash, boot and open the port."""
+        self._flash.write_text(json.dumps(self._burnt))
+        self._log.write_bytes(b"")
+        self._power_up(POWER_ON)
+        self._cable.plug()
 
-    def _boot(self, serial_fd: int, bus_fd: int, log: IO[bytes]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [*self._command, str(serial_fd), str(bus_fd), str(self._flash)],
-            pass_fds=(serial_fd, bus_fd),
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            process_group=0,  # Ctrl-C is for the twin, which then ends the bus
-        )
+    @property
+    def driving(self) -> bool:
+        """Whether the firmware drives the pins: not before its first answer, nor after its end."""
+        return self._boot is not None and not self._boot.ended and self._boot.answered_us >= 0
 
     @property
     def alive(self) -> bool:
-        return self._bus is not None
+        """Whether a firmware runs, be it stopped."""
+        return self._boot is not None and not self._boot.ended
 
-    def tick(self, clock_us: int, pressure_pa: Sequence[float]) -> None:
-        """One tick of the hardware: the firmware's time goes on, and this is what its sensors read."""
-        if self._bus is None:
+    @property
+    def overdue(self) -> bool:
+        """Whether a firmware that runs free has left the last tick that it was waited for without an answer."""
+        return self._boot is not None and not self._boot.ended and self._boot.late and not self._boot.stopped
+
+    def tick(
+        self,
+        clock_us: int,
+        pressure_pa: Sequence[float],
+        answered: int = ALL_SENSORS,
+        battery_mv: int = BATTERY_MV,
+        current_10ma: int = CURRENT_10MA,
+        leak: bool = False,
+    ) -> None:
+        """One tick of the hardware: time goes on, and this is what the sensors read."""
+        self._clock_us = clock_us
+        self._look_after()
+        if self._plug_us is not None and clock_us >= self._plug_us and self._power_us is None:
+            self._plug_us = None
+            self._cable.plug()
+        running = self._boot
+        if running is None:
             return
-        record = struct.pack(TICK, clock_us, *pressure_pa, BATTERY_MV, CURRENT_10MA, 0, ALL_SENSORS)
-        try:
-            self._bus.send(record)  # whole or not at all: the kernel queues a record this small in one piece
-            self._asked_us = clock_us
-        except BlockingIOError:
-            pass  # the firmware hangs and its queue is full: its hardware ticks on without it
-        except OSError:
-            self._unplug()
+        running.hear(self._cable.receive())
+        since_boot_us = clock_us - self._booted_us
+        running.tick(
+            since_boot_us,
+            struct.pack(TICK, since_boot_us, *pressure_pa, battery_mv, current_10ma, leak, answered),
+        )
 
     def act(self, patience_s: float) -> Act | None:
         """The newest answer since the last call, waiting up to patience_s for the one to the last tick."""
-        newest: bytes | None = None
-        deadline_s = time.monotonic() + patience_s
-        while self._bus is not None:
-            try:
-                chunk = self._bus.recv(64 * ACT_SIZE)
-            except BlockingIOError:
-                left_s = deadline_s - time.monotonic()
-                if self._answered_us >= self._asked_us or left_s <= 0:
-                    break
-                select.select([self._bus], [], [], left_s)
-                continue
-            except OSError:
-                chunk = b""
-            if not chunk:
-                self._unplug()
-                break
-            data = self._rest + chunk
-            whole = len(data) - len(data) % ACT_SIZE
-            self._rest = data[whole:]
-            if whole:
-                newest = data[whole - ACT_SIZE : whole]
-                self._answered_us = int.from_bytes(newest[:8], "little")
-        if newest is None:
+        if self._boot is None:
             return None
-        clock_us, *pins, lamp, armed = struct.unpack(ACT, newest)
-        return Act(clock_us, tuple(pins[:8]), tuple(pins[8:]), lamp, bool(armed))
+        act = self._boot.act(patience_s)
+        self._cable.send(self._boot.said())
+        return act
 
-    def _unplug(self) -> None:
-        """The firmware is gone: no bus any more, hence no pulses."""
-        if self._bus is not None:
-            self._bus.close()
-            self._bus = None
+    def unplug(self, for_us: int) -> None:
+        """Pull the serial cable; the firmware runs on and hears nothing."""
+        self._cable.unplug()
+        self._plug_us = self._clock_us + for_us
 
-    def last_words(self) -> str:
-        """The last line that the firmware printed, for the message that reports its death."""
-        lines = self._log.read_text(errors="replace").strip().splitlines() if self._log.exists() else []
-        return lines[-1] if lines else "it printed nothing"
+    def cut_power(self, for_us: int) -> None:
+        """No firmware, no pulses, and no port, for the adapter hangs on the same supply."""
+        self.unplug(for_us)
+        self._power_us = self._clock_us + for_us
+        if self._boot is not None:
+            self._boot.kill()
+            self._boot = None
+
+    def hang(self) -> None:
+        """The firmware stops where it is; the watchdog will notice."""
+        if self.alive and self._boot is not None:
+            self._boot.stop()
 
     def close(self) -> None:
-        """End the firmware, by the end of its bus or by force, and remove the port."""
-        if self._bus is not None:
-            with contextlib.suppress(OSError):  # it may have died just now
-                self._bus.shutdown(socket.SHUT_WR)
-        if self._process is not None:
-            try:
-                self._process.wait(STOP_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-            self._process = None
-        self._unplug()  # only now: closing a socket with answers in it would be a reset, not an end
-        if self._slave >= 0:
-            os.close(self._slave)
-            self._slave = -1
-        self.port.unlink(missing_ok=True)
+        """End the firmware and remove the port."""
+        if self._boot is not None:
+            self._boot.close()
+            self._boot = None
+        self._cable.unplug()
+        self._plug_us = self._power_us = None
+
+    def _look_after(self) -> None:
+        """Power and watchdog."""
+        if self._power_us is not None:
+            if self._clock_us >= self._power_us:
+                self._power_us = None
+                self._power_up(POWER_ON)
+        elif self._boot is None:
+            pass  # never started, or closed
+        elif self._boot.ended:
+            self._boot.close()
+            self._tell(f"the firmware of {self.robot} has ended: {self._last_words()}")
+            if self._clock_us - self._booted_us >= RESTART_US:
+                self._power_up(POWER_ON)
+        elif self._is_hung(self._boot):
+            self._tell(f"the firmware of {self.robot} hung; its watchdog has reset it")
+            self._boot.kill()
+            self._power_up(BY_WATCHDOG)
+
+    def _is_hung(self, running: Boot) -> bool:
+        """Silent for half a second of its clock, and of ours: a twin that catches up lets a firmware no time."""
+        if running.answered_us < 0 or self._clock_us - self._booted_us - running.answered_us < WATCHDOG_US:
+            return False
+        return running.stopped or time.monotonic() - running.answered_s >= WATCHDOG_US * 1e-6
+
+    def _power_up(self, cause: int) -> None:
+        if self._boot is not None:
+            self._boot.close()
+            self._boot = None
+        self._booted_us = self._clock_us
+        self._boot = boot(self._command, self._flash, self._log, cause)
+
+    def _tell(self, text: str) -> None:
+        """To whoever watches the twin; a firmware that ends every second for the same reason is told of once."""
+        if text != self._told:
+            sys.stderr.write(f"twin: {text}\n")
+        self._told = text
+
+    def _last_words(self) -> str:
+        lines = self._log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it printed nothing"

@@ -5,11 +5,13 @@ from __future__ import annotations
 import zlib
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from agent.config import ConfigError, Positive, Struct, convert, read_toml
+from hw.twin.event import KINDS, Event
 
 
 class SceneWater(Struct, frozen=True, kw_only=True):
@@ -25,12 +27,21 @@ class Solid(Struct, frozen=True, kw_only=True):
     radii_m: tuple[Positive, Positive, Positive]
 
 
+class Waves(Struct, frozen=True, kw_only=True):
+    """A standing wave along the tank's x axis."""
+
+    amplitude_m: Annotated[float, Meta(ge=0)] = 0.0  # of the surface at the walls
+    mode: Annotated[int, Meta(ge=1)] = 1  # half wavelengths in the tank
+
+
 class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
     room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
     camera: str = "imx519_640"  # preset of hw.twin.lens
     solid: tuple[Solid, ...] = ()
+    waves: Waves = Waves()
+    event: tuple[Event, ...] = ()
 
 
 def load_scene(name: str) -> Scene:
@@ -40,7 +51,13 @@ def load_scene(name: str) -> Scene:
         raise ConfigError(
             f"{path}: no such scene; give a name that ships with the package (tank) or the path of a file"
         )
-    return convert(read_toml(path), Scene, path)
+    data = read_toml(path)
+    events = data.get("event", [])
+    for i, event in enumerate(events if isinstance(events, list) else []):
+        kind = event.get("kind") if isinstance(event, dict) else None
+        if kind not in KINDS:
+            raise ConfigError(f"{path}: key 'event[{i}].kind': {kind!r} is none of {', '.join(KINDS)}; correct it")
+    return convert(data, Scene, path)
 
 
 def generator(seed: int, *names: str) -> np.random.Generator:

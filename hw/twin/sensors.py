@@ -1,11 +1,13 @@
 """The four pressure sensors of each robot (MS5837-02BA class), in pascals absolute, 100 samples a second.
 
-p = p_atm + rho g depth + dynamic pressure + offset + drift + noise, rounded to the sensor's step, one sample late.
+p = p_atm + rho g depth + dynamic pressure + offset + drift + noise, rounded to the sensor's step, one sample late or
+as many as a plant asks for.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -22,6 +24,7 @@ OFFSET_M = 0.003  # largest, of either sign; the tare in air takes it out
 DRIFT_M_S = 0.0005 / 60  # standard deviation of the rate at the start; a sensor that warms up
 DRIFT_S = 600.0  # time constant of warming up
 NOISE_M = 0.0005  # standard deviation of one sample
+LATE_SAMPLES = 1  # a conversion is started in one tick and read in the next
 STEP_PA = 1.6  # 0.016 mbar, the 02BA's noise-free resolution at its highest oversampling, from memory
 
 TARE_SAMPLES = 200  # 2 s in the crew's hands
@@ -47,14 +50,23 @@ def water_pressure_pa(
             u = (v[0] - w[2] * y, v[1] + w[2] * x, v[2] + w[0] * y - w[1] * x)
             speed = math.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
             outward = (u[0] * CORNERS[k, 0] + u[1] * CORNERS[k, 1]) / math.sqrt(2.0)
-            dynamic = 0.5 * WATER_KG_M3 * speed * outward
+            dynamic = 0.5 * WATER_KG_M3 * speed * outward * bodies[i].stagnation
             pressure_pa[i, k] = max(0.0, PA_PER_M * depth + dynamic) if depth > 0 else 0.0
 
 
 class PressureSensors:
     """All sensors of the fleet; each robot's errors come from its own stream."""
 
-    def __init__(self, seed: int, robots: list[str]) -> None:
+    def __init__(
+        self,
+        seed: int,
+        robots: list[str],
+        noise_m: Sequence[float] | None = None,
+        late_samples: Sequence[int] | None = None,
+    ) -> None:
+        """noise_m and late_samples: one per robot; without them all are NOISE_M and LATE_SAMPLES."""
+        self._noise_m = [NOISE_M] * len(robots) if noise_m is None else list(noise_m)
+        self._late = np.array([LATE_SAMPLES] * len(robots) if late_samples is None else late_samples)
         self._rngs = [generator(seed, robot, "pressure") for robot in robots]
         rows = [(rng.uniform(-OFFSET_M, OFFSET_M, 4), rng.normal(0, DRIFT_M_S, 4)) for rng in self._rngs]
         weather_pa = generator(seed, "weather").uniform(-WEATHER_PA, WEATHER_PA)
@@ -62,7 +74,8 @@ class PressureSensors:
         self._drift_pa_s = PA_PER_M * np.array([drift for _, drift in rows])
         self._noise_pa = np.zeros((BLOCK, len(robots), 4))
         self._drawn = 0
-        self._late_pa = self._read(np.zeros((len(robots), 4)), 0.0)
+        self._past_pa = np.repeat(self._read(np.zeros((len(robots), 4)), 0.0)[None], max(self._late, default=0) + 1, 0)
+        self._newest = 0
 
     def tare_pa(self) -> NDArray[np.float64]:
         """(n, 4): what the crew found in air before the dive, the median of two seconds."""
@@ -70,14 +83,16 @@ class PressureSensors:
         return np.asarray(np.median([self._read(air_pa, 0.0) for _ in range(TARE_SAMPLES)], axis=0))
 
     def sample(self, water_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:
-        """(n, 4) readings that arrive t_s into the dive: those of the sample before this one."""
-        late_pa, self._late_pa = self._late_pa, self._read(water_pa, t_s)
-        return late_pa
+        """(n, 4) readings that arrive t_s into the dive: those of some samples before this one."""
+        kept = len(self._past_pa)
+        self._newest = (self._newest + 1) % kept
+        self._past_pa[self._newest] = self._read(water_pa, t_s)
+        return np.asarray(self._past_pa[(self._newest - self._late) % kept, np.arange(len(self._late))])
 
     def _read(self, water_pa: NDArray[np.float64], t_s: float) -> NDArray[np.float64]:
         if self._drawn % BLOCK == 0:
-            for i, rng in enumerate(self._rngs):
-                self._noise_pa[:, i] = rng.normal(0, NOISE_M * PA_PER_M, (BLOCK, 4))
+            for i, (rng, noise_m) in enumerate(zip(self._rngs, self._noise_m, strict=True)):
+                self._noise_pa[:, i] = rng.normal(0, noise_m * PA_PER_M, (BLOCK, 4))
         noise_pa = self._noise_pa[self._drawn % BLOCK]
         self._drawn += 1
         drift_pa = self._drift_pa_s * (DRIFT_S * (1 - math.exp(-t_s / DRIFT_S)))

@@ -30,6 +30,7 @@ STATE = np.dtype(
         ("velocity_m_s", "f8", 3),  # body frame
         ("rates_rad_s", "f8", 3),  # body frame
         ("thrust_n", "f8", 8),
+        ("thrust_loss", "f8"),  # share that is missing because the battery sags
         ("motor_deg", "f8", 4),  # servos: camera pan, camera tilt, lamp pan, lamp tilt
         ("shaft_deg", "f8", 4),  # what they carry, behind the play of the gears
         ("held", "i8"),  # 1: in the hands of the crew
@@ -64,7 +65,8 @@ def advance(
         for i in range(robots):
             body, s = bodies[i], states[i]
             for k in range(8):
-                target = static_thrust_n(pulses_us[i, k], body.neutral_us[k], body.thrust_gain[k])
+                gain = body.thrust_gain[k] * (1.0 - s.thrust_loss)
+                target = static_thrust_n(pulses_us[i, k], body.neutral_us[k], gain)
                 s.thrust_n[k] = lagged_thrust_n(s.thrust_n[k], target, body.thrust_lag_s[k], dt_s)
             for k in range(4):
                 s.motor_deg[k] = motor_deg_after(

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import socket
+import statistics
 import struct
 import subprocess
 import sys
@@ -20,6 +22,9 @@ from hw.firmware import bus, wire
 CYCLES = 3000
 CYCLE_US = 10_000
 SHARE = 0.04  # of a core, at most: three of these run beside vision
+COST = Path(__file__).parents[1] / "firmware" / "cycle_cost.py"
+COST_CYCLES, COST_RUNS = 2000, 3
+BOARD_HEAP = 108_600  # bytes free on an STM32F407 after boot; an object there is half as large as on this machine
 PRESSURE_PA = (104262.0,) * 4  # 0.3 m of water over a tare of 101325 Pa
 
 
@@ -31,7 +36,35 @@ def run() -> dict[str, dict[str, Any]]:
         cpu_us = _cycle_us(flash, CYCLES)
     budget_us = SHARE * CYCLE_US
     against = f"budget {budget_us:.0f} us, {SHARE:.0%} of a core"
-    return {"firmware_cycle_cpu": {"value": cpu_us, "unit": "us", "against": against, "ratio": cpu_us / budget_us}}
+    process = {"value": cpu_us, "unit": "us", "against": against, "ratio": cpu_us / budget_us}
+    return {"firmware_cycle_cpu": process, **_costs()}
+
+
+def _costs() -> dict[str, dict[str, Any]]:
+    """Time and memory of a cycle in one process, without pipes, for each law under MicroPython."""
+    micropython = shutil.which("micropython", path=str(Path(sys.executable).parent)) or shutil.which("micropython")
+    rows: dict[str, dict[str, Any]] = {}
+    for law in ("observer", "pid", "pi") if micropython else ():
+        us, cpython_us = (
+            statistics.median(_cost(program, law, "us") for _ in range(COST_RUNS))
+            for program in ([micropython, "-X", "heapsize=4M"], [sys.executable])
+        )
+        taken = _cost([micropython, "-X", "heapsize=4M"], law, "bytes")
+        against = f"the same under CPython, {cpython_us:.0f} us"
+        rows[f"firmware_step_us_{law}"] = {"value": us, "unit": "us", "against": against, "ratio": us / cpython_us}
+        against = "free heap of the board, where objects are half as large; collected every cycle"
+        rows[f"firmware_step_bytes_{law}"] = {
+            "value": taken,
+            "unit": "bytes",
+            "against": against,
+            "ratio": 0.5 * taken / BOARD_HEAP,
+        }
+    return rows
+
+
+def _cost(program: list[str], law: str, what: str) -> float:
+    command = [*program, str(COST), str(Path(wire.__file__).parent), law, str(COST_CYCLES), what]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 def _cycle_us(flash: Path, cycles: int) -> float:

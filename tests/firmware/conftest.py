@@ -121,10 +121,14 @@ class Desk:
         self.until(lambda: any(fields[-3] == seq for fields in self.heard(wire.TELEM)[-1:]))
 
     def order(self, kind: int, boot_id: int, *more: int) -> int:
-        """A command; the result in its acknowledgement."""
+        """A command; the result in its acknowledgement, the last one where it takes time."""
         self.req_id += 1
         self.say(kind, self.req_id, boot_id, *more)
-        return int(self.until(lambda: [ack for ack in self.heard(wire.ACK) if ack[0] == self.req_id], 300)[0][2])
+
+        def results() -> list[int]:
+            return [ack[2] for ack in self.heard(wire.ACK) if ack[0] == self.req_id and ack[2] != wire.RUNNING]
+
+        return int(self.until(results, 300)[0])
 
     def arm(self) -> int:
         """Handshake, ESCs neutral for 3 s, set-point, ARM; the boot id."""

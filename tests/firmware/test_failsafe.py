@@ -91,6 +91,7 @@ GO = {
     "esc_us": 3_000_000,
     "ladder": failsafe.Ladder(),
     "loop_max_us": 4000,
+    "tare_old": False,
 }
 STOPPED = failsafe.Ladder()
 STOPPED.latch(failsafe.STOP)
@@ -111,6 +112,7 @@ STOPPED.latch(failsafe.STOP)
         ({"esc_us": 2_990_000}, "ESC neutral for less than 3 s"),
         ({"ladder": STOPPED}, "fault latched"),
         ({"loop_max_us": 9000}, "control cycle too slow"),
+        ({"tare_old": True}, "tare older than 12 h"),
     ],
 )
 def test_each_arming_check_alone(change, check):
@@ -121,12 +123,13 @@ def test_each_arming_check_alone(change, check):
 def test_arming_checks_are_reported_together():
     bad = plane(bad_count=1, parity_m=1.0, tare_pa=None, roll_rad=1.0)
     assert (
-        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999) == 2 ** len(wire.ARM_CHECKS) - 1
+        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999, True)
+        == 2 ** len(wire.ARM_CHECKS) - 1
     )
 
 
 def test_reasons_are_numbered_alike_on_both_sides():
-    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.PARAMETERS + 1
+    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.WATCHDOG + 1
 
 
 # --- pressure -----------------------------------------------------------------------------------------------------
@@ -202,6 +205,24 @@ def test_a_shifted_sensor_is_noticed_but_not_named():
     readings[2] += 0.03 * wire.PA_PER_M
     seen = watch(readings, 3.0)
     assert seen.disagree and seen.bad == 0
+
+
+def test_one_spike_moves_nothing_a_shift_is_for_parity():
+    seen = watch(sensors(0.4, 0, 0))
+    for k in range(4):
+        spiked = sensors(0.4, 0, 0)
+        spiked[k] -= 0.2 * wire.PA_PER_M
+        seen.step(spiked, 15, CYCLE_US)
+        assert seen.depth_m == pytest.approx(0.4, abs=0.001) and seen.roll_rad == pytest.approx(0.0, abs=0.001)
+        watch(sensors(0.4, 0, 0), 0.1, seen=seen)
+    watch(spiked, 3.0, seen=seen)
+    assert seen.disagree and seen.bad == 0
+
+
+def test_water_that_comes_all_at_once_is_no_spike():
+    seen = watch(sensors(0.4, 0, 0))
+    seen.step(sensors(0.1, 0, 0), 15, CYCLE_US)
+    assert seen.depth_m == pytest.approx(0.1, abs=0.001)
 
 
 def test_tare_refuses_waves_and_water():

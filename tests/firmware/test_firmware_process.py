@@ -135,7 +135,7 @@ def test_tare_in_air_is_kept_over_a_power_cut(put_on_desk, interpreter):
 
 
 @pytest.mark.parametrize(
-    ("flash", "complaint"), [({"law": "pid"}, b"law 'pid' is not known"), ({"tare_pa": [1, 2]}, b"no tare")]
+    ("flash", "complaint"), [({"law": "pip"}, b"law = pip; write pi pid observer"), ({"tare_pa": [1, 2]}, b"no tare")]
 )
 def test_bad_flash_is_told_and_not_armed(put_on_desk, interpreter, flash, complaint):
     desk = put_on_desk(interpreter, flash)
@@ -168,6 +168,7 @@ def test_a_fault_stops_the_motors_before_it_is_told(monkeypatch):
     class Hal:
         pressure_pa, answered, battery_mv, current_10ma, leak = [AIR_PA] * 4, 15, 15000, 0, 0
         servos_us, light_permille, armed, pulses_us = [1500] * 4, 0, 0, []
+        capabilities, temperature_c = 0, 20.0
 
         def boot_info(self):
             return b"", 1, 1

@@ -11,6 +11,7 @@ from nominal_plant import ARM_X_M, ARM_Y_M, PA_PER_M, Plant
 from hw.firmware import law, pressure, thrust
 
 CYCLE_US = 10_000
+FULL_N, SLEW_N = 10.0, 2.0
 
 
 class Loop:
@@ -20,7 +21,7 @@ class Loop:
         self.plant, self.ref = plant, [depth_m, 0.0, 0.0]
         self.plane = pressure.Plane(PA_PER_M, 0.13, 0.13)
         self.plane.tare_pa = list(plant.tare_pa)
-        self.law = law.choose("observer")
+        self.law = law.Observer()
         self.realised, self.want, self.forces = [0.0] * 3, [0.0] * 3, [0.0] * 8
         self.answered = 15
         self.history: list[tuple[float, float, float]] = []
@@ -35,8 +36,8 @@ class Loop:
             self.sense()
             y = [self.plane.depth_m, self.plane.roll_rad, self.plane.pitch_rad]
             self.law.step(y, self.ref, self.realised, self.want)
-            thrust.central(self.want, 0.0, self.forces, self.realised)
-            self.plant.step([thrust.pulse_us(f, 1500) for f in self.forces])
+            thrust.central(self.want, 0.0, FULL_N, SLEW_N, self.forces, self.realised)
+            self.plant.step([thrust.pulse_us(f, 1500, FULL_N) for f in self.forces])
             depth, roll, pitch = self.plant.position
             self.history.append((depth - self.ref[0], math.degrees(roll), math.degrees(pitch)))
         return self
@@ -67,6 +68,21 @@ def test_hovers():
 @pytest.mark.parametrize("seed", range(5))
 def test_recovers_from_a_push(seed):
     assert push(Loop(Plant(seed, 0.30), 0.30)).settled_after_s() < 1.5
+
+
+def under(other, loop: Loop) -> Loop:
+    """The same loop, another law."""
+    loop.law = other
+    loop.law.reset([loop.plane.depth_m, loop.plane.roll_rad, loop.plane.pitch_rad])
+    return loop
+
+
+def test_pid_recovers_on_the_plant_that_it_was_tuned_on():
+    assert push(under(law.Pid(), Loop(Plant(0, 0.30), 0.30))).settled_after_s() < 2.0
+
+
+def test_the_papers_pi_does_not_come_to_rest_for_nothing_damps_it():
+    assert push(under(law.Pi(), Loop(Plant(0, 0.30), 0.30))).settled_after_s() > 5.0
 
 
 def test_the_push_is_felt():
@@ -136,7 +152,7 @@ def test_within_limits_the_wrench_is_realised_exactly():
     for _ in range(200):
         want = list(rng.uniform(-1, 1, 3) * (8.0, 0.4, 0.5))
         forces, realised = [0.0] * 8, [0.0] * 3
-        assert not thrust.central(want, rng.uniform(-0.02, 0.02), forces, realised)
+        assert not thrust.central(want, rng.uniform(-0.02, 0.02), FULL_N, 99.0, forces, realised)
         assert realised == pytest.approx(want, abs=1e-12)
 
 
@@ -147,15 +163,15 @@ def test_attitude_before_depth_before_reaction():
         want = list(rng.uniform(-1, 1, 3) * (60.0, 3.0, 4.0))
         reaction_nm = rng.uniform(-0.5, 0.5)
         forces, realised = [0.0] * 8, [0.0] * 3
-        cut += thrust.central(want, reaction_nm, forces, realised)
+        cut += thrust.central(want, reaction_nm, FULL_N, 99.0, forces, realised)
         f = np.array(forces[:4])
         assert f.min() >= -8.0 - 1e-9 and f.max() <= 10.0 + 1e-9
         share = np.array([realised[1] / want[1], realised[2] / want[2]])
         assert share[0] == pytest.approx(share[1]), "the direction of the torque is kept"
         assert 0 < share[0] <= 1 + 1e-9
-        if share[0] < 0.999:  # attitude has all of its 80 %
+        if share[0] < 0.999:  # attitude has all of its share
             worst = abs(realised[1]) / ARM_Y_M / 4 + abs(realised[2]) / ARM_X_M / 4
-            assert worst == pytest.approx(0.8 * 8.0)
+            assert worst == pytest.approx(thrust.ATTITUDE_SHARE * 8.0)
         if abs(realised[0] - want[0]) > 1e-6:  # depth was cut: then a thruster is at its limit
             assert min(10.0 - f.max(), f.min() + 8.0) < 1e-6
             given = np.dot(thrust.REACTION, f)
@@ -165,20 +181,20 @@ def test_attitude_before_depth_before_reaction():
 
 def test_flat_thrusters_push_and_turn():
     forces = [0.0] * 8
-    assert not thrust.flat(3.0, -2.0, 0.5, forces)
+    assert not thrust.flat(3.0, -2.0, 0.5, FULL_N, forces)
     angle = np.radians([45, 135, 225, 315])
     f = np.array(forces[4:])
     wrench = (-np.sin(angle) @ f, np.cos(angle) @ f, 0.17 * f.sum())
     assert wrench == pytest.approx((3.0, -2.0, 0.5))
-    assert thrust.flat(30.0, 0.0, 0.0, forces)
+    assert thrust.flat(30.0, 0.0, 0.0, FULL_N, forces)
     assert max(forces) <= 10.0 and min(forces) == pytest.approx(-8.0)
 
 
 def test_pulses_rise_with_thrust_and_leap_the_dead_band():
     forces = np.linspace(-9.0, 11.0, 2001)
-    pulses = [thrust.pulse_us(f, 1500) for f in forces]
+    pulses = [thrust.pulse_us(f, 1500, FULL_N) for f in forces]
     assert pulses == sorted(pulses)
     assert pulses[0] == 1100 and pulses[-1] == 1900
-    assert thrust.pulse_us(0.0, 1507) == 1507
-    assert thrust.pulse_us(0.021, 1500) >= 1530 and thrust.pulse_us(-0.021, 1500) <= 1470
-    assert thrust.pulse_us(10.0, 1500) == 1900 and thrust.pulse_us(-8.0, 1500) == 1100
+    assert thrust.pulse_us(0.0, 1507, FULL_N) == 1507
+    assert thrust.pulse_us(0.021, 1500, FULL_N) >= 1530 and thrust.pulse_us(-0.021, 1500, FULL_N) <= 1470
+    assert thrust.pulse_us(10.0, 1500, FULL_N) == 1900 and thrust.pulse_us(-8.0, 1500, FULL_N) == 1100

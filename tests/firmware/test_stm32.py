@@ -14,7 +14,7 @@ import pytest
 
 from agent.config import ConfigError
 from agent.messages import SetPoint, Telemetry
-from hw.firmware import failsafe, wire
+from hw.firmware import failsafe, parameters, wire
 from hw.stm32 import Stm32, open_port_path
 from hw.stm32_talk import CURABLE, Talk
 
@@ -213,13 +213,17 @@ class Board:
 
     def greet(self, schema: int | None = None) -> None:
         schema = wire.schema_crc() if schema is None else schema
-        self.say(wire.HELLO_ACK, wire.PROTOCOL, schema, b"testtest", b"", self.boot_id, 1, 0, 0, 0, 0)
+        count = len(parameters.TABLE)
+        self.say(wire.HELLO_ACK, wire.PROTOCOL, schema, b"testtest", b"", self.boot_id, 1, 0, 0, count, 0)
 
     def telemetry(self, armed: int = 0, flags: int = wire.FLAG_HELLO) -> None:
         self.say(wire.TELEM, 1, armed, 0, flags, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0)
 
     def say(self, kind: int, *fields) -> None:
-        self.talk.receive(bytes(self.writer.frame(kind, *fields)), 1)
+        self.say_at(1, kind, *fields)
+
+    def say_at(self, now_ns: int, kind: int, *fields) -> None:
+        self.talk.receive(bytes(self.writer.frame(kind, *fields)), now_ns)
 
 
 def kinds(out: bytes) -> list[int]:

@@ -4,7 +4,7 @@ import pytest
 
 from agent.control.pointing import PLAY_US, Pointing, Search
 from agent.control.sweep import TRACK_STEPS, Measurement, Rejected, Sweep, full_positions
-from agent.messages import Sighting
+from agent.messages import Sighting, Telemetry
 from agent.ranging.calibration import FocusFit
 
 FIT = FocusFit(
@@ -83,6 +83,40 @@ def test_rejections_and_return_to_a_full_sweep() -> None:
     result = sweep.finish(3 * S)
     assert isinstance(result, Rejected)
     assert "seen in 15 of 30" in result.reason
+
+
+def level(roll_deg: float, pitch_deg: float) -> Telemetry:
+    return Telemetry(
+        t_ns=0, board_us=0, depth_m=0.4, roll_deg=roll_deg, pitch_deg=pitch_deg, sensor_depth_m=(0.4,) * 4,
+        pulses_us=(1500,) * 8, servos_us=(1500,) * 4, battery_v=12.0, armed=True, ladder=0, flags=0, loop_us=900,
+    )  # fmt: skip
+
+
+def test_a_robot_that_tilts_repeats_its_sweep() -> None:
+    sweep = Sweep(FIT, 30)
+    sweep.telemetry(level(20.0, 0.0))  # before the sweep: does not matter
+    for swing, kind in ((0.8, Measurement), (1.2, Rejected), (0.0, Measurement)):
+        plan = sweep.start(0)
+        for angle in (-swing, swing):
+            sweep.telemetry(level(5.0, angle))
+        frames(sweep, plan, 431.0)
+        result = sweep.finish(S)
+        assert isinstance(result, kind)
+        assert kind is Measurement or "tilted by 2.4 degrees" in result.reason
+
+
+def test_a_failed_tracking_sweep_is_followed_by_a_wider_one_then_by_a_full_one() -> None:
+    sweep = Sweep(FIT, 30)
+    frames(sweep, sweep.start(0), 431.0)
+    assert isinstance(sweep.finish(S), Measurement)
+    spans = []
+    for _ in range(3):
+        plan = sweep.start(S)
+        spans.append((len(plan.focus) - 1, plan.focus[-1] - plan.focus[1]))
+        frames(sweep, plan, 431.0, found=False)
+        assert isinstance(sweep.finish(2 * S), Rejected)
+    assert [steps for steps, _ in spans] == [TRACK_STEPS, TRACK_STEPS, 30]
+    assert spans[1][1] == pytest.approx(2 * spans[0][1], abs=2)
 
 
 def test_a_sweep_without_frames_is_given_up() -> None:

@@ -1,7 +1,7 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
 The script knows where the target is and answers each sweep with the clarity curve that a lens would give.
-Usage: scripted_agent.py FLEET ROBOT OUT
+Usage: scripted_agent.py FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
 import math
@@ -11,13 +11,14 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from agent.config import load_fleet
+from agent.config import dump, load_fleet
 from agent.core import Agent
 from agent.messages import Sighting, Telemetry
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
 from agent.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
 from agent.runtime import goodbye, loop, run_facts, until_signal
 from agent.transport import Transport
+from replay.black_box_writer import BlackBoxWriter
 from replay.log import LogWriter
 
 TARGET_M = (0.76, 0.56, 0.07)
@@ -132,27 +133,25 @@ class Motors:
         ), ()
 
 
-def main(fleet_path: Path, name: str, out: Path) -> None:
+def main(fleet_path: Path, name: str, out: Path, ahead_s: float = 0.0) -> None:
     fleet = load_fleet(fleet_path)
-    offset_ns = time.time_ns() - time.monotonic_ns()
+    offset_ns = time.time_ns() - time.monotonic_ns() + round(ahead_s * 1e9)
 
     def clock() -> int:
         return offset_ns + time.monotonic_ns()
 
-    agent = Agent(fleet, name, CALIBRATION, incarnation=clock())
+    incarnation = clock()
+    agent = Agent(fleet, name, CALIBRATION, incarnation)
     script = Script(fleet, name, clock)
+    attachments = {"fleet.toml": dump(fleet), "calibration.toml": dump(CALIBRATION)}
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
-        log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, clock())))
+        log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, incarnation), attachments))
         network = stack.enter_context(Transport(fleet, name, clock))
         stack.callback(goodbye, agent, network, clock)
-
-        def black_box(step, now_ns, inputs, outputs) -> None:
-            log.write("/raw/step_in", now_ns, now_ns, step, inputs)
-            log.write("/raw/step_out", now_ns, now_ns, step, outputs)
-
-        loop(agent, name, script, Motors(script), network, black_box, clock, stop)
+        box = BlackBoxWriter(log, clock)
+        loop(agent, name, script, Motors(script), network, box.step, clock, stop)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), *map(float, sys.argv[4:]))

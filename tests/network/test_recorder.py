@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgspec
 import pytest
 import zenoh
 
@@ -19,7 +20,7 @@ from agent.messages import MAX_PAYLOAD, Estimate, LogLine, State, encode, encodi
 from agent.session import peer_config
 from agent.topics import LINK, STATE
 from agent.transport import Transport
-from replay.log import info, read
+from replay.log import Limits, info, read
 from replay.recorder import record
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
@@ -124,6 +125,54 @@ def test_strangers_are_counted_and_bad_payloads_kept(
     assert [item.data for item in read(out)] == [b"no msgpack \xc1"]
 
 
+def test_viewer_channels_follow_what_robots_show(
+    make_fleet: Callable[..., Fleet],
+    state: Callable[..., State],
+    until: Callable[..., None],
+    pool: ThreadPoolExecutor,
+    tmp_path: Path,
+) -> None:
+    fleet = make_fleet({"r1": ()})
+    out = tmp_path / "fleet.mcap"
+    recorder = Running(pool, fleet, out)
+    with Transport(fleet, "r1", time.time_ns) as r1:
+        for seq in range(30):
+            shown = msgspec.structs.replace(state("r1", seq), posterior_m=(0.1, 0.2, 0.3), knows="told")
+            r1.show(shown)
+            time.sleep(0.02)
+    time.sleep(0.3)
+    counts = recorder.end()
+    channels = info(out).channels
+    for name, schema in (("/r1/target/estimate", "foxglove.PoseInFrame"), ("/r1/plot/protocol", "aucamp.Protocol")):
+        assert (channels[name].schema, channels[name].messages) == (schema, counts["state"])
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_swarm(
+    make_fleet: Callable[..., Fleet],
+    estimate: Callable[..., Estimate],
+    until: Callable[..., None],
+    pool: ThreadPoolExecutor,
+    tmp_path: Path,
+) -> None:
+    fleet = make_fleet(PAIR)
+    out, stop = tmp_path / "fleet.mcap", threading.Event()
+    with Transport(fleet, "r1", time.time_ns) as r1, Transport(fleet, "r2", time.time_ns) as r2:
+
+        def hears() -> bool:
+            r1.say(estimate("r1", "r2", time.monotonic_ns()))
+            time.sleep(0.02)
+            return bool(r2.drain()[0])
+
+        until(hears)
+        full = Limits(floor_bytes=2**62, floor_share=1.0)  # any disk is too full for this
+        recording = pool.submit(record, fleet, out, stop, limits=full)
+        with pytest.raises(ConfigError, match=r"recording stopped: .* make room there"):
+            recording.result(timeout=10)
+        r2.drain()
+        until(hears)
+    assert info(out).end["cause"] == "disk_floor"
+
+
 def test_silence_is_told_once(
     make_fleet: Callable[..., Fleet],
     until: Callable[..., None],
@@ -160,6 +209,11 @@ print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), s
 """
 
 
+def states(path: Path) -> list[int]:
+    """Sequence numbers of all states in a file."""
+    return [item.sequence for item in read(path) if item.channel.endswith("/state")]
+
+
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
 def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
     make_fleet: Callable[..., Fleet],
@@ -182,7 +236,7 @@ def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
 
             def recorded() -> bool:
                 r1.show(state("r1", next(seqs)))
-                return active.exists() and len(list(read(active)) if active.stat().st_size else []) > 20
+                return active.exists() and active.stat().st_size > 0 and len(states(active)) > 20
 
             until(recorded, timeout_s=30)
             process.send_signal(how)
@@ -191,7 +245,7 @@ def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
             process.kill()
     assert process.returncode == (0 if how == signal.SIGTERM else -signal.SIGKILL)
     file = out if how == signal.SIGTERM else active
-    states = [item.sequence for item in read(file) if item.channel.endswith("/state")]
-    assert states == list(range(states[0], states[0] + len(states)))
-    assert len(states) > 20 - 1
+    recorded_states = states(file)
+    assert recorded_states == list(range(recorded_states[0], recorded_states[0] + len(recorded_states)))
+    assert len(recorded_states) > 20
     assert info(file).complete is (how == signal.SIGTERM)

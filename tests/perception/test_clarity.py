@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from agent.perception.clarity import gradient_energy, luminance, tenengrad_blocks, tenengrad_disc
+from agent.perception.clarity import (
+    gradient_energy,
+    grid,
+    luminance,
+    tenengrad_blocks,
+    tenengrad_disc,
+    tenengrad_grid,
+    tenengrad_region,
+)
 
 
 def sobel_energy(grey):
@@ -68,3 +76,55 @@ def test_white_noise_adds_24_sigma_squared():
 def test_luminance_of_grey_is_itself(grey):
     assert luminance(grey) is grey
     assert np.array_equal(luminance(np.repeat(grey[:, :, None], 3, axis=2)), grey)
+
+
+def diagonal_energy(grey):
+    y = np.pad(grey.astype(np.int64), 1, mode="reflect")
+    height, width = grey.shape
+    total = np.zeros((height, width), np.int64)
+    for mask in ([[0, 1, 2], [-1, 0, 1], [-2, -1, 0]], [[-2, -1, 0], [-1, 0, 1], [0, 1, 2]]):
+        g = sum(mask[r][c] * y[r : r + height, c : c + width] for r in range(3) for c in range(3))
+        total += g * g
+    return total
+
+
+@pytest.fixture
+def colour():
+    return np.random.default_rng(2).integers(0, 256, (127, 211, 3), dtype=np.uint8)
+
+
+def test_the_way_from_colours_is_the_library_s(colour):
+    assert np.array_equal(tenengrad_blocks(colour, 25), tenengrad_blocks(luminance(colour), 25))
+    assert tenengrad_disc(colour, (90.0, 50.0), 20.0) == tenengrad_disc(luminance(colour), (90.0, 50.0), 20.0)
+
+
+@pytest.mark.parametrize("modified", [False, True])
+def test_any_grid_and_any_region(grey, modified):
+    energy = sobel_energy(grey) + (diagonal_energy(grey) if modified else 0)
+    rows, cols = np.array([3, 9, 9, 60, 127]), np.array([0, 1, 50, 211])
+    got = tenengrad_grid(grey, rows, cols, modified)
+    for r, c in np.ndindex(4, 3):
+        part = energy[rows[r] : rows[r + 1], cols[c] : cols[c + 1]]
+        assert got[r, c] == (part.mean() if part.size else 0.0)
+    inside = np.random.default_rng(3).random(grey.shape) < 0.3
+    value, area = tenengrad_region(grey, inside, modified)
+    assert area == inside.sum() and value == energy[inside].sum() / area
+
+
+def test_a_block_of_many_rows_does_not_overflow():
+    stripes = np.tile(np.array([0, 0, 255, 255], np.uint8), (1500, 10))
+    assert tenengrad_grid(stripes, np.array([0, 1500]), np.array([0, 40]))[0, 0] == sobel_energy(stripes).mean()
+
+
+def test_a_part_of_an_image_need_not_lie_in_one_piece(grey):
+    part = grey[10:90, 20:170]
+    assert np.array_equal(tenengrad_blocks(part, 40), tenengrad_blocks(part.copy(), 40))
+
+
+def test_the_grid_grows_about_the_principal_point():
+    assert grid(640, 50).tolist() == list(range(0, 601, 50))
+    assert grid(640, 50, 0.95, 319.5).tolist() == [16, 64, 111, 158, 206, 254, 301, 348, 396, 444, 491, 538, 586]
+    assert grid(100, 50, 1.5).tolist() == [0, 50, 100]  # cut off at the image
+    small, large = grid(640, 40, 0.97, 200.0), grid(640, 40, 1.0, 200.0)
+    fixed = (large - 0.5 - 200.0) * 0.97 + 200.0 + 0.5
+    assert np.abs(small - fixed).max() <= 0.5

@@ -128,3 +128,42 @@ def test_range_variance_agrees_with_monte_carlo():
     fits = [FIT.u_inf_m + a + (FIT.b_m + b) / (rho - FIT.rho0 - c) for a, b, c in draws]
     assert math.sqrt(systematic_m2) == pytest.approx(np.std(fits), rel=0.06)
     assert range_variance(FIT, rho, 0.01)[0] == range_variance(FIT, rho, FIT.noise)[0]
+
+
+@pytest.mark.parametrize(("method", "within"), [("matched", 0.01), ("parabola", 3.0), ("argmax", 18.0)])
+def test_methods_differ_in_the_peak_alone(method, within):
+    curves = np.stack([curve(SWEEP, 300 + 3 * k, 60) for k in range(40)])
+    peaks, matched = fit_peaks(SWEEP, curves, method=method), fit_peaks(SWEEP, curves)
+    error = np.abs(peaks.position - (300 + 3 * np.arange(40)))
+    assert within / 20 < error.max() < within or (method == "matched" and error.max() < within)
+    assert np.array_equal(peaks.accepted, matched.accepted) and peaks.accepted.all()
+
+
+# A narrow peak in noise, in percent: from the best template the full step makes the fit worse.
+NARROW = (-13, 2, -15, 6, 22, -5, 56, 46, 12, 7, -6, 3, -3, 9, 3, 6, 1, 5, 4, -6, 2, 11, -5, -1, 0, -5, -2, 6, -12,
+          2)  # fmt: skip
+
+
+def test_a_step_that_makes_the_fit_worse_is_halved_not_dropped():
+    y = np.array(NARROW, float)
+    peaks = fit_peaks(SWEEP, y[None])
+    x0, w = peaks.position[0], peaks.width[0]
+    around = [_sse(y, x0 + dx, w * dw) for dx in (-1.0, 0.0, 1.0) for dw in (0.97, 1.0, 1.03)]
+    assert _sse(y, x0, w) <= min(around) * (1 + 1e-6)
+
+
+def _sse(y, x0, w):
+    columns = np.stack([1 / (1 + ((SWEEP - x0) / w) ** 2), np.ones_like(SWEEP)], axis=1)
+    best = np.linalg.lstsq(columns, y, rcond=None)[0]
+    return float(((columns @ best - y) ** 2).sum())
+
+
+def test_a_second_rise_is_refused_whatever_the_quality():
+    y = curve(SWEEP, 300, 120) + 0.4 * curve(SWEEP, 760, 70)
+    result = fit_peak(SWEEP.tolist(), y.tolist())
+    assert isinstance(result, Refused) and "rises again" in result.reason
+
+
+def test_sigma_has_a_floor():
+    peak = fit_peak(SWEEP.tolist(), curve(SWEEP, 500, 90).tolist())
+    assert 0.1 < peak.sigma < 2.0  # the model itself, without noise

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections import deque
+from hashlib import sha256
 from pathlib import Path
 
 import msgpack
@@ -35,10 +35,15 @@ def test_what_is_written_is_read_in_order(tmp_path: Path) -> None:
     assert records[7] == ("/raw/in", 1007, 907, 7, bytes([7]) * 7)
     about = info(path)
     assert about.complete
-    assert about.run == {"robot": "r1", "seed": "7"}
+    text = sha256(b"fleet = 'tank'\n").hexdigest()
+    assert about.run == {"robot": "r1", "seed": "7", "part": "1", "sha256.fleet.toml": text}
+    assert {when: set(sample) for when, sample in about.clock.items()} == {
+        "start": {"unix_ns", "monotonic_ns"},
+        "end": {"unix_ns", "monotonic_ns"},
+    }
     assert about.end["cause"] == "clean"
     assert about.attachments == {"fleet.toml": "fleet = 'tank'\n"}
-    assert about.channels["/text"] == ("json", {"unit": "m"}, 1, 2, 5000, 5000)
+    assert about.channels["/text"] == ("json", {"unit": "m"}, 1, 2, 5000, 5000, 0, "")
     assert about.channels["/raw/in"].messages == 250
     assert not path.with_name("r1.mcap.active").exists()
 
@@ -98,8 +103,10 @@ def test_what_the_backlog_lost_stands_in_the_file(tmp_path: Path, monkeypatch: p
         pass
     records = list(read(path))
     notes = [msgpack.unpackb(record.data) for record in records if record.channel == DROPS]
-    assert {"channel": "/raw/in", "messages": 12, "first": 1, "last": 23} in notes
-    assert {"channel": "/raw/out", "messages": 13, "first": 0, "last": 24} in notes
+    assert [(note["channel"], note["messages"], note["first"], note["last"]) for note in notes] == [
+        ("/raw/out", 13, 0, 24),
+        ("/raw/in", 12, 1, 23),
+    ]
     assert [record.sequence for record in records if record.channel != DROPS] == list(range(25, 35))
     assert json.loads(info(path).end["dropped"]) == {"/raw/in": 12, "/raw/out": 13}
 
@@ -110,14 +117,14 @@ def test_a_backlog_is_bounded_in_bytes_too() -> None:
     assert wake.index(True) == 5
     entries, drops = backlog.take()
     assert [entry.sequence for entry in entries] == list(range(20, 30))
-    assert drops == {"/raw/frame": (20, 0, 19, 19)}
-    assert backlog.take() == (deque(), {})
+    assert drops == {"/raw/frame": (20, 2000, 0, 19, 19)}
+    assert backlog.take() == ([], {})
 
 
 def test_a_failing_disk_stops_the_recording_and_not_the_caller(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
     with LogWriter(path, RUN) as writer:
-        writer._file.close()  # every further write fails, as on a disk that went away
+        writer._part._file.close()  # every further write fails, as on a disk that went away
         deadline = time.monotonic() + 10
         while writer.failed is None and time.monotonic() < deadline:
             write(writer, 2000)

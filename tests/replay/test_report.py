@@ -1,93 +1,210 @@
-"""The page of a run, from a folder as the demo leaves it."""
+"""The page of a run, from a folder as the demo leaves it, looked at in a real browser where there is one."""
 
+import html
 import json
+import re
+import shutil
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from agent.config import ConfigError, Fleet, Pose, Robot, Target, dump
-from agent.messages import Outputs, SetPoint, State, encode
-from replay.log import LogWriter
+sys.path.insert(0, str(Path(__file__).parent))
+from rewritten import GOLDEN, rewritten
+
+from agent.config import ConfigError, dump
+from replay.blackbox import open_boxes
+from replay.errors import error_table, relative_percent
+from replay.figures_posture import hover, thin
 from replay.report import report
+from replay.story import stories
 
-TRUTH_M = (0.7, 0.6, 0.07)
-
-
-def robot(port: int, x_m: float) -> Robot:
-    return Robot(
-        listen=f"tcp/127.0.0.1:{port}",
-        serial="twin:x",
-        camera="twin:x",
-        pose=Pose(x_m=x_m, y_m=0.2, yaw_deg=30.0),
-        calibration="x.toml",
-    )
-
-
-def state(name: str, t: int) -> State:
-    near = tuple(x + 0.01 / (1 + t) for x in TRUTH_M)
-    return State(
-        fleet="tank",
-        robot=name,
-        incarnation=1,
-        seq=t,
-        sent_ns=t,
-        target="ball",
-        knows="sees",
-        t=t,
-        acquired_t=3,
-        prior_m=near if t >= 3 else None,
-        posterior_m=near,
-    )
+TRUTH_M = (0.76, 0.56, 0.07)
+CHROMIUM = shutil.which("chromium")
+PHONE_PX, DESK_PX = 390, 1000
+# The page in a frame of a phone's width, and what it measures there, as a line of JSON.
+MEASURE = """<body><iframe id=f style="width:{width}px;height:2000px;border:0" srcdoc="{page}"></iframe>
+<pre id=out></pre>
+<script>document.getElementById("f").onload = () => {{
+  const d = document.getElementById("f").contentDocument
+  const box = e => {{ const r = e.getBoundingClientRect(); return [r.left, r.width, r.height] }}
+  document.getElementById("out").textContent = JSON.stringify({{
+    width: d.documentElement.scrollWidth, figures: [...d.querySelectorAll("figure svg")].map(box),
+    cells: d.querySelectorAll("td").length }})
+}}</script>"""
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    fleet = Fleet(
-        fleet="tank", target={"ball": Target(radius_m=0.07)}, robot={"r1": robot(18001, 0.3), "r2": robot(18002, 1.2)}
-    )
-    (tmp_path / "fleet.toml").write_text(dump(fleet))
-    with LogWriter(tmp_path / "r1.mcap", {}) as log:  # r2 left none
-        for t in range(20):
-            log.write("/raw/step_in", t, t, t, b"\x80")
-            log.write("/raw/step_out", t, t, t, encode(Outputs(set_point=SetPoint(depth_m=0.4), state=state("r1", t))))
-    row = {"estimate_m": [0.701, 0.6, 0.07], "sigma_m": 0.0012, "error_mm": 1.0, "relative_error_percent": 0.1234}
-    none = {"estimate_m": None, "sigma_m": None, "error_mm": None, "relative_error_percent": None}
-    summary = {
-        "schema": 1,
-        "protocol": "paper",
-        "seed": 4,
-        "wall_s": 12.3,
-        "truth_m": list(TRUTH_M),
-        "agents": {"r1": row, "r2": none},
-        "verdict": "fail",
-        "reasons": ["r2 has <no> estimate"],
-    }
-    (tmp_path / "summary.json").write_text(json.dumps(summary))
-    return tmp_path
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three robots of a golden log, and the summary that a demo would have left."""
+    folder = Path(shutil.copytree(GOLDEN / "three", tmp_path_factory.mktemp("report") / "run"))
+    boxes = open_boxes([folder])
+    (folder / "fleet.toml").write_text(dump(boxes[0].fleet))
+    agents = {}
+    for story in stories(boxes):
+        x_m = story.beliefs[-1].state.posterior_m
+        error_mm = 1e3 * float(np.linalg.norm(np.subtract(x_m, TRUTH_M)))
+        agents[story.robot] = {"estimate_m": x_m, "error_mm": error_mm}
+    summary = {"seed": 4, "truth_m": list(TRUTH_M), "agents": agents, "verdict": "fail", "reasons": ["r9 is <lost>"]}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
 
 
-def test_the_page_shows_the_run_and_needs_nothing_else(run: Path) -> None:
-    page = report(run).read_text()
-    assert "0.123" in page
-    assert "1.20" in page  # sigma in mm
-    assert "r2 has &lt;no&gt; estimate" in page
-    assert page.count("<svg") == page.count("</svg>") == 2
+@pytest.fixture(scope="module")
+def page(run: Path) -> str:
+    out = report(run)
+    assert out == run / "report.html"
+    return out.read_text(encoding="utf-8")
+
+
+def table(page: str, section: str, number: int = 0) -> list[list[str]]:
+    """The cells of a table of the page."""
+    part = page[page.index(f'<section id="{section}">') :]
+    found = re.findall(r"<table>.*?</table>", part, re.DOTALL)[number]
+    rows = re.findall(r"<tr>.*?</tr>", found, re.DOTALL)
+    return [[html.unescape(cell) for cell in re.findall(r"<t[dh]>(.*?)</t[dh]>", row)] for row in rows]
+
+
+def test_the_page_has_all_figures_and_needs_nothing_else(page: str) -> None:
+    sections = re.findall(r'<section id="(\w+)">', page)
+    assert sections == [
+        "errors",
+        "iterations",
+        "valid",
+        "agreement",
+        "above",
+        "clarity",
+        "calibration",
+        "posture",
+        "links",
+    ]
+    assert page.count("<svg") == page.count("</svg>") == 5 * 3 + 1 + 2
     for part in page.split("<svg")[1:]:
         ET.fromstring("<svg" + part[: part.index("</svg>") + 6])
-    assert "<script" not in page
-    assert " src=" not in page
+    assert "r9 is &lt;lost&gt;" in page
+    for outside in ("<script", " src=", "<link", "@import", "url(http"):
+        assert outside not in page
 
 
-def test_a_run_without_black_boxes_still_has_its_page(run: Path) -> None:
-    (run / "r1.mcap").unlink()
-    assert "no black box" in report(run).read_text()
+def test_its_numbers_are_those_of_the_recordings(run: Path, page: str) -> None:
+    told = stories(open_boxes([run]))
+    ends = table(page, "errors")
+    assert [row[0] for row in ends] == ["robot", "r1", "r2", "r3"]
+    for story, row in zip(told, ends[1:], strict=True):
+        state = story.beliefs[-1].state
+        assert row[1:4] == [f"{1e3 * x:.2f}" for x in state.posterior_m]
+        assert row[5:7] == [str(state.acquired_t), str(state.t)]
+        assert float(row[7]) == pytest.approx(1e3 * np.linalg.norm(np.subtract(state.posterior_m, TRUTH_M)), abs=0.005)
+        assert float(row[8]) == pytest.approx(float(row[7]) / (10 * np.linalg.norm(TRUTH_M)), abs=0.001)
+    matrix = table(page, "links")
+    assert matrix[0] == ["says", "r1", "r2", "r3"]
+    for k, row in enumerate(matrix[1:]):
+        assert row[1 + k] == "-"
+        assert all(re.fullmatch(r"\d+ / \d+", cell) for j, cell in enumerate(row[1:]) if j != k)
+    assert ["r1", "sees"] in [[row[0], row[2].split()[0]] for row in table(page, "valid")]
 
 
-@pytest.mark.parametrize("content", [None, "{"])
-def test_a_folder_that_is_no_run_is_one_line(run: Path, content: str | None) -> None:
-    (run / "summary.json").unlink()
-    if content:
-        (run / "summary.json").write_text(content)
+def test_errors_are_those_of_priors_and_late_posteriors(run: Path) -> None:
+    told = stories(open_boxes([run]))
+    rows = {(row.robot, row.what, row.axis): row for row in error_table(told, TRUTH_M)}
+    assert len(rows) == 3 * 2 * 4
+    priors = np.array([x for _, x in told[0].priors]) - TRUTH_M
+    x = rows["r1", "prior", "x"]
+    assert x.n == len(priors) == told[0].beliefs[-1].state.measurements
+    assert x.bias == pytest.approx(1e3 * priors[:, 0].mean())
+    assert x.rmse == pytest.approx(1e3 * np.sqrt((priors[:, 0] ** 2).mean()))
+    assert rows["r1", "prior", "3-D"].largest == pytest.approx(1e3 * np.linalg.norm(priors, axis=1).max())
+    assert rows["r1", "posterior", "x"].within_2_sigma is not None
+    assert rows["r1", "posterior", "3-D"].rmse < rows["r1", "prior", "3-D"].rmse
+    assert relative_percent((1.0, 0.0, 0.01), (1.0, 0.0, 0.0)) == pytest.approx(1.0)
+
+
+def test_priors_stand_at_the_iteration_that_they_went_into(run: Path) -> None:
+    for story in stories(open_boxes([run])):
+        assert story.priors[0][0] == story.beliefs[-1].state.acquired_t
+        assert len({t for t, _ in story.priors}) == len(story.priors)
+
+
+def test_a_robot_that_started_again_has_one_story(tmp_path: Path) -> None:
+    told = {story.robot: story for story in stories(open_boxes([GOLDEN / "outage"]))}
+    assert len(told["r3"].starts_s) == len(told["r3"].boxes) == 2
+    assert told["r3"].starts_s[1] > 13.0
+    folder = Path(shutil.copytree(GOLDEN / "outage", tmp_path / "outage"))
+    events = table(report(folder).read_text(), "valid")
+    assert ["r3", "starts again"] in [[row[0], row[2]] for row in events]
+
+
+def test_without_a_truth_nothing_is_compared_with_one(tmp_path: Path) -> None:
+    file = shutil.copy(GOLDEN / "liar" / "r1.mcap", tmp_path)
+    out = report(Path(file))
+    assert out == tmp_path / "r1.html"
+    shown = out.read_text()
+    assert "Nobody knows the truth" in shown
+    assert "error mm" not in shown
+    assert "truth, by the twin" not in shown
+
+
+def test_a_torn_recording_and_one_that_is_no_black_box_are_told_apart(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(GOLDEN / "torn", tmp_path / "torn"))
+    rewritten(GOLDEN / "three" / "r2.mcap", folder / "fleet.mcap", run={"kind": "fleet"})
+    assert "Not finished by their writer: r1.mcap" in report(folder).read_text()
+
+
+def test_a_run_without_black_boxes_still_has_its_page(run: Path, tmp_path: Path) -> None:
+    for name in ("summary.json", "fleet.toml"):
+        shutil.copy(run / name, tmp_path)
+    shown = report(tmp_path).read_text()
+    assert shown.count("<svg") == 2
+    assert "r9 is &lt;lost&gt;" in shown
+
+
+def test_a_folder_that_is_no_run_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no black box and no summary\.json"):
+        report(tmp_path)
+    (tmp_path / "summary.json").write_text("{")
     with pytest.raises(ConfigError, match=r"no usable summary\.json"):
-        report(run)
+        report(tmp_path)
+
+
+def test_long_series_are_thinned_and_a_robot_that_never_dived_has_no_hover(run: Path) -> None:
+    assert len(range(45_000)[thin(np.arange(45_000.0))]) <= 600
+    story = stories(open_boxes([run]))[0]
+    assert hover(story) == {"depth_rms_mm": 0.0, "tilt_rms_deg": 0.0}  # the script's robots hang still
+    surface = story.posture._replace(depth_m=np.zeros_like(story.posture.depth_m))
+    assert hover(story._replace(posture=surface)) is None
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.parametrize("width", [PHONE_PX, DESK_PX])
+def test_a_browser_shows_it_within_the_width_of_its_screen(page: str, width: int, tmp_path: Path) -> None:
+    measure = tmp_path / "measure.html"
+    measure.write_text(MEASURE.format(page=html.escape(page, quote=True), width=width), encoding="utf-8")
+    flags = [
+        "--headless",
+        "--hide-scrollbars",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--virtual-time-budget=5000",
+    ]
+    command = [str(CHROMIUM), *flags, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", measure.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    (found,) = re.findall(r'<pre id="out">(.*?)</pre>', done.stdout)
+    seen = json.loads(found)
+    assert seen["width"] == width  # nothing to scroll sideways, except tables in their own boxes
+    assert len(seen["figures"]) == 18
+    columns = {round(left) for left, _, _ in seen["figures"]}
+    assert len(columns) == (1 if width == PHONE_PX else 2)
+    for left, wide, high in seen["figures"]:
+        assert left >= 0
+        assert left + wide <= width
+        assert wide > 300
+        assert high > 80
+    assert seen["cells"] > 60

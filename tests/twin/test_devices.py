@@ -7,13 +7,15 @@ import signal
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.config import Fleet, Pose, Robot, Target, Twin
+from hw.twin.boot import RESET_CAUSE
 from hw.twin.devices import Board
-from hw.twin.dive import HANG_S, Dive, run_in_lock_step
+from hw.twin.dive import Dive, run_in_lock_step
 
 # Echoes its serial bytes with 1 added; arms at 0.1 s and then pushes up; 0x04 on the serial port ends it.
 STAND_IN = """
@@ -88,6 +90,14 @@ def gone(pid):
     return False
 
 
+def catch_up(board):
+    """Let a firmware answer all that it was asked."""
+    end_s = time.monotonic() + 10
+    while board.overdue and time.monotonic() < end_s:
+        time.sleep(0.01)
+        board.act(0.0)
+
+
 def read_all(fd, count, limit_s=5.0):
     data, end_s = b"", time.monotonic() + limit_s
     while len(data) < count and time.monotonic() < end_s:
@@ -153,45 +163,132 @@ def test_the_same_seed_gives_the_same_bytes(plunge):
     assert ends[0] == ends[1] != ends[2]
 
 
-def test_a_firmware_that_dies_is_told_of_and_stops_its_thrusters_alone(plunge, capfd):
+def test_a_firmware_that_dies_is_told_of_stops_its_thrusters_alone_and_is_started_again(plunge, capfd):
     dive = plunge()
     run_in_lock_step(dive, 40)
+    first = dive.boards[0]._boot._process.pid
     port = os.open(dive.boards[0].port, os.O_RDWR | os.O_NOCTTY)
     os.write(port, b"die")
     time.sleep(0.05)
-    run_in_lock_step(dive, 100)
-    os.close(port)
+    run_in_lock_step(dive, 55)
     assert not dive.boards[0].alive
-    np.testing.assert_allclose(dive.states["thrust_n"][0], 0, atol=1e-3)
-    assert np.all(dive.states["thrust_n"][1, :4] > 0.1)
+    assert np.abs(dive.states["thrust_n"][0]).max() < 0.02 * dive.states["thrust_n"][1, :4].min()
+    assert gone(first)
+    run_in_lock_step(dive, 100)  # a second after its last boot it is started again, behind the same port
+    assert dive.boards[0].alive
+    os.write(port, b"\x01")
+    time.sleep(0.05)
+    run_in_lock_step(dive, 3)
+    assert read_all(port, 1) == b"\x02"
+    os.close(port)
     assert capfd.readouterr().err == "twin: the firmware of r1 has ended: the board is on fire\n"
 
 
-def test_a_firmware_that_hangs_loses_its_pulses_and_may_go_on(plunge):
+def test_a_firmware_that_ends_at_every_start_is_told_of_once(tmp_path, capfd):
+    firmware = tmp_path / "broken.py"
+    firmware.write_text("raise SystemExit('no such law')")
+    board = Board("r1", tmp_path, [0.0] * 4, firmware)
+    board.start()
+    try:
+        for k in range(400):
+            board.act(5.0)
+            board.tick(k * 10_000, [0.0] * 4)
+            assert not board.driving
+    finally:
+        board.close()
+    assert capfd.readouterr().err == "twin: the firmware of r1 has ended: no such law\n"
+
+
+def test_a_firmware_that_hangs_for_less_than_the_watchdog_waits_goes_on(plunge):
     dive = plunge(("r1",))
     run_in_lock_step(dive, 40)
-    pid = dive.boards[0]._process.pid
+    pid = dive.boards[0]._boot._process.pid
     os.kill(pid, signal.SIGSTOP)
-    held_ticks = round(HANG_S * 100)
-    for _ in range(held_ticks - 2):
+    for _ in range(45):
         dive.tick(0.0)
     assert np.all(dive.states["thrust_n"][0, :4] > 0.1)
-    for _ in range(100):
-        dive.tick(0.0)
-    np.testing.assert_allclose(dive.states["thrust_n"][0], 0, atol=1e-3)
     os.kill(pid, signal.SIGCONT)
-    dive.tick(0.0)
-    end_s = time.monotonic() + 10
-    while dive.states["thrust_n"][0, 0] < 0.1 and time.monotonic() < end_s:
-        time.sleep(0.01)
+    catch_up(dive.boards[0])
+    run_in_lock_step(dive, 60)
+    assert dive.boards[0]._boot._process.pid == pid
+
+
+def test_the_watchdog_resets_a_firmware_half_a_second_after_its_last_answer(plunge, capfd):
+    dive = plunge(("r1",))
+    run_in_lock_step(dive, 40)
+    pid = dive.boards[0]._boot._process.pid
+    assert f"{RESET_CAUSE}=1".encode() in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    dive.hang_firmware("r1")  # perhaps before it answers the last tick
+    run_in_lock_step(dive, 49)
+    assert dive.boards[0]._boot._process.pid == pid
+    assert np.all(dive.states["thrust_n"][0, :4] > 0.1)  # an ESC knows nothing of it
+    run_in_lock_step(dive, 2)
+    second = dive.boards[0]._boot._process.pid
+    assert second != pid and gone(pid)
+    assert f"{RESET_CAUSE}=3".encode() in Path(f"/proc/{second}/environ").read_bytes().split(b"\0")
+    run_in_lock_step(dive, 1)
+    assert np.all(dive._pulses_us[0, :4] == 1500)
+    assert capfd.readouterr().err == "twin: the firmware of r1 hung; its watchdog has reset it\n"
+
+
+def test_a_twin_that_catches_up_on_lost_time_resets_nobody(plunge):
+    dive = plunge(("r1",))
+    run_in_lock_step(dive, 3)
+    pid = dive.boards[0]._boot._process.pid
+    for _ in range(200):  # two seconds at once, more than the firmware can follow
         dive.tick(0.0)
+    catch_up(dive.boards[0])
+    run_in_lock_step(dive, 3)
+    assert dive.boards[0]._boot._process.pid == pid
+
+
+def test_a_pulled_cable_hangs_up_and_the_firmware_runs_on(plunge):
+    dive = plunge(("r1",))
+    run_in_lock_step(dive, 20)
+    board = dive.boards[0]
+    pid = board._boot._process.pid
+    port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+    dive.unplug("r1", 0.5)
+    with pytest.raises(OSError, match="Input/output"):
+        os.write(port, b"\x01")
+    assert os.read(port, 1) == b""
+    os.close(port)
+    assert not os.path.lexists(board.port)
+    run_in_lock_step(dive, 49)
+    assert not os.path.lexists(board.port)
+    run_in_lock_step(dive, 2)
+    port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+    os.write(port, b"\x01")
+    time.sleep(0.05)
+    run_in_lock_step(dive, 3)
+    assert read_all(port, 1) == b"\x02"
+    os.close(port)
+    assert board._boot._process.pid == pid
     assert dive.states["thrust_n"][0, 0] > 0.1
+
+
+def test_a_power_cut_takes_port_and_pulses_and_boots_anew(plunge, tmp_path):
+    dive = plunge(("r1",))
+    run_in_lock_step(dive, 40)
+    board = dive.boards[0]
+    pid = board._boot._process.pid
+    flash = tmp_path / "r1.flash.json"
+    flash.write_text(json.dumps(json.loads(flash.read_text()) | {"law": "pid"}))
+    dive.cut_power("r1", 0.3)
+    assert gone(pid) and not os.path.lexists(board.port)
+    run_in_lock_step(dive, 1)
+    assert np.all(dive._pulses_us == 0)
+    run_in_lock_step(dive, 25)
+    assert not board.alive and not os.path.lexists(board.port)
+    run_in_lock_step(dive, 10)
+    assert board.driving and os.path.lexists(board.port)
+    assert json.loads(flash.read_text())["law"] == "pid"
 
 
 def test_lock_step_names_who_is_silent(plunge, monkeypatch):
     dive = plunge(("r1",))
     run_in_lock_step(dive, 3)
-    os.kill(dive.boards[0]._process.pid, signal.SIGSTOP)
+    os.kill(dive.boards[0]._boot._process.pid, signal.SIGSTOP)
     monkeypatch.setattr("hw.twin.dive.LOCK_STEP_S", 0.2)
     with pytest.raises(TimeoutError, match="firmware of r1"):
         run_in_lock_step(dive, 3)
@@ -201,7 +298,7 @@ def test_close_ends_even_a_firmware_that_hangs(plunge):
     dive = plunge(("r1",))
     board = dive.boards[0]
     run_in_lock_step(dive, 3)
-    pid = board._process.pid
+    pid = board._boot._process.pid
     os.kill(pid, signal.SIGSTOP)
     board.close()
     assert gone(pid)

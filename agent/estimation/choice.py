@@ -1,0 +1,25 @@
+"""Which protocol a fleet speaks: `fleet.estimation.protocol` -> an estimator for one robot and one target."""
+
+from __future__ import annotations
+
+from agent.config import Fleet
+from agent.estimation.evidence import Evidence
+from agent.estimation.face import Estimator
+from agent.estimation.metropolis import Metropolis
+from agent.estimation.paper import Paper
+from agent.estimation.validate import Bounds
+
+
+def estimator(fleet: Fleet, me: str, target: str, incarnation: int) -> Estimator:
+    """A fresh estimator of `target` for the robot `me`; `incarnation` tells this start from the ones before."""
+    assert target in fleet.target
+    validity_ns = round(fleet.estimation.validity_s * 1e9)
+    neighbours = fleet.robot[me].neighbours
+    match fleet.estimation.protocol:
+        case "paper":
+            return Paper(validity_ns)
+        case "metropolis":
+            return Metropolis(me, validity_ns, len(neighbours))
+        case "evidence":
+            bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, round(fleet.estimation.iteration_s * 1e9))
+            return Evidence(me, incarnation, neighbours, validity_ns, bounds)

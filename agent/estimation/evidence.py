@@ -1,0 +1,108 @@
+"""Robots exchange what each has measured, not what each believes; every robot draws the conclusion for itself.
+
+Beliefs that are averaged lose their origin: a sample counted twice, a robot that is wrong, a restart cannot be told
+any more. Here each robot's samples travel under its name: as a sum while the target rests (rest.py, table.py),
+one by one while it moves (chase.py, window.py). Any robot passes them on, with or without a view of its own, until
+the neighbour shows that it holds them (post.py). The posterior is a function of what is held (fuse.py, track.py):
+equal tables give equal posteriors, on every robot, to the last bit.
+
+A target that starts or stops moving opens a new epoch. The larger epoch wins and empties the table: nothing measured
+before the change is mixed with what came after, except the newest samples of each robot, which it brings along.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from msgspec.structs import replace
+
+from agent.estimation.chase import Chase
+from agent.estimation.face import NOTHING, Posterior, Prior, Update, Word
+from agent.estimation.mailbox import Letter, Mailbox
+from agent.estimation.mode import Me, Mode
+from agent.estimation.motion import Motion
+from agent.estimation.rest import Rest
+from agent.estimation.validate import Bounds
+from agent.estimation.window import WINDOW
+from agent.messages import Epoch, Symmetric
+
+CARRIED = 8  # own samples that a new epoch begins with: fewer than it takes to notice a motion
+ENTRIES = 14  # in one message: two datagrams, and all there is in a swarm of that size
+
+
+class Evidence:
+    """State of one robot for one target. `incarnation` must differ from that of every earlier start."""
+
+    def __init__(
+        self,
+        me: str,
+        incarnation: int,
+        neighbours: tuple[str, ...],
+        validity_ns: int,
+        bounds: Bounds,
+        max_entries: int = ENTRIES,
+        common_m2: Symmetric = NOTHING,
+    ) -> None:
+        self._me = Me((me, incarnation), neighbours, bounds, max_entries, common_m2)
+        self._validity_ns = validity_ns
+        self.t = 0
+        self.valid = False
+        self.posterior: Posterior | None = None
+        self._measured = 0  # own samples since the start
+        self._recent: deque[tuple[int, Prior]] = deque(maxlen=CARRIED)
+        self._starts: dict[str, int] = {}  # the incarnation of each neighbour
+        self.epoch = Epoch()
+        self._motion = Motion()
+        self._mode: Mode = Rest(self._me, self.epoch)
+
+    def adopt(self, t: int) -> None:
+        if t > self.t + 1:  # see Paper.adopt
+            self.t = t
+
+    def hear(self, letter: Letter) -> tuple[str, ...]:
+        said, src = letter.estimate, letter.estimate.src
+        if self._starts.get(src, said.incarnation) != said.incarnation:
+            self._mode.restarted(src)
+        self._starts[src] = said.incarnation
+        if said.gossip is None:
+            return ()
+        epoch = said.gossip.epoch
+        if epoch.counter > 0 and epoch.proposer not in self._me.bounds.origins:
+            return ("unknown origin",)
+        if epoch > self.epoch:
+            self.begin(epoch, letter.arrived_ns)
+        if epoch < self.epoch:
+            return ()  # our next message tells the sender of the newer epoch
+        return tuple(self._mode.hear(src, said.gossip, letter.arrived_ns - letter.late_ns))
+
+    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+        self.valid = prior is not None
+        if prior is not None:
+            self._measured += 1
+            nis = self._mode.add(self._measured, prior, now_ns)
+            self._recent.append((self._measured, prior))
+            if nis is not None:
+                self._motion.sample(nis)
+            if self._motion.moves and not self.epoch.moving:
+                self.begin(Epoch(self.epoch.counter + 1, True, self._me.key[0]), now_ns)
+        self.posterior, rule, alpha, explain = self._mode.conclude(self.valid, self.posterior, now_ns)
+        if self.epoch.moving and self.posterior is not None:
+            self._motion.place(now_ns, self.posterior.x_m)
+            if self._motion.rests(now_ns):
+                self.begin(Epoch(self.epoch.counter + 1, False, self._me.key[0]), now_ns)
+        self.t += 1
+        used = tuple(name for name, _ in mailbox.usable(now_ns, self._validity_ns))
+        return Update(self.t, rule, alpha, used, replace(explain, ages_s=mailbox.ages_s(now_ns)))
+
+    def say(self, to: str, now_ns: int) -> Word:
+        x_m, cov_m2 = self.posterior or (None, None)
+        return Word(x_m, cov_m2, gossip=self._mode.say(to, now_ns))
+
+    def begin(self, epoch: Epoch, now_ns: int) -> None:
+        """A new epoch begins, with the newest own samples."""
+        self.epoch, self._motion = epoch, Motion()
+        self._mode = Chase(self._me, epoch) if epoch.moving else Rest(self._me, epoch)
+        oldest_ns = now_ns - WINDOW * self._me.bounds.iteration_ns
+        for number, prior in self._recent:
+            if prior.t_ns > oldest_ns:
+                self._mode.add(number, prior, now_ns)

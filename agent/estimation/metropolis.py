@@ -1,0 +1,68 @@
+"""`paper` with three repairs and nothing else: weights by degree, a self term, and no reset when alone.
+
+    x_i^{t+1} = (1 - alpha) (w_ii x_i^t + sum_j w_ij x_j^t) + alpha x̂_i^t,   w_ij = 1 / (1 + max(d_i, d_j))
+
+over j in N_i ∩ S^t, with alpha = 1 / (t + 1). A robot that sees the target keeps the weight of neighbours that are
+silent (w_ii = 1 - sum_j w_ij) and starts from its first sample; one that does not see it takes the weighted mean of
+what it is told, without itself. Metropolis weights are doubly stochastic, so every robot ends at the plain mean of
+all samples (Xiao, Boyd and Lall, IPSN 2005); on a graph with two colours the self term halves the variance that
+`paper` keeps.
+"""
+
+from __future__ import annotations
+
+from agent.estimation.face import Posterior, Prior, Update, Word
+from agent.estimation.mailbox import Letter, Mailbox
+from agent.estimation.paper import UNKNOWN, mix
+from agent.messages import Estimate, Explain
+
+
+class Metropolis:
+    """State of one robot for one target."""
+
+    def __init__(self, me: str, validity_ns: int, degree: int) -> None:
+        self._me, self._validity_ns, self._degree = me, validity_ns, degree
+        self.t = 0
+        self.valid = False
+        self.posterior: Posterior | None = None
+
+    def adopt(self, t: int) -> None:
+        if t > self.t + 1:  # see Paper.adopt
+            self.t = t
+
+    def hear(self, letter: Letter) -> tuple[str, ...]:
+        return ()
+
+    def say(self, to: str, now_ns: int) -> Word:
+        x_m, cov_m2 = self.posterior or (None, None)
+        return Word(x_m, cov_m2, degree=self._degree)
+
+    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+        usable = mailbox.usable(now_ns, self._validity_ns)
+        said = {name: Posterior(e.x_m, e.cov_m2 or UNKNOWN) for name, e in usable if e.x_m is not None}
+        weights = {name: self._weight(e) for name, e in usable}
+        self.valid = prior is not None
+        alpha = 0.0
+        if prior is not None and self.posterior is None and not said:
+            alpha, rule = 1.0, "alone"
+            self.posterior = Posterior(prior.x_m, prior.cov_m2)
+        elif prior is not None:
+            alpha = 1.0 / (self.t + 1)
+            said[self._me] = self.posterior or Posterior(prior.x_m, prior.cov_m2)
+            weights[self._me] = 1.0 - sum(weights.values())
+            self.posterior = mix([(said[n], weights[n]) for n in said], prior, alpha)
+            rule = "mix" if usable else "alone"
+        elif said:
+            total = sum(weights.values())
+            weights = {name: w / total for name, w in weights.items()}
+            self.posterior, rule = mix([(said[n], weights[n]) for n in said], None, 0.0), "told"
+        else:
+            rule = "hold"
+        self.t += 1
+        shares = {name: (1.0 - alpha) * w for name, w in weights.items()}
+        explain = Explain(weights=shares, ages_s=mailbox.ages_s(now_ns))
+        return Update(self.t, rule, alpha, tuple(name for name, _ in usable), explain)
+
+    def _weight(self, estimate: Estimate) -> float:
+        # A neighbour that does not state its degree is taken to have ours.
+        return 1.0 / (1 + max(self._degree, estimate.degree or self._degree))

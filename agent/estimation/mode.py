@@ -1,0 +1,47 @@
+"""What the two modes of `evidence`, rest and chase, have in common."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from agent.estimation.face import Posterior, Prior
+from agent.estimation.validate import Bounds
+from agent.messages import Explain, Gossip, Symmetric
+
+
+class Me(NamedTuple):
+    """What a robot knows of itself and its surroundings before it measures anything."""
+
+    key: tuple[str, int]  # name, and which of its starts this is
+    neighbours: tuple[str, ...]
+    bounds: Bounds
+    max_entries: int  # in one message
+    common_m2: Symmetric  # covariance of errors that all robots share
+
+
+class Conclusion(NamedTuple):
+    """Outcome of one iteration; the fields are those of face.Update."""
+
+    posterior: Posterior | None
+    rule: str
+    alpha: float
+    explain: Explain
+
+
+class Mode(Protocol):
+    """Keeps the evidence of one epoch."""
+
+    def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
+        """Take in an own sample; returns its normalised innovation squared, None where nothing was expected."""
+
+    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
+        """Take in what a neighbour passed on at `arrived_ns`; returns the kinds of what was not believed."""
+
+    def restarted(self, src: str) -> None:
+        """A neighbour started again: it holds nothing any more."""
+
+    def say(self, to: str, now_ns: int) -> Gossip:
+        """What this neighbour is owed now."""
+
+    def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
+        """Where the target is by all that is held. `before`: the posterior until now."""

@@ -1,0 +1,120 @@
+"""The newest samples of every robot, for a target that moves, and the track through them.
+
+A sample may arrive late and out of order, over other robots. So the filter is frozen at the start of a window, and on
+every tick it runs again from there over all samples known now: what comes out is the central Kalman filter, delayed
+by the way of the news. Old samples are forgotten by freezing, and their worth fades with the acceleration noise.
+
+Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
+mailbox adds the time it lay in a queue. The copy that says "longest ago" is the one with least of its way unaccounted.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from agent.estimation.matrix import trace
+from agent.estimation.track import Track, begin, correct, predict, summed
+from agent.estimation.validate import Bounds, sample_fault
+from agent.messages import Holding, Sample, Symmetric, Vector
+
+Key = tuple[str, int, int]  # origin, incarnation, number
+
+WINDOW = 24  # length in iterations: the way across a swarm of some ten hops when a third of all messages is lost
+MASK = 32  # samples before the newest that one line of a digest can tell of; more than a window holds
+
+
+class Held(NamedTuple):
+    t_ns: int  # of exposure, on this robot's clock
+    information: Symmetric
+    vector: Vector
+
+
+class Window:
+    """All samples of one epoch of one target that can still matter."""
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._bounds = bounds
+        self._span_ns = WINDOW * bounds.iteration_ns
+        self.samples: dict[Key, Held] = {}
+        self._frozen: Track | None = None
+        self._frozen_ns = -(10**30)  # samples up to this moment are in the frozen track, or too late
+
+    def measure(self, key: Key, held: Held) -> None:
+        """Add a sample of our own."""
+        if held.t_ns > self._frozen_ns:
+            self.samples[key] = held
+
+    def merge(self, sample: Sample, arrived_ns: int) -> tuple[bool, str | None]:
+        """Take in a sample that left its sender at `arrived_ns` of our clock: (whether it was news, why refused)."""
+        fault = sample_fault(sample, self._bounds)
+        if fault is not None:
+            return False, fault
+        key, t_ns = (sample.origin, sample.incarnation, sample.number), arrived_ns - sample.age_ns
+        old = self.samples.get(key)
+        if old is not None:
+            if self._frozen_ns < t_ns < old.t_ns:
+                self.samples[key] = old._replace(t_ns=t_ns)
+            return False, None
+        if t_ns <= self._frozen_ns:
+            return False, "too late"
+        self.samples[key] = Held(t_ns, sample.information, sample.vector)
+        return True, None
+
+    def track(self, now_ns: int) -> Track | None:
+        """The filter over all that is known, at this moment; None before the first sample."""
+        horizon_ns = now_ns - self._span_ns
+        moments: dict[int, list[tuple[Symmetric, Vector]]] = {}
+        for key in sorted(self.samples):
+            held = self.samples[key]
+            if held.t_ns > self._frozen_ns:
+                moments.setdefault(held.t_ns, []).append((held.information, held.vector))
+        track = self._frozen
+        for t_ns in sorted(moments):
+            if t_ns > horizon_ns:
+                break
+            track = self._frozen = _step(track, t_ns, moments.pop(t_ns))
+        self._frozen_ns = max(self._frozen_ns, horizon_ns)
+        for t_ns in sorted(moments):
+            track = _step(track, t_ns, moments[t_ns])
+        self._prune(horizon_ns)
+        return None if track is None else predict(track, now_ns)
+
+    def sendable(self, now_ns: int) -> dict[Key, int]:
+        """Samples that a neighbour may still use, newest first."""
+        fresh = [key for key, held in self.samples.items() if held.t_ns > now_ns - self._span_ns]
+        return {key: 1 for key in sorted(fresh, key=lambda key: (-self.samples[key].t_ns, key))}
+
+    def sample(self, key: Key, now_ns: int) -> Sample:
+        """A sample as it leaves now."""
+        held = self.samples[key]
+        return Sample(*key, max(0, now_ns - held.t_ns), held.information, held.vector)
+
+    def digest(self) -> list[Holding]:
+        """One line for each origin and incarnation."""
+        numbers: dict[tuple[str, int], list[int]] = {}
+        for origin, incarnation, number in sorted(self.samples):
+            numbers.setdefault((origin, incarnation), []).append(number)
+        return [
+            Holding(*who, held[-1], sum(1 << (held[-1] - 1 - k) for k in held[:-1] if held[-1] - 1 - k < MASK))
+            for who, held in numbers.items()
+        ]
+
+    def shares(self) -> dict[str, float]:
+        """Share of each origin in the information of the window; sum 1."""
+        sizes: dict[str, float] = {}
+        for key in sorted(self.samples):
+            sizes[key[0]] = sizes.get(key[0], 0.0) + trace(self.samples[key].information)
+        total = sum(sizes.values())
+        return {name: size / total for name, size in sizes.items()}
+
+    def _prune(self, horizon_ns: int) -> None:
+        # Frozen samples stay listed for another window: neighbours that still hold them must not send them again.
+        oldest_ns = horizon_ns - self._span_ns
+        self.samples = {key: held for key, held in self.samples.items() if held.t_ns > oldest_ns}
+
+
+def _step(track: Track | None, t_ns: int, samples: list[tuple[Symmetric, Vector]]) -> Track:
+    information, vector = summed(samples)
+    if track is None:
+        return begin(t_ns, information, vector)
+    return correct(predict(track, t_ns), information, vector)

@@ -1,0 +1,95 @@
+"""`aucamp calibrate camera`: intrinsics from photographs of a chessboard, taken in the water that will be dived in.
+
+A flat port bends rays much as a lens with some pincushion distortion would, so the water needs no model of its own:
+focal length, centre and two radial terms take it in (perception of a target near the optical axis uses the first two).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from agent.config import ConfigError, read_toml
+from agent.experiments.calibrate_focus import put
+
+PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
+MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred
+
+
+class Intrinsics(NamedTuple):
+    """Pinhole with two radial terms, as OpenCV defines them; pixels from the centre of the upper left pixel."""
+
+    width_px: int
+    height_px: int
+    f_px: float
+    cx_px: float
+    cy_px: float
+    k1: float
+    k2: float
+    residual_px: float
+    views: int
+
+
+def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | None, console: Console) -> Intrinsics:
+    """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
+    fit = intrinsics(folder, columns, rows, square_mm, console)
+    corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
+    radius = corner_px / fit.f_px
+    bend_px = corner_px * abs(fit.k1 * radius**2 + fit.k2 * radius**4)
+    console.print(
+        f"{fit.views} views: f {fit.f_px:.1f} px, centre ({fit.cx_px:.1f}, {fit.cy_px:.1f}), residual "
+        f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners"
+    )
+    if out is not None:
+        kept = read_toml(out).get("camera", {}) if out.exists() else {}
+        sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
+        lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
+        put(out, "camera", {**kept, **sizes, **lens})
+        console.print(f"[camera] of {out} written")
+    return fit
+
+
+def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, console: Console) -> Intrinsics:
+    """From all photographs of a folder that show the whole board of columns x rows inner corners."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; give one with photographs of the board")
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTOGRAPHS)
+    found: list[NDArray[np.float32]] = []
+    size: tuple[int, int] | None = None
+    for path in track(paths, "looking for the board", console=console, transient=True):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if grey is None:
+            raise ConfigError(f"{path}: is no readable picture; remove it")
+        if size not in (None, grey.shape[::-1]):
+            raise ConfigError(f"{path}: is {grey.shape[1]}x{grey.shape[0]}, others are {size[0]}x{size[1]}")
+        size = (grey.shape[1], grey.shape[0])
+        seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if seen:
+            found.append(corners.astype(np.float32))
+    if size is None or len(found) < MIN_VIEWS:
+        raise ConfigError(
+            f"{folder}: the board of {columns}x{rows} inner corners is whole in {len(found)} of {len(paths)} "
+            f"photographs; {MIN_VIEWS} are needed, from different sides"
+        )
+    board = np.zeros((columns * rows, 3), np.float32)
+    board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
+    start = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1]], float)
+    residual, matrix, distortion, *_ = cv2.calibrateCamera(
+        [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+    )
+    if residual > MAX_RESIDUAL_PX:
+        raise ConfigError(
+            f"{folder}: corners miss by {residual:.1f} px; check --columns, --rows, --square-mm and the focus"
+        )
+    k1, k2 = (float(v) for v in distortion.ravel()[:2])
+    return Intrinsics(
+        *size, float(matrix[0, 0]), float(matrix[0, 2]), float(matrix[1, 2]), k1, k2, float(residual), len(found)
+    )

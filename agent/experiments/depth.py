@@ -1,0 +1,287 @@
+"""`aucamp experiment depth`: whole views in blocks, how far each block is, against the twin's own depth.
+
+The lens is calibrated first, against a flat wall at measured distances, with the sweep and the blocks that measure
+later. Then four views of the tank, each swept once; the three ways to take a peak share their sweeps and their
+blocks, so that nothing but the peak differs. Last a ball, alone, at three distances.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.config import ConfigError
+from agent.depth_map import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS, DepthMap, clarity_of, measure
+from agent.experiments.depth_figure import draw
+from agent.experiments.still import StillCamera, View
+from agent.launch import Failed
+from agent.perception.breathing import measure_growth
+from agent.perception.clarity import grid, luminance, tenengrad_disc
+from agent.perception.detect import find_ball
+from agent.perception.enhance import enhance
+from agent.ranging.calibrate import FocusRow, fit_focus
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.camera_model import INNER_DISC, centre_behind_skin_m, ray
+from agent.ranging.focus import Array, Method, Peak, fit_peak, fit_peaks, h
+from hw.camera import Image, Roi
+
+Progress = Callable[[int, int], None]  # sweeps done, sweeps in all
+
+SENSORS = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
+METHODS: tuple[Method, ...] = ("matched", "parabola", "argmax")
+BLOCK_PX = 50  # the paper's
+QUALITY = 0.998  # of a block's peak: leaves out most blocks astride an edge in depth, and few others
+RANGES_M = ((0.0, 0.6), (0.6, 1.0), (1.0, 1.5), (0.0, 1.5))
+TARGETS_MM = {(0.0, 1.5): 12.0, (0.0, 0.6): 3.0}
+FLAT = 0.2  # of the range: a block whose depth spreads less, 5 to 95 percent, has one depth that can be called its own
+
+WALL_M = 1.0 / np.linspace(1.0 / 1.35, 1.0 / 0.22, 12)  # distances of the calibration, equal steps of 1/u
+WALL_REPEATS = 3  # the lens comes back to 1.2 positions (rms) at each step, which is 12 mm at 1.25 m
+GROWTH_M = 0.5  # distance of the wall on which focus breathing is measured
+WALL_PX = 400  # side of the picture's middle that sees it
+VIEWS = (
+    View((0.30, 0.25, 0.12), 34.0, -8.0),  # the ball half a metre away, the corner behind it
+    View((0.62, 0.28, 0.10), 62.0, -4.0),  # the ball close
+    View((0.20, 0.85, 0.25), 8.0, -18.0),  # the stone, and the floor from near to far
+    View((0.75, 0.85, 0.20), 20.0, -10.0),  # the wall, at an angle
+)
+WATER = 1.333  # refractive index
+FOUND_PX = 640  # width of the picture in which the ball is looked for: the detector's limits are in pixels
+BALL_M = (0.3, 0.5, 1.0)  # camera to the ball's centre
+BALL_YAW_DEG = (0.0, 25.0, 50.0)  # from three sides each
+
+
+class Taken(NamedTuple):
+    """One sweep over one view, and the truth for its blocks; arrays (rows, cols), metres."""
+
+    view: int
+    focus: Array
+    images: list[Image]
+    growth: float
+    truth_m: Array  # harmonic mean of the z-depths in the block: blocks are sharp at their mean vergence
+    flat: NDArray[np.bool_]
+
+
+def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
+    """Run all of it in world `seed`; writes result.json and the figures into `out`, returns result.json's content.
+
+    Raises ConfigError where `out` holds a result already.
+    """
+    if (out / "result.json").exists():
+        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    each = WALL_REPEATS * len(WALL_M) + len(VIEWS) + len(BALL_M) * len(BALL_YAW_DEG)
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        progress(done, len(SENSORS) * each)
+
+    result: dict[str, Any] = {"schema": 1, "source": "twin", "seed": seed, "block_px": BLOCK_PX, "steps": SWEEP_STEPS}
+    result |= {"quality": QUALITY, "cases": [], "calibration": [], "enhanced": [], "balls": []}
+    for sensor in SENSORS:
+        camera = StillCamera(sensor, seed)
+        camera.prepare()
+        growth = breathing(camera)
+        fit = calibrate(camera, growth, step)
+        known = Calibration(robot="r1", made="", source="wall", focus=fit, camera=nominal(camera))
+        figures = {"noise": fit.noise, "held_out_rmse_mm": 1e3 * fit.held_out_rmse_m, "growth": growth}
+        result["calibration"].append({"sensor": sensor, **figures})
+        taken = []
+        for k in range(len(VIEWS)):
+            taken.append(take(camera, k, growth))
+            step()
+        maps = {method: [map_of(one, known, method) for one in taken] for method in METHODS}
+        for method in METHODS:
+            result["cases"] += rows(sensor, method, taken, maps[method], maps["matched"])
+        fixed = [map_of(one._replace(growth=0.0), known, "matched") for one in taken]
+        result["cases"] += rows(sensor, "matched", taken, fixed, fixed, grid="fixed")
+        result["enhanced"].append({"sensor": sensor, **enhanced_shift(taken, maps["matched"], known)})
+        for k, one in enumerate(taken):
+            draw(maps["matched"][k], one.truth_m, out / f"depth_{sensor}_{k + 1}.png")
+        result["balls"] += [ball(camera, sensor, known, distance_m, step) for distance_m in BALL_M]
+    result["missed"] = missed(result["cases"])
+    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def positions(camera: StillCamera) -> list[int]:
+    limits = camera.focus_range()
+    return [round(p) for p in np.linspace(limits.lowest, limits.highest, SWEEP_STEPS)]
+
+
+def frames(camera: StillCamera, roi: Roi | None = None) -> list[Image]:
+    """One sweep from the lowest position up."""
+    camera.set_focus(camera.focus_range().lowest)
+    camera.read(roi, settle_s=HOME_SETTLE_S)
+    images = []
+    for position in positions(camera):
+        camera.set_focus(position)
+        images.append(camera.read(roi, settle_s=SETTLE_S).image)
+    return images
+
+
+def breathing(camera: StillCamera) -> float:
+    """Growth of the picture over a sweep, on the wall. Raises Failed where it cannot be measured."""
+    camera.view = facing_wall(GROWTH_M)
+    growth = measure_growth([luminance(image) for image in frames(camera)])
+    if growth is None:
+        raise Failed("the wall's pictures cannot be registered, so focus breathing is unknown; try another --seed")
+    return growth
+
+
+def calibrate(camera: StillCamera, growth: float, step: Callable[[], None]) -> FocusFit:
+    """The wall square to the camera at known distances, the median of its blocks at each."""
+    width, height = camera.size
+    middle = Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
+    focus, found = np.array(positions(camera), float), []
+    for u_m in np.repeat(WALL_M, WALL_REPEATS):
+        camera.view = facing_wall(float(u_m))
+        taken = clarity_of(frames(camera, middle), focus, BLOCK_PX, growth)
+        peaks = fit_peaks(focus, taken.clarity.reshape(len(focus), -1).T)
+        good = peaks.accepted & (peaks.quality >= QUALITY)
+        if good.any():
+            position, width_ = np.median(peaks.position[good]), np.median(peaks.width[good])
+            found.append(FocusRow(float(u_m), float(position), float(width_)))
+        step()
+    return fit_focus(found)
+
+
+def facing_wall(u_m: float) -> View:
+    """Square to the wall at the far end of the tank's x axis, `u_m` from it."""
+    return View((1.5 - u_m, 0.6, 0.25), 0.0)
+
+
+def nominal(camera: StillCamera) -> CameraFit:
+    """The pinhole that the data sheet of this camera gives, in water: enough to find a ball."""
+    return pinhole(*camera.size, WATER * camera.lens.focal_m / camera.lens.pixel_m)
+
+
+def pinhole(width: int, height: int, f_px: float) -> CameraFit:
+    return CameraFit(width_px=width, height_px=height, f_px=f_px, cx_px=(width - 1) / 2, cy_px=(height - 1) / 2)
+
+
+def take(camera: StillCamera, k: int, growth: float) -> Taken:
+    camera.view = VIEWS[k]
+    images, focus = frames(camera), np.array(positions(camera), float)
+    pixels = camera.truth_m(float(focus[-1] if growth >= 0 else focus[0]))  # blocks are squares in the largest picture
+    rows, cols = (len(grid(size, BLOCK_PX)) - 1 for size in pixels.shape)
+    tiles = pixels[: rows * BLOCK_PX, : cols * BLOCK_PX].reshape(rows, BLOCK_PX, cols, BLOCK_PX)
+    blocks = tiles.transpose(0, 2, 1, 3).reshape(rows, cols, -1).astype(float)
+    truth_m = 1.0 / (1.0 / blocks).mean(axis=-1)
+    nearest, farthest = np.quantile(blocks, (0.05, 0.95), axis=-1)
+    return Taken(k, focus, images, growth, truth_m, (farthest - nearest) / truth_m < FLAT)
+
+
+def map_of(taken: Taken, known: Calibration, method: Method) -> DepthMap:
+    return measure(clarity_of(taken.images, taken.focus, BLOCK_PX, taken.growth), BLOCK_PX, known, method, QUALITY)
+
+
+def rows(
+    sensor: str, method: Method, taken: list[Taken], maps: list[DepthMap], gate: list[DepthMap], grid: str = "breathing"
+) -> list[dict[str, Any]]:
+    """The errors of one method in every range, over the blocks that `gate` accepts; all views together."""
+    truth_m = np.concatenate([one.truth_m.ravel() for one in taken])
+    flat = np.concatenate([one.flat.ravel() for one in taken])
+    error_mm = 1e3 * (np.concatenate([ranges(one).ravel() for one in maps]) - truth_m)
+    accepted = np.concatenate([(one.accepted & np.isfinite(ranges(one))).ravel() for one in gate])
+    found = []
+    for low, high in RANGES_M:
+        within = (truth_m >= low) & (truth_m < high)
+        counted = within & accepted & np.isfinite(error_mm)
+        e, f = error_mm[counted], error_mm[counted & flat]
+        figures = {
+            "mae_mm": mean(np.abs(e)),
+            "median_mm": float(np.median(np.abs(e))) if e.size else None,
+            "bias_mm": float(np.median(e)) if e.size else None,
+            "flat_mae_mm": mean(np.abs(f)),
+        }
+        share = float(counted.sum() / max(within.sum(), 1))
+        case = {"sensor": sensor, "peak": method, "range_m": [low, high], **figures, "accepted": share}
+        found.append({**case, "blocks": int(counted.sum()), "flat_blocks": int((counted & flat).sum()), "grid": grid})
+    return found
+
+
+def mean(values: Array) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def ranges(one: DepthMap) -> Array:
+    assert one.range_m is not None  # it was measured with a calibration
+    return one.range_m
+
+
+def enhanced_shift(taken: list[Taken], raw: list[DepthMap], known: Calibration) -> dict[str, float]:
+    """How far the peaks move, in sweep steps, when clarity is taken on the enhanced picture instead of the raw one."""
+    step, shifts, error_mm = float(np.diff(taken[0].focus).mean()), [], []
+    for one, before in zip(taken, raw, strict=True):
+        after = map_of(one._replace(images=[enhance(image) for image in one.images]), known, "matched")
+        both = before.accepted & after.accepted
+        shifts.append((after.position - before.position)[both] / step)
+        error_mm.append([1e3 * np.abs(ranges(m) - one.truth_m)[both] for m in (before, after)])
+    shift = np.concatenate(shifts)
+    return {
+        "shift_median_steps": float(np.median(np.abs(shift))),
+        "shift_p95_steps": float(np.quantile(np.abs(shift), 0.95)),
+        "shift_mean_steps": float(shift.mean()),
+        "raw_mae_mm": float(np.nanmean(np.concatenate([e[0] for e in error_mm]))),
+        "enhanced_mae_mm": float(np.nanmean(np.concatenate([e[1] for e in error_mm]))),
+    }
+
+
+def ball(
+    camera: StillCamera, sensor: str, known: Calibration, distance_m: float, step: Callable[[], None]
+) -> dict[str, Any]:
+    """The ball's centre from the inner disc of its picture, from several sides; error along the ray, mm."""
+    target = next(solid for solid in camera.solids if solid.kind == "ball")
+    errors: list[float | None] = []
+    for yaw_deg in BALL_YAW_DEG:
+        yaw = math.radians(yaw_deg)
+        x, y, z = target.position_m
+        camera.view = View((x - distance_m * math.cos(yaw), y - distance_m * math.sin(yaw), z), yaw_deg)
+        images, focus = frames(camera), positions(camera)
+        found_m = ball_range_m(images, focus, known, target.radii_m[0])
+        errors.append(None if found_m is None else 1e3 * (found_m - distance_m))
+        step()
+    return {"sensor": sensor, "distance_m": distance_m, "errors_mm": errors}
+
+
+def ball_range_m(images: list[Image], focus: list[int], known: Calibration, radius_m: float) -> float | None:
+    """Camera to the ball's centre; None where the ball is not found or has no peak."""
+    height, width = images[0].shape[:2]
+    middle = ((width - 1) / 2, (height - 1) / 2), height / 12  # it is looked at
+    clearest = images[int(np.argmax([tenengrad_disc(image, *middle)[0] for image in images]))]
+    shrink = max(1, round(width / FOUND_PX))
+    small = cv2.resize(clearest, (width // shrink, height // shrink), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    seen = find_ball(small, pinhole(width // shrink, height // shrink, known.camera.f_px / shrink))
+    if seen is None:
+        return None
+    u, v = (shrink * (k + 0.5) - 0.5 for k in seen.centre_px)
+    centre_px = u, v
+    curve = [tenengrad_disc(image, centre_px, INNER_DISC * shrink * seen.radius_px)[0] for image in images]
+    peak = fit_peak([float(p) for p in focus], curve)
+    z_m = h(known.focus, peak.position) if isinstance(peak, Peak) else None
+    if z_m is None:
+        return None
+    skin_m = z_m / ray(known.camera, centre_px)[2]
+    return skin_m + centre_behind_skin_m(skin_m, radius_m)
+
+
+def missed(cases: list[dict[str, Any]]) -> list[str]:
+    """Targets of the finer sensor that are not reached."""
+    found = []
+    for case in cases:
+        limit = TARGETS_MM.get((case["range_m"][0], case["range_m"][1]))
+        if case["sensor"] == SENSORS[0] and case["peak"] == "matched" and case["grid"] == "breathing" and limit:
+            value = case["mae_mm"]
+            if value is None or value > limit:
+                found.append(f"{case['sensor']} {case['range_m']} m: mean error {value} mm > {limit} mm")
+    return found

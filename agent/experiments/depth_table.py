@@ -1,0 +1,47 @@
+"""`aucamp experiment depth` at the terminal: a bar while it runs, the table of its cases, and what was missed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from agent.experiments.depth import depth
+from agent.launch import run_folder
+
+
+def run(seed: int, out: Path | None, console: Console) -> dict[str, Any]:
+    """Run the experiment into `out` or runs/<UTC>; returns the content of result.json."""
+    folder = run_folder(out)
+    with Progress(console=console) as bar:
+        task = bar.add_task("sweeps of whole views")
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        result = depth(seed, folder, show)
+    console.print(cases_table(result["cases"]))
+    for text in result["missed"]:
+        console.print(f"missed: {text}")
+    console.print(f"written to {folder}")
+    return result
+
+
+def cases_table(cases: list[dict[str, Any]]) -> Table:
+    table = Table(title="depth from focus against the twin's truth")
+    for column in ("sensor", "peak", "range m", "mean error mm", "median mm", "accepted"):
+        table.add_column(column, justify="left" if column in ("sensor", "peak") else "right")
+    for case in cases:
+        low, high = case["range_m"]
+        errors = (case["mae_mm"], case["median_mm"])
+        table.add_row(
+            case["sensor"],
+            case["peak"] + (", grid not growing" if case.get("grid") == "fixed" else ""),
+            f"{low:g} to {high:g}",
+            *(f"{v:.1f}" if v is not None else "-" for v in errors),
+            f"{100 * case['accepted']:.0f} %" if isinstance(case["accepted"], float) else str(case["accepted"]),
+        )
+    return table

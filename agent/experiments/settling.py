@@ -1,0 +1,102 @@
+"""When is a robot back at depth and level? Definitions, and how cases are summed up when some of them never are.
+
+All from the twin's truth, one sample per control cycle of 10 ms. A time that does not exist is `None`, in a sum as in
+a case: a median of which half the cases never settle is no number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SAMPLE_S = 0.01
+DEPTH_M, TILT_DEG = 0.01, 2.0  # as far off as the paper's "recovered" may be
+LIMIT_S = 6.0  # who takes longer never settled
+STAY_S = 1.0  # watched beyond the limit: passing through the band is not settling
+
+Samples = NDArray[np.floating[Any]]
+
+
+class Track(NamedTuple):
+    """What one robot truly did. t_s is 0 when the push ends, or at the command of a step."""
+
+    t_s: Samples  # (n,)
+    depth_m: Samples  # (n,) of the hull's centre
+    roll_deg: Samples  # (n,)
+    pitch_deg: Samples  # (n,)
+
+    def since(self, t_s: float) -> Track:
+        """The part from t_s on."""
+        return Track(*(row[self.t_s >= t_s - SAMPLE_S / 2] for row in self))
+
+    def before(self, t_s: float) -> Track:
+        return Track(*(row[self.t_s < t_s - SAMPLE_S / 2] for row in self))
+
+
+def at_depth(track: Track, goal_m: float) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(track.depth_m - goal_m) < DEPTH_M)
+
+
+def is_level(track: Track) -> NDArray[np.bool_]:
+    return np.asarray((np.abs(track.roll_deg) < TILT_DEG) & (np.abs(track.pitch_deg) < TILT_DEG))
+
+
+def for_good_s(good: NDArray[np.bool_]) -> float | None:
+    """Seconds from the first sample until `good` stays true to the last; None beyond LIMIT_S.
+
+    ValueError where the samples do not reach to LIMIT_S + STAY_S: then nobody can know.
+    """
+    if len(good) * SAMPLE_S < LIMIT_S + STAY_S - SAMPLE_S / 2:
+        raise ValueError(f"{len(good) * SAMPLE_S:.2f} s of samples, {LIMIT_S + STAY_S} s are needed")
+    bad = np.flatnonzero(~good)
+    after_s = 0.0 if bad.size == 0 else (int(bad[-1]) + 1) * SAMPLE_S
+    return after_s if after_s <= LIMIT_S else None
+
+
+def score_push(track: Track, goal_m: float, hover_s: float) -> dict[str, Any]:
+    """Recovery from the end of the push; the worst on the way; and how still the last hover_s before it were."""
+    after = track.since(0.0)
+    off_m = track.depth_m - goal_m
+    still = track.since(track.t_s[0]).before(track.t_s[0] + hover_s)
+    return {
+        "recovery_s": for_good_s(at_depth(after, goal_m) & is_level(after)),
+        "push_off_mm": 1e3 * float(np.abs(off_m).max()),
+        "push_tilt_deg": float(np.hypot(track.roll_deg, track.pitch_deg).max()),
+        "hover_depth_rms_mm": 1e3 * rms(still.depth_m - goal_m),
+        "hover_tilt_rms_deg": rms(np.hypot(still.roll_deg, still.pitch_deg)),
+    }
+
+
+def score_step(track: Track, start_m: float, goal_m: float) -> dict[str, Any]:
+    """Settling of depth alone from the command, overshoot past the goal, the worst tilt on the way."""
+    after = track.since(0.0)
+    past_m = (after.depth_m - goal_m) * math.copysign(1.0, goal_m - start_m)
+    return {
+        "settle_s": for_good_s(at_depth(after, goal_m)),
+        "overshoot_mm": max(0.0, 1e3 * float(past_m.max())),
+        "step_tilt_deg": float(np.hypot(after.roll_deg, after.pitch_deg).max()),
+    }
+
+
+def spread(times_s: Sequence[float | None]) -> dict[str, float | int | None]:
+    """Median, 95th percentile (the smallest time that at least 95 % of the cases keep) and how many never did."""
+    ordered = np.sort([math.inf if t is None else t for t in times_s])
+
+    def finite(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    n = len(ordered)
+    middle = 0.5 * (float(ordered[(n - 1) // 2]) + float(ordered[n // 2]))
+    return {
+        "median": finite(middle),
+        "p95": finite(float(ordered[-(-95 * n // 100) - 1])),
+        "never": sum(t is None for t in times_s),
+    }
+
+
+def rms(values: Samples | Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,37 @@
+"""Vision once more, on frames from a recording: the worker's own `sight`, without its camera and its thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from agent.config import Fleet
+from agent.messages import Sighting
+from agent.perception.vision import Vision
+from agent.ranging.calibration import CameraFit
+from hw.camera import Camera, CameraError, Frame, Roi
+
+Roi4 = tuple[int, int, int, int]  # x, y, width, height in the full frame
+See = Callable[[NDArray[np.uint8], Roi4, Sighting, float | None], Sighting]
+
+
+def see_again(fleet: Fleet, camera: CameraFit) -> See:
+    """A function (image, its part of the frame, the sighting of then, radius of the sweep's first ball) -> that of now.
+
+    What the devices said, time, number and lens position, is taken from then; what the image says is new.
+    """
+    vision = Vision(_no_camera, fleet, next(iter(fleet.target)), camera, epoch_offset_ns=0)
+
+    def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, radius_px: float | None) -> Sighting:
+        frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))
+        _, now = vision.sight(frame, then.sweep, then.index, radius_px)
+        return replace(now, focus=then.focus)
+
+    return see
+
+
+def _no_camera() -> Camera:
+    raise CameraError("a recording has no camera")

@@ -1,0 +1,53 @@
+# What the board remembers over a power cut: parameters and tare, one table of names as the HAL stores it.
+import failsafe
+import parameters
+import pressure
+
+TIME_UNKNOWN = -1
+
+
+class Flash:
+    """The table, and which of the values in force are in it."""
+
+    def __init__(self, hal):
+        self._hal = hal
+        self._table = {}
+        self._tared_now = False  # in this boot
+        self.saved = parameters.from_flash(self._table)
+
+    def load(self):
+        """Read it. Raises ValueError, in one line, where it is broken or holds what cannot be."""
+        self._table = self._hal.load_flash()
+        self.saved = parameters.from_flash(self._table)
+
+    def save_parameters(self, values):
+        parameters.into_flash(values, self._table)
+        self._hal.save_flash(self._table)
+        self.saved = list(values)
+
+    def tare_pa(self):
+        """The four zeros, or None; ValueError where there is something else."""
+        tare_pa = self._table.get("tare_pa")
+        if tare_pa is not None and not pressure.believable(tare_pa):
+            raise ValueError("tare_pa in flash is no tare: tare again")
+        return tare_pa
+
+    def save_tare(self, tare_pa, host_ms):
+        """host_ms: the host's clock, modulo 2**32, or None where no host has told it."""
+        self._table["tare_pa"] = tare_pa
+        self._table["tare_host_ms"] = TIME_UNKNOWN if host_ms is None else host_ms
+        self._hal.save_flash(self._table)
+        self._tared_now = True
+
+    def tare_is_old(self, host_ms):
+        """Made before this boot and not within TARE_FOR_MS, as far as anybody knows.
+
+        The board has no calendar; the host's milliseconds come round after 49 days. A tare that was written into
+        flash without a time was put there by somebody who knew.
+        """
+        if self._tared_now or "tare_host_ms" not in self._table:
+            return False
+        made_ms = self._table["tare_host_ms"]
+        if host_ms is None or made_ms == TIME_UNKNOWN:
+            return True
+        return (host_ms - made_ms) & 0xFFFFFFFF > failsafe.TARE_FOR_MS

@@ -1,0 +1,130 @@
+"""Where two outputs of one step differ: the bytes say whether, the fields say where and by how much.
+
+A field is named by its path, `state.posterior_m[2]`. Counting and ignoring go by the path without indices.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+
+from agent.config import ConfigError, Struct, convert
+
+
+class Absent:
+    """What stands for a field that one side does not have."""
+
+    def __repr__(self) -> str:
+        return "absent"
+
+
+ABSENT = Absent()
+
+
+class Difference(NamedTuple):
+    field: str
+    recorded: Any
+    replayed: Any
+
+    @property
+    def plain(self) -> str:
+        """The field without indices: all elements of a list are one field."""
+        return re.sub(r"\[\d+\]", "", self.field)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Absolute and relative difference; infinite where it is not one of numbers."""
+        pair = (self.recorded, self.replayed)
+        if not all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in pair):
+            return math.inf, math.inf
+        absolute = abs(self.replayed - self.recorded)
+        largest = max(abs(self.replayed), abs(self.recorded))
+        return absolute, absolute / largest if largest else 0.0
+
+    def __str__(self) -> str:
+        ulps = distance_ulps(self.recorded, self.replayed)
+        apart = "" if ulps is None else f", {ulps} ULP apart"
+        return f"{self.field}: recorded {exact(self.recorded)}, replayed {exact(self.replayed)}{apart}"
+
+
+class Ignored(Struct, frozen=True, kw_only=True):
+    """A field, with all below it, that may differ."""
+
+    field: str
+    reason: str
+    since: str  # date
+
+    def covers(self, difference: Difference) -> bool:
+        return f"{difference.plain}.".startswith(f"{self.field}.")
+
+
+class IgnoreFile(Struct, frozen=True, kw_only=True):
+    ignore: tuple[Ignored, ...] = ()
+
+
+def load_ignored(path: Path) -> tuple[Ignored, ...]:
+    """The rows [[ignore]] of a TOML file. Raises ConfigError with one line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        return convert(tomllib.loads(text), IgnoreFile, path).ignore
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a file with rows [[ignore]]") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def differences(recorded: bytes, replayed: bytes) -> list[Difference]:
+    """Every leaf that differs, in the order of the message; numbers by their bits, so -0.0 is not 0.0."""
+    if recorded == replayed:
+        return []
+    return list(_walk(msgpack.unpackb(recorded), msgpack.unpackb(replayed), ""))
+
+
+def _walk(recorded: Any, replayed: Any, path: str) -> Iterator[Difference]:
+    if isinstance(recorded, dict) and isinstance(replayed, dict):
+        for name in [*recorded, *(name for name in replayed if name not in recorded)]:
+            below = f"{path}.{name}" if path else str(name)
+            yield from _walk(recorded.get(name, ABSENT), replayed.get(name, ABSENT), below)
+        if list(recorded) != list(replayed) and set(recorded) == set(replayed):
+            yield Difference(path, list(recorded), list(replayed))  # the same keys in another order
+    elif isinstance(recorded, list) and isinstance(replayed, list):
+        for k in range(max(len(recorded), len(replayed))):
+            yield from _walk(_at(recorded, k), _at(replayed, k), f"{path}[{k}]")
+    elif msgpack.packb(_leaf(recorded)) != msgpack.packb(_leaf(replayed)):
+        yield Difference(path, recorded, replayed)
+
+
+def _at(values: Sequence[Any], k: int) -> Any:
+    return values[k] if k < len(values) else ABSENT
+
+
+def _leaf(value: Any) -> Any:
+    return {"absent": True} if value is ABSENT else value
+
+
+def exact(value: Any) -> str:
+    """repr, and for a float all of its bits."""
+    if isinstance(value, float):
+        return f"{value!r} ({value.hex()})"
+    text = repr(value)
+    return text if len(text) <= 200 else f"{text[:200]}…"
+
+
+def distance_ulps(a: Any, b: Any) -> int | None:
+    """How many floats lie between two floats; None for anything else."""
+    if not (isinstance(a, float) and isinstance(b, float)):
+        return None
+    return abs(_ordinal(a) - _ordinal(b))
+
+
+def _ordinal(x: float) -> int:
+    """Floats numbered in their order: neighbours differ by one."""
+    bits: int = struct.unpack("<q", struct.pack("<d", x))[0]
+    return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)

@@ -1,0 +1,183 @@
+"""Which viewer messages follow from a raw one. Pure: the same recording gives the same channels again at any time.
+
+Nothing in them is new: replay ignores them, and a recording without them can have them added later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+from agent import topics
+from agent.config import Fleet
+from agent.messages import Inputs, LogLine, Message, Outputs, Refusal, Sighting, State, Telemetry, decode
+from agent.ranging.calibration import CameraFit
+from replay import foxglove
+from replay.backlog import Entry
+from replay.frames import FRAME, MAX_FRAME, Picture
+from replay.plots import plot
+
+M = TypeVar("M", bound=Message)
+
+KNOWS = {"blind": 0, "told": 1, "sees": 2}
+Made = tuple[str, int, Any]  # channel, time it is true for in ns, protobuf message
+
+
+class Derive:
+    """From an entry of a black box or of a fleet file to those for viewers: `LogWriter(derive=Derive(...))`."""
+
+    def __init__(self, fleet: Fleet, robot: str = "", camera: CameraFit | None = None) -> None:
+        """`robot` and its `camera` for a black box; a fleet file needs neither."""
+        self._fleet, self._robot, self._camera = fleet, robot, camera
+        self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
+            "/raw/step_in": self._inputs,
+            "/raw/step_out": self._outputs,
+            FRAME: self._frame,
+        }
+
+    def __call__(self, entry: Entry) -> Iterator[Entry]:
+        """Entries with the log time of the raw one; nothing for what does not decode, which the raw one still shows."""
+        made_of = self._of.get(entry.channel, self._heard)
+        try:
+            for channel, t_ns, message in made_of(entry):
+                yield Entry(
+                    channel=channel,
+                    log_time_ns=entry.log_time_ns,
+                    publish_time_ns=t_ns,
+                    sequence=entry.sequence,
+                    data=message.SerializeToString(),
+                    encoding="protobuf",
+                    metadata={},
+                    schema=foxglove.schema(message.__class__),
+                )
+        except Refusal:
+            return
+
+    def _inputs(self, entry: Entry) -> Iterator[Made]:
+        inputs = _own(entry, Inputs)
+        for telemetry in inputs.telemetry:
+            yield f"/{self._robot}/plot/attitude", telemetry.t_ns, attitude(telemetry)
+            yield f"/{self._robot}/plot/thrusters", telemetry.t_ns, thrusters(telemetry)
+        for sighting in inputs.sightings:
+            yield f"/{self._robot}/plot/focus", sighting.t_ns, focus(sighting)
+
+    def _outputs(self, entry: Entry) -> Iterator[Made]:
+        outputs = _own(entry, Outputs)
+        if outputs.state is not None:
+            yield from self._state(outputs.state)
+        for line in outputs.log:
+            yield f"/{line.robot}/log", line.sent_ns, foxglove.log_line(line)
+
+    def _frame(self, entry: Entry) -> Iterator[Made]:
+        picture = _own(entry, Picture)
+        # Those of a sweep show a part only, each another one: a channel of their own keeps the picture still.
+        name = f"/{self._robot}/{'sweep' if picture.sweep else 'camera'}"
+        yield f"{name}/image", picture.t_ns, foxglove.image(self._robot, picture.data, picture.format, picture.t_ns)
+        if self._camera is not None:
+            about = foxglove.calibration(self._robot, self._camera, picture.roi, picture.t_ns)
+            yield f"{name}/calibration", picture.t_ns, about
+
+    def _heard(self, entry: Entry) -> Iterator[Made]:
+        """Of a fleet file: what robots show to whoever looks."""
+        row = topics.match(entry.channel.removeprefix("/zenoh/"))
+        if row is None:
+            return
+        topic, chunks = row
+        if topic is topics.STATE and (state := decode(entry.data, State)).robot == chunks["robot"]:
+            yield from self._state(state)
+        elif topic is topics.LOG and (line := decode(entry.data, LogLine)).robot == chunks["robot"]:
+            yield f"/{line.robot}/log", line.sent_ns, foxglove.log_line(line)
+
+    def _state(self, state: State) -> Iterator[Made]:
+        robot, t_ns = state.robot, state.sent_ns
+        own = self._fleet.robot.get(robot)
+        if own is not None:
+            tree = foxglove.transforms(state, own.pose, self._fleet.body, self._fleet.tank.surface_m)
+            if tree is not None:
+                yield f"/{robot}/tf", t_ns, tree
+        if state.prior_m is not None:
+            yield f"/{robot}/target/prior", t_ns, foxglove.position(state.prior_m, t_ns)
+        if state.posterior_m is not None:
+            yield f"/{robot}/target/estimate", t_ns, foxglove.position(state.posterior_m, t_ns)
+        yield f"/{robot}/plot/protocol", t_ns, protocol(state)
+        weights = state.explain.weights if state.explain is not None else {}
+        for other in state.neighbours:
+            yield (
+                f"/{robot}/plot/hears/{other.robot}",
+                t_ns,
+                plot(
+                    "Neighbour",
+                    age_s=other.age_s,
+                    valid=other.valid,
+                    used=other.used,
+                    heard=other.heard,
+                    gaps=other.gaps,
+                    weight=weights.get(other.robot),
+                ),
+            )
+
+
+def attitude(telemetry: Telemetry) -> Any:
+    """aucamp.Attitude."""
+    return plot(
+        "Attitude",
+        depth_m=telemetry.depth_m,
+        roll_deg=telemetry.roll_deg,
+        pitch_deg=telemetry.pitch_deg,
+        battery_v=telemetry.battery_v,
+        armed=telemetry.armed,
+        failsafe_level=telemetry.ladder,
+        loop_us=telemetry.loop_us,
+        **{f"sensor{n}_depth_m": depth for n, depth in enumerate(telemetry.sensor_depth_m, start=1)},
+    )
+
+
+def thrusters(telemetry: Telemetry) -> Any:
+    """aucamp.Thrusters."""
+    pulses = {f"pwm{n}_us": us for n, us in enumerate(telemetry.pulses_us, start=1)}
+    return plot("Thrusters", **pulses, **{f"servo{n}_us": us for n, us in enumerate(telemetry.servos_us, start=1)})
+
+
+def focus(sighting: Sighting) -> Any:
+    """aucamp.Focus."""
+    u_px, v_px = sighting.centre_px or (None, None)
+    return plot(
+        "Focus",
+        position=sighting.focus,
+        clarity=sighting.clarity,
+        score=sighting.score,
+        found=sighting.found,
+        u_px=u_px,
+        v_px=v_px,
+        radius_px=sighting.radius_px,
+        area_px=sighting.area_px,
+        sweep=sighting.sweep,
+        index=sighting.index,
+    )
+
+
+def protocol(state: State) -> Any:
+    """aucamp.Protocol. `knows`: 0 blind, 1 told, 2 sees; `valid_robots`: in the valid set as this robot knows it."""
+    prior = state.prior_m or (None, None, None)
+    posterior = state.posterior_m or (None, None, None)
+    return plot(
+        "Protocol",
+        iteration=state.t,
+        knows=KNOWS[state.knows],
+        measurements=state.measurements,
+        alpha=state.alpha,
+        prior_sigma_m=state.prior_sigma_m,
+        posterior_sigma_m=state.posterior_sigma_m,
+        valid_robots=(state.knows == "sees") + sum(other.valid for other in state.neighbours),
+        **{f"prior_{axis}_m": value for axis, value in zip("xyz", prior, strict=True)},
+        **{f"posterior_{axis}_m": value for axis, value in zip("xyz", posterior, strict=True)},
+        nis=state.explain.nis if state.explain is not None else None,
+        pan_deg=state.pan_deg,
+        tilt_deg=state.tilt_deg,
+        refused=sum(state.refused.values()),
+        faults=len(state.faults),
+    )
+
+
+def _own(entry: Entry, kind: type[M]) -> M:
+    return decode(entry.data, kind, MAX_FRAME)  # our own message, not a stranger's

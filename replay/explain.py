@@ -1,0 +1,163 @@
+"""`aucamp replay explain`: why a robot believed what it believed, iteration by iteration, from its own recording."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from agent.config import ConfigError
+from agent.messages import Explain, LogLine, Outputs, State, decode
+from replay.blackbox import STEP_BYTES, open_box
+
+RULES = {
+    "mix": "mixed its own measurement with what its neighbours said",
+    "told": "did not measure, and took what its neighbours said",
+    "alone": "measured, and heard no neighbour that sees the target",
+    "hold": "neither measured nor heard a neighbour that sees the target, and kept what it had",
+}
+
+
+class Moment(NamedTuple):
+    """The state in which a robot showed the outcome of an iteration, and what it wrote to its log until then."""
+
+    step: int
+    seconds: float  # since the first step
+    state: State
+    before: State | None  # of the iteration before
+    log: tuple[LogLine, ...]
+
+
+def explain(path: Path, at: str | None = None) -> str:
+    """The iteration that holds a moment of a black box, in sentences. Raises ConfigError.
+
+    `at`: "16" is an iteration, "12.5s" a time since the first step, "step:812" a step; None: the last iteration.
+    """
+    box = open_box(path)
+    moment = find(path, at)
+    if moment is None:
+        raise ConfigError(f"{path}: no iteration at {at or 'its end'}; give --at 16, --at 12.5s or --at step:812")
+    return "\n".join([f"{box.robot}, protocol {box.fleet.estimation.protocol}", *sentences(moment)])
+
+
+def find(path: Path, at: str | None) -> Moment | None:
+    """The moment that `at` names; the last iteration shown before it, where it falls between two."""
+    wanted = _parse(at)
+    box, start_ns = open_box(path), 0
+    found: Moment | None = None
+    log: list[LogLine] = []
+    for step in box.steps():
+        start_ns = start_ns or step.now_ns
+        seconds = (step.now_ns - start_ns) * 1e-9
+        if found is not None and wanted.over(found.state.t + 1, step.number, seconds):
+            break
+        if step.outputs is None:
+            continue
+        outputs = decode(step.outputs, Outputs, limit=STEP_BYTES)
+        log += outputs.log
+        state = outputs.state
+        if state is None or state.t == 0 or (found is not None and state.t == found.state.t):
+            continue
+        if wanted.over(state.t, step.number, seconds):
+            break
+        found = Moment(step.number, seconds, state, found.state if found else None, tuple(log))
+        log = []
+    return found
+
+
+class _At(NamedTuple):
+    """A moment by one of three scales; the others are infinite."""
+
+    iteration: float = math.inf
+    step: float = math.inf
+    seconds: float = math.inf
+
+    def over(self, iteration: int, step: int, seconds: float) -> bool:
+        """Whether this is later than the moment."""
+        passed = self.iteration != math.inf and iteration > self.iteration
+        return passed or step > self.step or seconds > self.seconds
+
+
+def _parse(at: str | None) -> _At:
+    if at is None:
+        return _At()
+    if match := re.fullmatch(r"step:(\d+)", at):
+        return _At(step=int(match[1]))
+    if match := re.fullmatch(r"(\d+(?:\.\d+)?)s", at):
+        return _At(seconds=float(match[1]))
+    if at.isdigit():
+        return _At(iteration=int(at))
+    raise ConfigError(f"--at {at}: write an iteration (16), a time (12.5s) or a step (step:812)")
+
+
+def sentences(moment: Moment) -> list[str]:
+    """What happened in the iteration, most important first."""
+    state, before = moment.state, moment.before
+    why = state.explain or Explain()
+    lines = [
+        f"iteration {state.t}, shown at step {moment.step}, {moment.seconds:.2f} s after the first step",
+        f"It {RULES.get(state.rule, f'followed the rule {state.rule!r}')}."
+        + (f" The protocol calls the outcome {why.status}." if why.status else ""),
+        f"It {_knows(state)}.",
+    ]
+    if state.prior_m is not None and state.alpha:
+        lines.append(f"Its own measurement: {_place(state.prior_m, state.prior_sigma_m)}; alpha {state.alpha:.4f}.")
+    if why.nis is not None:
+        lines.append(
+            f"That measurement's squared distance from the estimate, over its variance: {why.nis:.2f}; 3 is usual."
+        )
+    lines += _neighbours(state, why)
+    lines.append(f"Estimate: {_place(state.posterior_m, state.posterior_sigma_m)}{_moved(state, before)}.")
+    if why.speed_m_s is not None:
+        lines.append(f"It takes the target to move at {1e3 * why.speed_m_s:.1f} mm/s.")
+    if why.epoch.counter:
+        what = "moving" if why.epoch.moving else "at rest"
+        lines.append(f"Epoch {why.epoch.counter}, opened by {why.epoch.proposer}: the target is {what}.")
+    lines += [f"Fault: {fault}." for fault in state.faults]
+    lines += [f"Refused so far: {count} x {kind}." for kind, count in state.refused.items()]
+    lines += [f"log, {line.level}: {line.text}" for line in moment.log]
+    return lines
+
+
+def _knows(state: State) -> str:
+    if state.knows == "sees":
+        return f"sees the target, since iteration {state.acquired_t}, and is in the valid set S"
+    return (
+        "knows the target from others only and is not in S" if state.knows == "told" else "knows nothing of the target"
+    )
+
+
+def _neighbours(state: State, why: Explain) -> list[str]:
+    used = [neighbour.robot for neighbour in state.neighbours if neighbour.used]
+    lines = [f"Neighbours in S that counted: {', '.join(used) or 'none'}."]
+    for n in state.neighbours:
+        age_s = why.ages_s.get(n.robot, n.age_s)
+        heard = "never heard" if age_s is None else f"{1e3 * age_s:.0f} ms old, {n.heard} heard, {n.gaps} lost"
+        said = "sees the target" if n.valid else "does not see it"
+        lines.append(f"  {n.robot}: {heard}" + ("" if age_s is None else f"; {said}") + _share(n.robot, why))
+    lines += [f"  {name}{_share(name, why)}" for name in why.weights if name not in {n.robot for n in state.neighbours}]
+    return lines
+
+
+def _share(robot: str, why: Explain) -> str:
+    """What one robot's word counted."""
+    text = f"; weight {why.weights[robot]:.4f}" if robot in why.weights else ""
+    if robot in why.votes:
+        text += f"; {why.votes[robot]} agree with it, itself included"
+    if robot in why.doubted:
+        factor = why.doubted[robot]
+        text += "; left out" if factor == 0.0 else f"; counts {factor:.2f} of what it claims"
+    return text
+
+
+def _place(x_m: tuple[float, float, float] | None, sigma_m: float | None) -> str:
+    if x_m is None:
+        return "none"
+    return f"({', '.join(f'{1e3 * x:.2f}' for x in x_m)}) mm" + (f" ± {1e3 * sigma_m:.2f} mm" if sigma_m else "")
+
+
+def _moved(state: State, before: State | None) -> str:
+    if before is None or before.posterior_m is None or state.posterior_m is None:
+        return ""
+    return f", {1e3 * math.dist(before.posterior_m, state.posterior_m):.2f} mm from the one of iteration {before.t}"

@@ -1,0 +1,79 @@
+"""The tank from above, and the surroundings of the target at a scale at which covariances can be seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Ellipse, Rectangle
+
+from agent.config import Fleet
+from agent.messages import Symmetric, Vector
+from replay.story import Story
+
+
+def above(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Figure:
+    """World axes: walls, robots and where they point, estimates, and the truth where it is known."""
+    figure = Figure(figsize=(4.6, 4.2), layout="constrained")
+    panel = figure.subplots()
+    length_m, width_m, _ = fleet.tank.size_m
+    panel.add_patch(Rectangle((0, 0), length_m, width_m, fill=False))
+    if truth_m is not None:
+        radius_m = next(iter(fleet.target.values())).radius_m
+        panel.add_patch(Circle(truth_m[:2], radius_m, color="C3", alpha=0.2))
+        panel.plot(*truth_m[:2], "+", color="black", markersize=12, label="truth")
+    for index, (name, robot) in enumerate(fleet.robot.items()):
+        pose, yaw = robot.pose, math.radians(robot.pose.yaw_deg)
+        panel.arrow(pose.x_m, pose.y_m, 0.1 * math.cos(yaw), 0.1 * math.sin(yaw), color=f"C{index}", width=0.01)
+        behind = (-12 * math.cos(yaw), -12 * math.sin(yaw))
+        panel.annotate(name, (pose.x_m, pose.y_m), behind, textcoords="offset points", ha="center", va="center")
+        estimate = next((story.estimate for story in stories if story.robot == name), None)
+        if estimate is not None:
+            panel.plot(*estimate[0][:2], "x", color=f"C{index}", label=name)
+    panel.set_aspect("equal")
+    panel.set(xlabel="x, m", ylabel="y, m", xlim=(-0.05, length_m + 0.05), ylim=(-0.05, width_m + 0.05))
+    if panel.get_legend_handles_labels()[0]:
+        panel.legend(loc="best", fontsize="small")
+    return figure
+
+
+def near_target(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Figure:
+    """Priors as dots, last posteriors with their 2σ ellipse, in mm from the truth or from the posteriors' mean."""
+    figure = Figure(figsize=(4.6, 4.2), layout="constrained")
+    panel = figure.subplots()
+    names = list(fleet.robot)
+    last = {story.robot: story.estimate for story in stories}
+    held = [estimate[0] for estimate in last.values() if estimate is not None]
+    if not held:
+        panel.set_title("nobody has an estimate")
+        return figure
+    origin_m = truth_m or tuple(float(x) for x in np.mean(held, axis=0))
+    for story in stories:
+        colour = f"C{names.index(story.robot)}" if story.robot in names else "0.5"
+        priors = [(1e3 * (x[0] - origin_m[0]), 1e3 * (x[1] - origin_m[1])) for _, x in story.priors]
+        panel.plot([x for x, _ in priors], [y for _, y in priors], ".", color=colour, alpha=0.35, markersize=4)
+        estimate = last[story.robot]
+        if estimate is not None:
+            x, y = (1e3 * (estimate[0][k] - origin_m[k]) for k in (0, 1))
+            panel.plot(x, y, "x", color=colour, label=story.robot)
+            if estimate[1] is not None:
+                add_ellipse(panel, (x, y), estimate[1], colour)
+    if truth_m is not None:
+        panel.plot(0, 0, "+", color="black", markersize=14, label="truth")
+    panel.set_aspect("equal", adjustable="datalim")
+    where = "the truth" if truth_m is not None else "the mean of the estimates"
+    panel.set(xlabel=f"x from {where}, mm", ylabel="y, mm", title=r"x̂ as dots, x with its $2\sigma$ ellipse")
+    panel.legend(loc="best", fontsize="small")
+    return figure
+
+
+def add_ellipse(panel: Axes, centre_mm: tuple[float, float], cov_m2: Symmetric, colour: str) -> None:
+    """The 2σ contour of the horizontal part of a covariance."""
+    a, b, c = cov_m2[0], cov_m2[1], cov_m2[3]  # xx, xy, yy
+    mean, half = (a + c) / 2.0, math.hypot((a - c) / 2.0, b)
+    large, small = (2e3 * math.sqrt(max(value, 0.0)) for value in (mean + half, mean - half))  # semi-axes, mm
+    angle_deg = math.degrees(math.atan2(2.0 * b, a - c)) / 2.0
+    panel.add_patch(Ellipse(centre_mm, 2.0 * large, 2.0 * small, angle=angle_deg, fill=False, color=colour))

@@ -1,0 +1,62 @@
+"""How the robot hung in the water: four pressures, the pulses of the four central thrusters, depth and tilt."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from replay.story import Array, Story
+
+NEUTRAL_US = 1500  # a pulse at which a thruster stands still
+CENTRAL = 4  # the first four of eight thrusters point up and down
+POINTS = 600  # of a line; more cannot be told apart on a screen
+
+
+def posture(story: Story) -> Figure:
+    """Four panels over time, all from the robot's own telemetry."""
+    figure = Figure(figsize=(4.6, 7.4), layout="constrained")
+    pressures, pulses, depth, tilt = figure.subplots(4, 1, sharex=True)
+    p = story.posture
+    every = thin(p.t_s)
+    for k in range(4):
+        pressures.plot(p.t_s[every], 1e3 * p.sensors_m[every, k], linewidth=0.8, label=f"ζ{k + 1}")
+        pulses.plot(p.t_s[every], p.pulses_us[every, k] - NEUTRAL_US, linewidth=0.8, label=f"T{k + 1}")
+    depth.plot(p.t_s[every], 1e3 * p.depth_m[every], color="black", linewidth=0.9, label="depth")
+    steps = [*story.set_depth_m, (story.ends_s, story.set_depth_m[-1][1])] if story.set_depth_m else []
+    depth.step([t for t, _ in steps], [1e3 * d for _, d in steps], where="post", color="C3", label="set-point")
+    tilt.plot(p.t_s[every], p.roll_deg[every], linewidth=0.9, label="roll")
+    tilt.plot(p.t_s[every], p.pitch_deg[every], linewidth=0.9, label="pitch")
+    pressures.set(ylabel="pressure, mm of water", title=story.robot)
+    pulses.set_ylabel("Δ PWM, µs")
+    depth.set_ylabel("depth, mm")
+    tilt.set(ylabel="tilt, deg", xlabel="time, s")
+    depth.invert_yaxis()
+    pressures.invert_yaxis()
+    for panel in (pressures, pulses, depth, tilt):
+        panel.legend(fontsize="x-small", ncols=4, loc="best")
+    return figure
+
+
+def thin(t_s: Array) -> slice:
+    """Every so many frames, that a line has at most POINTS."""
+    return slice(None, None, max(1, -(-len(t_s) // POINTS)))
+
+
+def hover(story: Story, band_m: float = 0.010) -> dict[str, float] | None:
+    """Root mean square of depth error (mm) and tilt (deg) since the depth was first within `band_m` of its goal.
+
+    None if it never was.
+    """
+    p = story.posture
+    if not story.set_depth_m or not len(p.t_s):
+        return None
+    wanted = story.set_depth_m[-1][1]
+    near = np.flatnonzero(np.abs(p.depth_m - wanted) < band_m)
+    if not len(near):
+        return None
+    since = slice(int(near[0]), None)
+    tilt = np.hypot(p.roll_deg[since], p.pitch_deg[since])
+    return {
+        "depth_rms_mm": 1e3 * float(np.sqrt(np.mean((p.depth_m[since] - wanted) ** 2))),
+        "tilt_rms_deg": float(np.sqrt(np.mean(tilt**2))),
+    }

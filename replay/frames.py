@@ -1,0 +1,63 @@
+"""Camera frames and what vision made of them, as they stand in a black box: enough to run vision once more.
+
+The picture is a JPEG, or a PNG where every bit counts. Frames of one camera are in the order in which vision saw them,
+and that order matters: where vision looks next depends on the frame before.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from agent.config import ConfigError
+from agent.messages import Message, Sighting, encode
+
+FRAME, VISION = "/raw/frame", "/raw/vision"
+QUALITY = 90  # of a JPEG: 64 kB for a full frame of 640x480 with sensor noise, 0.6 ms; PNG: 550 kB, 16 ms
+MAX_FRAME = 16 * 1024 * 1024  # bytes of a record on /raw/frame: for `agent.messages.decode`
+
+Format = Literal["jpeg", "png"]
+
+
+class Picture(Message, frozen=True, kw_only=True):
+    """One frame as vision got it: the message on /raw/frame. The Sighting on /raw/vision has the same sequence."""
+
+    t_ns: int  # middle of the exposure
+    frame: int  # as the camera counts
+    roi: tuple[int, int, int, int]  # x, y, width, height in the full frame
+    sweep: int = 0  # the plan it belongs to; 0: none
+    index: int = -1  # which position of that plan
+    focus: int | None = None
+    format: Format
+    data: Annotated[bytes, Meta(max_length=MAX_FRAME)]
+
+
+def picture(image: NDArray[np.uint8], roi: tuple[int, int, int, int], sighting: Sighting, lossless: bool) -> bytes:
+    """The record for /raw/frame; `image` is (height, width, 3), blue green red."""
+    format_: Format = "png" if lossless else "jpeg"
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1] if lossless else [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    _, data = cv2.imencode(".png" if lossless else ".jpg", image, options)
+    return encode(
+        Picture(
+            t_ns=sighting.t_ns,
+            frame=sighting.frame,
+            roi=roi,
+            sweep=sighting.sweep,
+            index=sighting.index,
+            focus=sighting.focus,
+            format=format_,
+            data=data.tobytes(),
+        )
+    )
+
+
+def pixels(of: Picture) -> NDArray[np.uint8]:
+    """The image of a record, (height, width, 3), blue green red. Raises ConfigError where it does not decode."""
+    image = cv2.imdecode(np.frombuffer(of.data, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ConfigError(f"frame {of.frame}: its {of.format} is broken; run `aucamp replay recover` on the file")
+    return image.astype(np.uint8, copy=False)

@@ -1,0 +1,156 @@
+"""What is in a recording, from a walk through one of its files: facts for programs, and one screen for a person."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from agent import topics
+from replay.mcap_file import Attachment, Channel, Message, Metadata, Schema, Tear, records
+from replay.names import parts
+
+STEP_HZ = 20.0  # of an agent's loop
+SHOWN = ("kind", "fleet", "robot", "protocol", "part", "incarnation", "commit", "dirty", "cpu", "machine", "python")
+
+
+class ChannelInfo(NamedTuple):
+    encoding: str
+    metadata: dict[str, str]
+    messages: int
+    bytes: int  # before compression
+    first_ns: int
+    last_ns: int
+    gaps: int = 0  # sequence numbers that are missing; only where the channel counts by one
+    schema: str = ""  # what a viewer decodes it as
+
+    @property
+    def hz(self) -> float:
+        seconds = (self.last_ns - self.first_ns) * 1e-9
+        return (self.messages - 1) / seconds if seconds > 0 else 0.0
+
+
+class Info(NamedTuple):
+    complete: bool  # finished by its writer; False: everything up to the tear
+    run: dict[str, str]
+    end: dict[str, str]  # empty when the writer was killed
+    channels: dict[str, ChannelInfo]
+    attachments: dict[str, str]
+    recovered: dict[str, str]  # what was lost, when this file is a mended copy
+    torn_bytes: int  # that cannot be read
+    clock: dict[str, dict[str, str]]  # Unix and monotonic time: at the "start" and at the "end"
+
+
+def info(path: Path) -> Info:
+    """What is in one file. Raises ConfigError if it cannot be opened or is no MCAP file."""
+    notes: dict[str, dict[str, str]] = {}
+    attachments: dict[str, str] = {}
+    schemas: dict[int, str] = {0: ""}
+    topics_: dict[int, Channel] = {}
+    channels: dict[str, ChannelInfo] = {}
+    sequences: dict[str, int] = {}
+    torn_bytes, whole = 0, True
+    for record in records(path):
+        match record:
+            case Metadata():
+                notes[record.name] = record.metadata
+            case Attachment():
+                attachments[record.name] = record.data.decode()
+            case Schema():
+                schemas[record.id] = record.name
+            case Channel():
+                topics_[record.id] = record
+            case Message() if record.channel_id in topics_:
+                about = topics_[record.channel_id]
+                old = channels.get(about.topic)
+                if old is None:
+                    schema, at_ns = schemas.get(about.schema_id, ""), record.log_time
+                    old = ChannelInfo(about.message_encoding, about.metadata, 0, 0, at_ns, at_ns, schema=schema)
+                gap = record.sequence - sequences.get(about.topic, record.sequence) - 1
+                sequences[about.topic] = record.sequence
+                channels[about.topic] = old._replace(
+                    messages=old.messages + 1,
+                    bytes=old.bytes + len(record.data),
+                    first_ns=min(old.first_ns, record.log_time),
+                    last_ns=max(old.last_ns, record.log_time),
+                    gaps=old.gaps + max(0, gap),
+                )
+            case Tear():
+                torn_bytes, whole = torn_bytes + record.bytes, False
+    end = notes.get("aucamp.end", {})
+    return Info(
+        complete=whole and bool(end),
+        run=notes.get("aucamp.run", {}),
+        end=end,
+        channels=channels,
+        attachments=attachments,
+        recovered=notes.get("aucamp.recovered", {}),
+        torn_bytes=torn_bytes,
+        clock={when: note for when in ("start", "end") if (note := notes.get(f"aucamp.clock.{when}"))},
+    )
+
+
+def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> None:
+    """`aucamp replay info`: each file of each recording, later parts included. Raises as `info` does."""
+    for path in paths:
+        for file in parts(path):
+            say((as_json if json_ else describe)(file, info(file)))
+
+
+def describe(path: Path, about: Info) -> str:
+    """One screen of plain text: where it comes from, how it ended, what is in it and what is missing."""
+    return "\n".join([str(path), *(f"  {line}" for line in _lines(about))])
+
+
+def as_json(path: Path, about: Info) -> str:
+    """The same for programs."""
+    facts = about._asdict()
+    facts["channels"] = {name: {**channel._asdict(), "hz": channel.hz} for name, channel in about.channels.items()}
+    facts["attachments"] = {name: len(text) for name, text in about.attachments.items()}
+    return json.dumps({"file": str(path), **facts}, indent=1)
+
+
+def ending(about: Info) -> str:
+    """How the recording ended, in words."""
+    if about.recovered:
+        return f"mended copy of a torn file: {about.recovered.get('summary', 'no summary')}"
+    if not about.end:
+        tail = f"; {about.torn_bytes} bytes cannot be read" if about.torn_bytes else ""
+        return f"not finished: still being written, or its writer was killed{tail}; `aucamp replay recover` mends it"
+    torn = "" if about.complete else f", but {about.torn_bytes} bytes in it cannot be read"
+    return f"finished, {about.end.get('cause', 'no cause given')}{torn}"
+
+
+def _lines(about: Info) -> Iterator[str]:
+    facts = [f"{name} {about.run[name]}" for name in SHOWN if name in about.run]
+    yield ", ".join(facts) or "written by something else: no aucamp.run in it"
+    yield ending(about)
+    dropped = {name: n for name, n in json.loads(about.end.get("dropped", "{}")).items() if n}
+    if dropped:
+        yield "dropped because the disk did not keep up: " + ", ".join(f"{name} {n}" for name, n in dropped.items())
+    if about.channels:
+        first_ns = min(channel.first_ns for channel in about.channels.values())
+        last_ns = max(channel.last_ns for channel in about.channels.values())
+        yield f"{(last_ns - first_ns) * 1e-9:.1f} s, attached {', '.join(about.attachments) or 'nothing'}"
+        yield f"{'messages':>9} {'Hz':>7} {'kB':>9} {'missing':>8}  channel"
+    for name, channel in sorted(about.channels.items()):
+        missing = str(channel.gaps) if counts_by_one(name) else ""
+        row = f"{channel.messages:>9} {channel.hz:>7.1f} {channel.bytes / 1e3:>9.1f} {missing:>8}  {name}"
+        hz = nominal_hz(name)
+        slow = hz > 0 and channel.messages > 10 and not 0.8 * hz <= channel.hz <= 1.2 * hz
+        yield row + (f"  ({channel.schema})" if channel.schema else "") + (f"  expected {hz:g} Hz" if slow else "")
+
+
+def counts_by_one(channel: str) -> bool:
+    """Whether a missing sequence number on this channel is a missing message."""
+    row = topics.match(channel.removeprefix("/zenoh/"))
+    return channel in ("/raw/step_in", "/raw/step_out") or (row is not None and row[0] is not topics.LOG)
+
+
+def nominal_hz(channel: str) -> float:
+    """How often this channel should have a message; 0: no such rate."""
+    if channel in ("/raw/step_in", "/raw/step_out"):
+        return STEP_HZ
+    row = topics.match(channel.removeprefix("/zenoh/"))
+    return row[0].hz if row else 0.0

@@ -1,0 +1,77 @@
+"""Who heard whom: every message that a robot took in must be one that its sender gave out, byte for byte.
+
+One that is not was forged or damaged on the way, or the sender's recording is not whole.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import msgpack
+
+from replay.blackbox import BlackBox, Step
+
+
+class Link(NamedTuple):
+    """Messages from one robot to another over a run."""
+
+    src: str
+    dst: str
+    said: int | None  # None: the sender left no recording
+    heard: int
+    unknown: int  # heard, but not among those said
+    after_end: int  # of those: sent after the sender's recordings end, so nobody can tell
+
+
+class Correspondence:
+    """What all robots of a run said and heard, gathered step by step."""
+
+    def __init__(self) -> None:
+        self._said: dict[tuple[str, str], Counter[bytes]] = {}
+        self._heard: dict[tuple[str, str], Counter[bytes]] = {}
+        self._last_ns: dict[str, int] = {}  # of each robot that left a recording
+
+    def add(self, robot: str, step: Step) -> None:
+        for src, payload in _heard(step.inputs):
+            self._heard.setdefault((src, robot), Counter())[payload] += 1
+        if step.outputs is not None:
+            self._last_ns[robot] = max(step.now_ns, self._last_ns.get(robot, 0))
+            for estimate in msgpack.unpackb(step.outputs).get("says", ()):
+                self._said.setdefault((robot, estimate["dst"]), Counter())[bytes(msgpack.packb(estimate))] += 1
+
+    def links(self) -> list[Link]:
+        """One for each pair that spoke or heard."""
+        return [self._link(src, dst) for src, dst in sorted({*self._said, *self._heard})]
+
+    def _link(self, src: str, dst: str) -> Link:
+        said, heard = self._said.get((src, dst), Counter()), self._heard.get((src, dst), Counter())
+        if src not in self._last_ns:
+            return Link(src, dst, None, heard.total(), 0, 0)
+        unknown = heard - said
+        after_end = sum(count for payload, count in unknown.items() if _sent_ns(payload) > self._last_ns[src])
+        return Link(src, dst, said.total(), heard.total(), unknown.total(), after_end)
+
+
+def links(boxes: Iterable[BlackBox]) -> list[Link]:
+    """The links of a run, from the recordings of all starts of its robots."""
+    correspondence = Correspondence()
+    for box in boxes:
+        for step in box.steps():
+            correspondence.add(box.robot, step)
+    return correspondence.links()
+
+
+def _heard(inputs: bytes) -> list[tuple[str, bytes]]:
+    return [(heard["src"], heard["payload"]) for heard in msgpack.unpackb(inputs).get("heard", ())]
+
+
+def _sent_ns(payload: bytes) -> int:
+    """The sender's time in a message that nobody vouches for; 0 if it has none."""
+    try:
+        fields = msgpack.unpackb(payload)
+        sent_ns = fields.get("sent_ns", 0) if isinstance(fields, dict) else 0
+        return sent_ns if isinstance(sent_ns, int) else 0
+    except (ValueError, msgpack.UnpackException):
+        return 0

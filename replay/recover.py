@@ -1,0 +1,214 @@
+"""Mends a torn recording: copies all that is sound into a new file with a summary, and says what was lost.
+
+A file tears when its writer is killed, the power fails, the disk fills up or a copy breaks off. It is never changed
+itself. A black box is cut behind its last whole step; inputs without their outputs, perhaps of the very step that ended
+the process, are kept on a channel of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from agent.config import ConfigError
+from replay.backlog import Entry
+from replay.backlog import Schema as ChannelSchema
+from replay.info import info
+from replay.mcap_file import Channel, Message, Part, Schema, Tear, records
+from replay.names import SUFFIX, recovered, standing
+
+STEP_IN, STEP_OUT = "/raw/step_in", "/raw/step_out"
+CUT = "/raw/step_in_cut"  # inputs of a step whose outputs are missing
+QUIET_S = 3.0  # a writer flushes three times a second: what has not changed for this long has no writer
+
+
+class Recovered(NamedTuple):
+    """What became of one file."""
+
+    source: Path
+    out: Path | None  # the mended copy; None: the file is whole, or empty, and nothing was written
+    messages: dict[str, int]  # kept, by channel
+    bytes_read: int
+    bytes_lost: int  # written, but cannot be believed
+    tears: int
+    last_step: int | None  # of a black box: the last one with inputs and outputs
+    cut_step: int | None  # a step with inputs alone, kept on the channel /raw/step_in_cut
+    last_ns: int | None  # newest log time that was kept
+
+    @property
+    def lossy(self) -> bool:
+        return self.bytes_lost > 0 or self.cut_step is not None
+
+    @property
+    def summary(self) -> str:
+        """One line for a person."""
+        if not self.messages:
+            return "holds no message, nothing to save"
+        if self.out is None:
+            return "whole, nothing to mend"
+        kept = f"{sum(self.messages.values())} messages kept"
+        if self.last_step is not None:
+            kept += f" up to step {self.last_step}"
+        lost = f"{self.bytes_lost} of {self.bytes_read} bytes lost at {self.tears} places" if self.bytes_lost else ""
+        cut = f"step {self.cut_step} has no outputs" if self.cut_step is not None else ""
+        unwritten = "" if lost else "what its writer had not yet flushed, less than a second, is not in it"
+        return "; ".join(part for part in (kept, lost, cut, unwritten) if part)
+
+
+def recover(path: Path, force: bool = False) -> Recovered:
+    """Write the mended copy of a torn file beside it, as NAME.recovered.mcap; a whole file is left alone.
+
+    Raises ConfigError if the file cannot be read or is no recording, is still being written (unless `force`), or if
+    there is a copy already.
+    """
+    about = info(path)
+    size = path.stat().st_size
+    if about.complete or about.recovered or not about.channels:
+        counts = {name: channel.messages for name, channel in about.channels.items()}
+        return Recovered(path, None, counts, size, 0, 0, None, None, None)
+    if not force and being_written(path):
+        raise ConfigError(f"{path}: still being written; end its writer first, or give --force")
+    part = Part(recovered(path))
+    walk = _Walk(path)
+    try:
+        part.start(about.run, about.attachments)
+        for when, sample in about.clock.items():
+            part.note(f"aucamp.clock.{when}", sample)
+        for entry in walk.entries():
+            part.add(entry)
+        result = walk.result(part.path, size)
+        facts = {
+            "source": path.name,
+            "summary": result.summary,
+            "messages": json.dumps(result.messages),
+            **{
+                name: getattr(result, name) for name in ("bytes_read", "bytes_lost", "last_step", "cut_step", "last_ns")
+            },
+        }
+        part.finish("aucamp.recovered", facts)
+    except OSError as error:
+        part.abandon()
+        raise ConfigError(f"{part.path}: cannot be written: {error.strerror}; make room there") from None
+    return result
+
+
+def sound(path: Path, say: Callable[[str], None]) -> Path:
+    """The file to open for `path`: itself, or its mended copy, which is made now if there is none yet.
+
+    `say` gets one line about what was lost. A file that is being written, or whose folder cannot be written, is opened
+    as it is: reading ends at the tear. Raises ConfigError as `info` does.
+    """
+    there = path if path.exists() else standing(path) or path
+    about = info(there)
+    if about.complete or about.recovered or being_written(there):
+        if about.recovered:
+            say(f"{there}: {about.recovered.get('summary', '')}")
+        return there
+    if recovered(there).exists():
+        return sound(recovered(there), say)
+    try:
+        result = recover(there)
+    except ConfigError as error:
+        say(str(error))
+        return there
+    say(f"{there} was torn, mended as {result.out}: {result.summary}")
+    return result.out or there
+
+
+def being_written(path: Path) -> bool:
+    """Whether a writer is probably at work on this file."""
+    return path.name.endswith(SUFFIX) and time.time() - path.stat().st_mtime < QUIET_S
+
+
+class _Walk:
+    """One pass through a torn file, in which steps without outputs are held back."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._counts: Counter[str] = Counter()
+        self._bytes_lost = self._tears = 0
+        self._last_step: int | None = None
+        self._cut: Entry | None = None
+        self._last_ns: int | None = None
+
+    def entries(self) -> Iterator[Entry]:
+        """What belongs into the copy, in order."""
+        held: list[Entry] = []  # since a step's inputs: they count when its outputs come
+        for entry in self._messages():
+            self._last_ns = max(entry.log_time_ns, self._last_ns or 0)
+            if entry.channel == STEP_IN and not held:
+                held.append(entry)
+            elif entry.channel == STEP_OUT and held and held[0].sequence == entry.sequence:
+                self._last_step = entry.sequence
+                yield from self._counted([*held, entry])
+                held = []
+            elif held and entry.channel != STEP_IN:
+                held.append(entry)
+            elif held:  # the outputs of the step before are missing
+                yield from self._counted(self._without_step(held))
+                held = [entry]
+            else:
+                yield from self._counted([entry])
+        yield from self._counted(self._without_step(held))
+
+    def result(self, out: Path, size: int) -> Recovered:
+        return Recovered(
+            source=self._path,
+            out=out,
+            messages=dict(self._counts),
+            bytes_read=size,
+            bytes_lost=self._bytes_lost,
+            tears=self._tears,
+            last_step=self._last_step,
+            cut_step=self._cut.sequence if self._cut else None,
+            last_ns=self._last_ns,
+        )
+
+    def _without_step(self, held: list[Entry]) -> list[Entry]:
+        if not held:
+            return []
+        self._cut = held[0]._replace(channel=CUT)
+        return [self._cut, *held[1:]]
+
+    def _counted(self, entries: list[Entry]) -> list[Entry]:
+        self._counts.update(entry.channel for entry in entries)
+        return entries
+
+    def _messages(self) -> Iterator[Entry]:
+        schemas: dict[int, ChannelSchema] = {}
+        channels: dict[int, Channel] = {}
+        for record in records(self._path):
+            match record:
+                case Schema():
+                    schemas[record.id] = ChannelSchema(record.name, record.encoding, record.data)
+                case Channel():
+                    channels[record.id] = record
+                case Message() if record.channel_id in channels:
+                    about = channels[record.channel_id]
+                    yield Entry(
+                        about.topic,
+                        record.log_time,
+                        record.publish_time,
+                        record.sequence,
+                        record.data,
+                        about.message_encoding,
+                        about.metadata,
+                        schemas.get(about.schema_id),
+                    )
+                case Tear():
+                    self._bytes_lost += record.bytes
+                    self._tears += record.bytes > 0
+
+
+def recover_all(paths: Iterable[Path], force: bool, say: Callable[[str], None]) -> int:
+    """`aucamp replay recover`: one line for each file. Exit code 0: each is whole now; 1: in one there was nothing."""
+    code = 0
+    for path in paths:
+        result = recover(path, force)
+        say(f"{path}{f' -> {result.out}' if result.out else ''}: {result.summary}")
+        code = code if result.messages else 1
+    return code

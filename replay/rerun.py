@@ -1,0 +1,237 @@
+"""Today's code on yesterday's inputs: the agent is built again, fed every logged step, and its outputs are compared.
+
+Bytes first. Where they differ, the first difference is told with all that went into that step, and all others are
+counted by field. On a CPU of another class numerical libraries add up in another order; there, floats may differ by
+TOLERANCE, and the verdict says so.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from hashlib import sha256
+from typing import Any, Literal, NamedTuple
+
+from agent.core import Agent
+from agent.messages import Estimate, Inputs, Refusal, decode, encode
+from replay.blackbox import STEP_BYTES, BlackBox, Step
+from replay.compare import Difference, Ignored, differences
+from replay.environment import environment
+
+TOLERANCE = 1e-9  # relative or absolute: a thousand times what rounding leaves, a millionth of what a measurement means
+CPU_CLASS = ("machine", "cpu.features")  # entries of the header that decide how floats are added up
+SHOWN = ("python", "commit", "dirty", *CPU_CLASS, "blas", "version.aucamp", "version.numpy", "version.msgspec")
+
+Verdict = Literal["identical", "within tolerance", "differs", "cannot check"]
+Progress = Callable[[int], None]  # called with the number of steps done since the last call
+
+
+class FieldCount(NamedTuple):
+    """How one field differs over a whole recording."""
+
+    steps: int = 0
+    first: int = 0  # step
+    absolute: float = 0.0  # the worst; infinite: not a difference of numbers
+    relative: float = 0.0
+
+
+class Divergence(NamedTuple):
+    """The first step that came out differently."""
+
+    robot: str
+    step: int
+    now_ns: int
+    difference: Difference
+    inputs: tuple[str, ...]  # what went into that step, a line each
+
+    def as_json(self) -> dict[str, Any]:
+        field, recorded, replayed = self.difference
+        return {
+            "robot": self.robot,
+            "step": self.step,
+            "now_ns": self.now_ns,
+            "field": field,
+            "recorded": repr(recorded),
+            "replayed": repr(replayed),
+            "text": str(self.difference),
+            "inputs": list(self.inputs),
+        }
+
+
+class Rerun(NamedTuple):
+    """What came of one recording."""
+
+    box: BlackBox
+    verdict: Verdict
+    steps: int  # compared
+    recorded_s: float  # that they took when they were recorded
+    first: Divergence | None
+    fields: dict[str, FieldCount]
+    ignored: dict[str, int]  # differences that rows of the ignore list covered, by row
+    notes: tuple[str, ...]  # what a reader of the verdict must know
+    digest: str  # of all replayed outputs
+
+    @property
+    def passed(self) -> bool:
+        return self.verdict in ("identical", "within tolerance")
+
+
+def rerun(
+    box: BlackBox,
+    ignored: Sequence[Ignored] = (),
+    progress: Progress = lambda steps: None,
+    watch: Callable[[Step], None] = lambda step: None,
+) -> Rerun:
+    """Replay one recording from its first step to its last sound one; `watch` is shown each step as it was recorded."""
+    agent = box.agent()
+    tolerance = TOLERANCE if other_cpu(box) else 0.0
+    tally = Tally(box.robot, ignored, tolerance)
+    digest = sha256()
+    start_ns = now_ns = 0
+    reported_s = time.monotonic()
+    taken = reported = 0
+    for step in box.steps():
+        start_ns, now_ns, taken = start_ns or step.now_ns, step.now_ns, taken + 1
+        watch(step)
+        try:
+            outputs = encode(take(agent, step))
+        except Refusal as refusal:
+            return unreadable(box, step, str(refusal))
+        except Exception as error:  # noqa: BLE001 - whatever today's kernel raises is a difference to report
+            tally.raised(step, error)
+            break
+        digest.update(outputs)
+        tally.compare(step, outputs)
+        if time.monotonic() - reported_s > 0.1:
+            progress(taken - reported)
+            reported, reported_s = taken, time.monotonic()
+    progress(taken - reported)
+    notes = (*environment_notes(box), *range_notes(box, taken, tally))
+    verdict: Verdict = "cannot check" if tally.compared == 0 and tally.first is None else tally.verdict
+    seconds = (now_ns - start_ns) * 1e-9
+    return Rerun(
+        box, verdict, tally.compared, seconds, tally.first, tally.fields, dict(tally.ignored), notes, digest.hexdigest()
+    )
+
+
+def take(agent: Agent, step: Step) -> Any:
+    """One step of the replayed agent. Raises Refusal if the inputs are not of this version."""
+    return agent.step(decode(step.inputs, Inputs, limit=STEP_BYTES), step.now_ns)
+
+
+class Tally:
+    """Compares step by step and keeps the count."""
+
+    def __init__(self, robot: str, ignored: Sequence[Ignored], tolerance: float) -> None:
+        self._robot, self._rows, self._tolerance = robot, ignored, tolerance
+        self.compared = 0
+        self.last = -1  # step compared
+        self.silent: int | None = None  # the first step without recorded outputs
+        self.first: Divergence | None = None
+        self.fields: dict[str, FieldCount] = {}
+        self.ignored: Counter[str] = Counter()
+        self._within = False  # some float differed by less than the tolerance
+
+    @property
+    def verdict(self) -> Verdict:
+        if self.first is not None:
+            return "differs"
+        return "within tolerance" if self._within else "identical"
+
+    def compare(self, step: Step, outputs: bytes) -> None:
+        if step.outputs is None:
+            self.silent = step.number if self.silent is None else self.silent
+            return
+        self.compared, self.last = self.compared + 1, step.number
+        counted: set[str] = set()
+        for difference in differences(step.outputs, outputs):
+            row = next((row for row in self._rows if row.covers(difference)), None)
+            if row is not None:
+                self.ignored[row.field] += 1
+            elif min(difference.size) <= self._tolerance and _floats(difference):
+                self._within = True
+            else:
+                self._count(step, difference, difference.plain not in counted)
+                counted.add(difference.plain)
+
+    def raised(self, step: Step, error: Exception) -> None:
+        """The replayed kernel failed where the recorded one went on, or died in the same step."""
+        if step.outputs is not None:
+            self._count(step, Difference("step", "outputs", f"raised {type(error).__name__}: {error}"), True)
+
+    def _count(self, step: Step, difference: Difference, new_step: bool) -> None:
+        if self.first is None:
+            self.first = Divergence(self._robot, step.number, step.now_ns, difference, describe_inputs(step))
+        absolute, relative = difference.size
+        old = self.fields.get(difference.plain, FieldCount(first=step.number))
+        self.fields[difference.plain] = old._replace(
+            steps=old.steps + new_step,
+            absolute=max(old.absolute, absolute),
+            relative=max(old.relative, relative),
+        )
+
+
+def _floats(difference: Difference) -> bool:
+    return isinstance(difference.recorded, float) and isinstance(difference.replayed, float)
+
+
+def unreadable(box: BlackBox, step: Step, why: str) -> Rerun:
+    note = f"the inputs of step {step.number} are not of this version ({why}); replay it with the version it names"
+    return Rerun(box, "cannot check", 0, 0.0, None, {}, {}, (*environment_notes(box), note), "")
+
+
+def other_cpu(box: BlackBox) -> bool:
+    """Whether it was recorded on a CPU that may round differently; unknown counts as the same."""
+    here = environment()
+    return any(box.run.get(name, here[name]) != here[name] for name in CPU_CLASS)
+
+
+def environment_notes(box: BlackBox) -> list[str]:
+    """Where code, versions or machine are not those of the recording: the reason to replay, or the first suspect."""
+    here = environment()
+    changed = [
+        f"{name} {box.run[name]} -> {here.get(name, 'none')}"
+        for name in SHOWN
+        if name in box.run and box.run[name] != here.get(name)
+    ]
+    notes = [f"recorded elsewhere: {', '.join(changed)}"] if changed else []
+    if other_cpu(box):
+        notes.append(f"another class of CPU: floats may differ by {TOLERANCE:g}, relative or absolute")
+    return notes
+
+
+def range_notes(box: BlackBox, taken: int, tally: Tally) -> list[str]:
+    """Which part of the recording the verdict is about, where it is not all of it."""
+    notes = []
+    broken = tally.first is not None and tally.first.difference.field == "step"
+    if taken < box.recorded and not broken:
+        notes.append(f"steps are missing after step {taken - 1}: {box.recorded - taken} later ones cannot be checked")
+    if not box.complete:
+        notes.append(f"not finished by its writer: checked up to step {tally.last}")
+    if (silent := taken - tally.compared - broken) > 0:
+        later = "" if silent == 1 else f" and {silent - 1} more"
+        notes.append(f"the outputs of step {tally.silent}{later} are not in the file")
+    return notes
+
+
+def describe_inputs(step: Step) -> tuple[str, ...]:
+    """A line for each thing that went into a step: what, how old in ms, how large."""
+
+    def age(then_ns: int) -> str:
+        return f"{(step.now_ns - then_ns) * 1e-6:.1f} ms old"
+
+    inputs = decode(step.inputs, Inputs, limit=STEP_BYTES)
+    lines = [f"telemetry, {age(t.t_ns)}: depth {t.depth_m:.4f} m" for t in inputs.telemetry]
+    for s in inputs.sightings:
+        what = f"clarity {s.clarity}" if s.found else "target not found"
+        lines.append(f"sighting, {age(s.t_ns)}: frame {s.frame}, sweep {s.sweep}[{s.index}], focus {s.focus}, {what}")
+    for heard in inputs.heard:
+        try:
+            e = decode(heard.payload, Estimate)
+            what = f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
+        except Refusal as refusal:
+            what = f"refused: {refusal}"
+        lines.append(f"heard from {heard.src}, {age(heard.arrived_ns)}, {len(heard.payload)} bytes: {what}")
+    lines += [f"refused by transport: {r.count} x {r.reason}" for r in inputs.refused]
+    return tuple(lines)

@@ -1,0 +1,64 @@
+"""The fleet live in Foxglove: the viewer channels of a recording, over a WebSocket on this machine alone.
+
+Only what robots show on the network is there; camera frames stay on the robots' own computers, in their black boxes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from agent import topics
+from agent.config import ConfigError, Fleet
+from replay.backlog import Entry
+from replay.derive import Derive
+from replay.recorder import PERIOD_S, Ear, listening, taken
+
+HOST = "127.0.0.1"  # whoever can reach the port sees everything: other hosts come through ssh -L
+PORT = 8765  # Foxglove's own
+
+
+def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[str], None] = lambda line: None) -> None:
+    """Serve until `stop` is set. Raises ConfigError without the extra `view`, or if the port is taken.
+
+    `say` gets one line: where to look.
+    """
+    try:
+        import foxglove  # the SDK, an extra; our own module of that name is replay.foxglove
+    except ImportError:
+        raise ConfigError("the live view needs the extra `view`: pip install 'aucamp[view]'") from None
+    ear, derive = Ear(time.time_ns), Derive(fleet)
+    counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
+    context = foxglove.Context()
+    channels: dict[str, Any] = {}
+
+    def show(entry: Entry) -> None:
+        if entry.channel not in channels and entry.schema is not None:
+            schema = foxglove.Schema(**entry.schema._asdict())
+            channels[entry.channel] = foxglove.Channel(
+                entry.channel, schema=schema, message_encoding=entry.encoding, context=context
+            )
+        channels[entry.channel].log(entry.data, log_time=entry.log_time_ns)
+
+    with listening(fleet, ear, "view"):
+        try:
+            server = foxglove.start_server(name=f"aucamp {fleet.fleet}", host=HOST, port=port, context=context)
+        except RuntimeError as error:
+            raise ConfigError(f"port {port} of {HOST}: {error}; choose another with --port") from None
+        try:
+            say(f"open a connection to ws://{HOST}:{port} in Foxglove; the layout is {layout('foxglove.json')}")
+            while not stop.wait(PERIOD_S):
+                for entry in taken(ear, counts):
+                    for derived in derive(entry):
+                        show(derived)
+        finally:
+            server.stop()
+
+
+def layout(name: str) -> Path:
+    """A file of `replay/layouts`: foxglove.json, or rerun.rbl."""
+    return Path(str(resources.files("replay") / "layouts" / name))

@@ -1,0 +1,119 @@
+"""Merging: the table is the same after any order, loss with repair, repetition or loop; nonsense changes nothing."""
+
+import math
+from random import Random
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.estimation.face import Prior
+from agent.estimation.fuse import fuse
+from agent.estimation.matrix import plus, times
+from agent.estimation.table import INCARNATIONS, Table
+from agent.estimation.validate import BURST, Bounds, floored
+from agent.messages import Entry
+
+BOUNDS = Bounds(frozenset({"r1", "r2", "r3"}), (1.5, 1.2, 0.8), 1_000_000_000)
+COV = (1e-4, 0.0, 0.0, 4e-4, 1e-5, 1e-4)
+B = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
+
+
+def prior(x: float) -> Prior:
+    return Prior((x, 0.5, 0.1), COV, 0, B)
+
+
+def history() -> list[Entry]:
+    """Every version that three robots, one of them started twice, ever said."""
+    said, random = [], Random(3)
+    for key in (("r1", 1), ("r2", 5), ("r2", 6), ("r3", 1)):
+        table = Table(BOUNDS)
+        for _ in range(4):
+            table.measure(key, prior(0.7 + random.gauss(0.0, 0.01)))
+            said.append(table.entries[key])
+    return said
+
+
+SAID = history()
+LATEST = {(e.origin, e.incarnation): e for e in SAID}
+
+
+@given(st.permutations(SAID), st.lists(st.sampled_from(SAID), max_size=20))
+@settings(max_examples=100, deadline=None)
+def test_any_order_and_any_repetition_end_in_the_same_table(order, repeated) -> None:
+    table = Table(BOUNDS)
+    for entry in [*repeated, *order, *repeated]:
+        _, fault = table.merge(entry, 0)
+        assert fault is None
+    assert table.entries == LATEST
+    reference = Table(BOUNDS)
+    for entry in SAID:
+        reference.merge(entry, 0)
+    assert table.opinions() == reference.opinions(), "to the last bit"
+
+
+def test_a_repeat_is_no_news() -> None:
+    table = Table(BOUNDS)
+    assert table.merge(SAID[2], 0) == (True, None)
+    assert table.merge(SAID[2], 0) == (False, None)
+    assert table.merge(SAID[1], 0) == (False, None)
+
+
+def test_the_systematic_error_enters_once_however_many_samples_and_starts() -> None:
+    table = Table(BOUNDS)
+    for key in (("r1", 1), ("r1", 2)):
+        for _ in range(5):
+            table.measure(key, prior(0.7))
+    (only,) = table.opinions()
+    assert only.cov_m2 == pytest.approx(plus(times(0.1, COV), B))
+
+
+def test_a_robot_that_restarts_all_day_does_not_fill_the_memory() -> None:
+    table = Table(BOUNDS)
+    for start in range(100):
+        table.merge(msgspec.structs.replace(SAID[0], incarnation=start), 0)
+    assert sorted(e for _, e in table.entries) == list(range(100 - INCARNATIONS, 100))
+
+
+GOOD = SAID[3]
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("why", "changes"),
+    [
+        ("not finite", {"information": (NAN, 0.0, 0.0, 1.0, 0.0, 1.0)}),
+        ("not finite", {"vector": (math.inf, 0.0, 0.0)}),
+        ("not a covariance", {"information": times(-1.0, GOOD.information)}),
+        ("not a covariance", {"systematic_m2": (1.0, 2.0, 0.0, 1.0, 0.0, 1.0)}),
+        ("unknown origin", {"origin": "r9"}),
+        ("too sure", {"information": times(1e6, GOOD.information), "vector": tuple(1e6 * v for v in GOOD.vector)}),
+        ("information lost", {"information": times(0.5, GOOD.information)}),
+        ("outside the tank", {"vector": tuple(10.0 * v for v in GOOD.vector)}),
+        ("too fast", {"count": GOOD.count + BURST + 1}),
+    ],
+)
+def test_nonsense_is_refused_by_name_and_changes_nothing(why, changes) -> None:
+    table = Table(BOUNDS)
+    table.merge(GOOD, 0)
+    before = dict(table.entries)
+    bad = msgspec.structs.replace(GOOD, **{"count": GOOD.count + 1, **changes})
+    assert table.merge(bad, 0) == (False, why)
+    assert table.entries == before
+    assert table.merge(msgspec.structs.replace(GOOD, count=GOOD.count + 1), 0) == (True, None)
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=15, max_size=15), st.integers(1, 2**63))
+@settings(max_examples=200, deadline=None)
+def test_garbage_never_breaks_the_fusion(numbers, count) -> None:
+    table = Table(BOUNDS)
+    table.merge(GOOD, 0)
+    table.merge(Entry("r2", 9, count, tuple(numbers[:6]), tuple(numbers[6:9]), tuple(numbers[9:])), 0)
+    fused = fuse(table.opinions())
+    assert all(map(math.isfinite, (*fused.x_m, *fused.cov_m2)))
+
+
+def test_vision_that_is_too_sure_is_floored() -> None:
+    assert floored((1e-9, 0.0, 0.0, 1e-4, 0.0, 1e-4))[0] >= 1e-6
+    assert floored(COV) == COV

@@ -1,0 +1,181 @@
+"""Moving targets: the window is the central filter, late news included; the swarm notices motion, and rest."""
+
+import math
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from linked_robots import NAMES, Net, line
+
+from agent.estimation.face import Prior
+from agent.estimation.matrix import apply, inverse
+from agent.estimation.motion import BATCH, Motion
+from agent.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, predict, surprise
+from agent.estimation.validate import Bounds
+from agent.estimation.window import WINDOW, Held, Window
+from agent.messages import MAX_PAYLOAD, Epoch, Sample, upper
+
+SECOND_NS = 1_000_000_000
+BOUNDS = Bounds(frozenset({"r1", "r2", "r3"}), (10.0, 10.0, 10.0), SECOND_NS)
+COV = (1e-4, 2e-5, 0.0, 2e-4, 0.0, 5e-5)
+INFORMATION = inverse(COV)
+
+
+def full(a):
+    xx, xy, xz, yy, yz, zz = a
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def kalman(samples):
+    """The textbook filter with 6x6 matrices over (t_s, z); returns state and covariance at the last sample."""
+    R, H = full(COV), np.hstack([np.eye(3), np.zeros((3, 3))])
+    (t, z), *rest = samples
+    x, P = np.r_[z, np.zeros(3)], np.zeros((6, 6))
+    P[:3, :3], P[3:, 3:] = R, FIRST_SPEED_M_S**2 * np.eye(3)
+    for then, z in rest:
+        dt, t = then - t, then
+        F = np.eye(6)
+        F[:3, 3:] = dt * np.eye(3)
+        Q = ACCELERATION_PSD * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
+        x, P = F @ x, F @ P @ F.T + Q
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+        x, P = x + K @ (z - H @ x), (np.eye(6) - K @ H) @ P
+    return x, P
+
+
+def path(rng, n):
+    times = np.cumsum(rng.uniform(0.2, 1.5, n)).round(3)
+    return [(float(t), np.array([0.5 + 0.02 * t, 0.5, 0.1]) + rng.normal(0, 0.01, 3)) for t in times]
+
+
+def test_the_track_is_the_textbook_filter() -> None:
+    samples = path(np.random.default_rng(1), 12)
+    x, P = kalman(samples)
+    track = None
+    for t, z in samples:
+        t_ns, vector = round(t * 1e9), apply(INFORMATION, tuple(z))
+        track = (
+            begin(t_ns, INFORMATION, vector) if track is None else correct(predict(track, t_ns), INFORMATION, vector)
+        )
+    assert track.x_m == pytest.approx(x[:3], abs=1e-9)
+    assert track.v_m_s == pytest.approx(x[3:], abs=1e-9)
+    assert full(track.A) == pytest.approx(P[:3, :3], abs=1e-12)
+    assert np.reshape(track.C, (3, 3)) == pytest.approx(P[:3, 3:], abs=1e-12)
+    assert full(track.D) == pytest.approx(P[3:, 3:], abs=1e-12)
+    gap = np.array([0.01, 0.0, 0.0])
+    expected = gap @ np.linalg.solve(P[:3, :3] + full(COV), gap)
+    assert surprise(track, tuple(x[:3] + gap), COV) == pytest.approx(expected, rel=1e-6)
+
+
+@given(st.permutations(range(20)), st.lists(st.integers(0, 19), max_size=10))
+@settings(max_examples=40, deadline=None)
+def test_samples_in_any_order_and_repeated_give_the_same_track(order, repeated) -> None:
+    samples = path(np.random.default_rng(2), 20)
+    said = [
+        Sample(f"r{1 + k % 3}", 1, 1 + k, round((samples[-1][0] - t) * 1e9), INFORMATION, apply(INFORMATION, tuple(z)))
+        for k, (t, z) in enumerate(samples)
+    ]
+    now_ns = round(samples[-1][0] * 1e9)
+    window = Window(BOUNDS._replace(iteration_ns=100 * SECOND_NS))  # a window that holds them all
+    for k in (*order, *repeated):
+        assert window.merge(said[k], now_ns)[1] is None
+    x, _ = kalman(samples)
+    assert window.track(now_ns).x_m == pytest.approx(x[:3], abs=1e-9)
+
+
+def test_freezing_changes_nothing_but_the_work() -> None:
+    samples = path(np.random.default_rng(3), 60)
+    window = Window(BOUNDS)
+    for k, (t, z) in enumerate(samples):
+        t_ns = round(t * 1e9)
+        window.measure(("r1", 1, 1 + k), Held(t_ns, INFORMATION, apply(INFORMATION, tuple(z))))
+        track = window.track(t_ns)
+        assert len(window.samples) <= 2 * WINDOW * 5
+    x, _ = kalman(samples)
+    assert track.x_m == pytest.approx(x[:3], abs=1e-9)
+    late = Sample("r2", 1, 1, 40 * SECOND_NS, INFORMATION, (0.0, 0.0, 0.0))
+    assert window.merge(late, round(samples[-1][0] * 1e9)) == (False, "too late")
+
+
+def test_ages_add_up_over_relays_whose_clocks_disagree() -> None:
+    """Exposed at 100 s of r1; r2 is an hour ahead and holds it 2 s, r3 a day behind."""
+    hour_ns, day_ns = 3600 * SECOND_NS, -24 * 3600 * SECOND_NS
+    r1, r2, r3 = Window(BOUNDS), Window(BOUNDS), Window(BOUNDS)
+    key = ("r1", 1, 1)
+    r1.measure(key, Held(100 * SECOND_NS, INFORMATION, apply(INFORMATION, (0.5, 0.5, 0.1))))
+    r2.merge(r1.sample(key, 101 * SECOND_NS), 101 * SECOND_NS + hour_ns)
+    r3.merge(r2.sample(key, 103 * SECOND_NS + hour_ns), 103 * SECOND_NS + day_ns)
+    assert r3.samples[key].t_ns == 100 * SECOND_NS + day_ns
+
+
+def test_a_digest_names_each_sample_that_is_held() -> None:
+    window = Window(BOUNDS)
+    for number in (3, 4, 7):
+        window.measure(("r1", 1, number), Held(number * SECOND_NS, INFORMATION, (0.0, 0.0, 0.0)))
+    (line,) = window.digest()
+    assert line.newest == 7
+    assert line.older == 0b1100  # 6 and 5 are missing, 4 and 3 are there
+
+
+def test_rest_raises_no_alarm_and_motion_does() -> None:
+    random = Random(1)
+    rest, move = Motion(), Motion()
+    for _ in range(2000 * BATCH):
+        rest.sample(sum(random.gauss(0, 1) ** 2 for _ in range(3)))
+        assert not rest.moves
+    for _ in range(2 * BATCH):
+        move.sample(12.0)
+    assert move.moves
+
+
+def test_half_a_minute_in_one_place_is_rest() -> None:
+    motion = Motion()
+    for _ in range(BATCH):
+        motion.sample(3.0)
+    for t in range(40):
+        motion.place(t * SECOND_NS, (0.5 + 0.02 * t, 0.5, 0.1))
+    assert not motion.rests(39 * SECOND_NS)
+    for t in range(40, 72):
+        motion.place(t * SECOND_NS, (1.3, 0.5, 0.1))
+    assert motion.rests(71 * SECOND_NS)
+
+
+def test_a_swarm_follows_a_target_that_starts_and_stops() -> None:
+    sigma, random = 0.005, Random(4)
+    cov, net = upper(sigma**2 * np.eye(3)), Net(line(4), loss=0.2, rounds=3)
+    x, moving_from, errors = 0.2, None, []
+    for t in range(110):
+        x += 0.02 if 20 <= t < 60 else 0.0
+        place = {n: (x + random.gauss(0, sigma), 0.5 + random.gauss(0, sigma), 0.1) for n in NAMES[1:4]}
+        net.tick({n: Prior(p, cov, net.now_ns) for n, p in place.items()})
+        robots = list(net.robots.values())
+        if t == 20:
+            assert {robot.epoch for robot in robots} == {Epoch()}
+        if moving_from is None and all(robot.epoch.moving for robot in robots):
+            moving_from = t
+        if 45 <= t < 60:
+            errors += [math.dist(r.posterior.x_m, (x, 0.5, 0.1)) for r in robots]
+    assert moving_from is not None
+    assert moving_from - 20 <= 2 * BATCH + 5
+    # news is one iteration old here, so even a perfect filter errs by what the speed is uncertain
+    assert math.sqrt(np.mean(np.square(errors))) < 0.01
+    (epoch,) = {robot.epoch for robot in robots}
+    assert not epoch.moving
+    assert epoch.counter >= 2
+    assert all(math.dist(r.posterior.x_m, (x, 0.5, 0.1)) < 0.005 for r in robots)
+    assert max(net.sizes) < MAX_PAYLOAD // 2
+
+
+def test_a_target_that_nobody_sees_any_more_is_held_where_it_was() -> None:
+    net, random = Net(line(2)), Random(5)
+    for robot in net.robots.values():
+        robot.begin(Epoch(1, True, "r00"), net.now_ns)
+    for t in range(15):
+        x = 0.9 + 0.02 * t + random.gauss(0, 0.001)
+        net.tick({"r00": Prior((x, 0.5, 0.1), COV, net.now_ns)})
+    for _ in range(WINDOW + 30):
+        updates = net.tick({})
+    assert updates["r01"].rule == "hold"
+    assert net.robots["r01"].posterior.x_m[0] < 1.7, "a tank of 1.5 m and its margin"

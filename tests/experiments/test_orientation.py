@@ -1,0 +1,86 @@
+"""The orientation experiment in small: real firmware processes, the twin's water, a result to read."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from agent.config import ConfigError
+from agent.experiments.manoeuvre import HOVER_S, PUSH, Case, fly
+from agent.experiments.orientation import MASS_SPREAD, groups, missed, orientation
+from agent.experiments.settling import score_push
+from agent.experiments.tables_orientation import controllers_table, stability_table
+from agent.launch import Failed
+
+
+def children() -> set[str]:
+    return set(Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split())
+
+
+def test_every_law_meets_the_same_robots():
+    first, second = (list(groups(3, 12, law, lag_s)) for law, lag_s in (("observer", 0.10), ("pi", 0.15)))
+    assert [len(g.cases) for g in first] == [5, 5, 2]
+    assert len({g.world for g in first}) == 3
+    assert [(g.world, [c.mass_scale for c in g.cases]) for g in first] == [
+        (g.world, [c.mass_scale for c in g.cases]) for g in second
+    ]
+    scales = sorted(c.mass_scale for g in first for c in g.cases)
+    assert scales[0] == pytest.approx(1 - MASS_SPREAD, abs=0.02) and scales[-1] == pytest.approx(
+        1 + MASS_SPREAD, abs=0.02
+    )
+    assert {g.world for g in groups(4, 12, "pi", 0.10)}.isdisjoint(g.world for g in first)
+
+
+def test_a_small_experiment_from_end_to_end(tmp_path):
+    steps = []
+    before = children()
+    result = orientation(
+        0, 1, tmp_path / "out", lambda done, total: steps.append((done, total)), laws=("observer",), lags_s=(0.10,)
+    )
+    assert children() == before
+    assert steps == [(k, 5) for k in range(1, 6)]  # one group, and mass by delay
+    assert json.loads((tmp_path / "out" / "result.json").read_text()) == result
+    figures = result["controllers"]["observer"]
+    assert figures["push_recovery_s"]["never"] == figures["step_settle_s"]["never"] == 0
+    assert 0.1 < figures["push_recovery_s"]["median"] < 1.5
+    assert 0.3 < figures["step_settle_s"]["median"] < 1.5
+    assert 0 < figures["hover_depth_rms_mm"] < 1.0 and 0 < figures["hover_tilt_rms_deg"] < 0.2
+    assert all(line["stable"] for line in result["stability"])
+    assert len(result["cases"]) == 1 + 4
+    for row in result["cases"]:
+        assert row["failsafe"] == 0 and not row["disarmed"]
+        assert row["push_tilt_deg"] > 5.0 and row["push_off_mm"] > 10.0, "the push was felt"
+        assert row["deepest_m"] > 0.40, "the step was gone"
+    assert controllers_table(result).row_count == 1 and stability_table(result).row_count == 4
+    for name in ("orientation_push", "orientation_step"):
+        assert (tmp_path / "out" / f"{name}.svg").read_text().count("T4") == 1
+        assert (tmp_path / "out" / f"{name}.png").stat().st_size > 10_000
+    with pytest.raises(ConfigError, match="holds a result"):
+        orientation(0, 1, tmp_path / "out", lambda *_: None)
+
+
+def test_thrusters_far_too_slow_for_the_law_are_seen_to_fail(tmp_path):
+    (flight,) = fly([Case("observer", 0, 1.5, 1.0)], PUSH, 7, tmp_path, sys.executable)
+    scored = score_push(flight.track, PUSH.goal_m, HOVER_S)
+    assert scored["recovery_s"] is None
+
+
+def test_a_law_that_the_firmware_does_not_have_is_told(tmp_path):
+    with pytest.raises(Failed, match="did not arm"):
+        fly([Case("wish", 0, 0.1, 1.0)], PUSH, 7, tmp_path, sys.executable)
+
+
+def test_missed_targets_are_named():
+    good = {
+        "push_recovery_s": {"median": 0.9, "p95": 1.2, "never": 0},
+        "step_settle_s": {"median": 0.8, "p95": 1.0, "never": 0},
+        "hover_depth_rms_mm": 0.2,
+        "hover_tilt_rms_deg": 0.1,
+    }
+    assert missed(good) == []
+    bad = good | {"hover_tilt_rms_deg": 0.31, "push_recovery_s": {"median": 0.9, "p95": None, "never": 2}}
+    assert missed(bad) == ["push_recovery_s p95 never, target 1.5", "hover_tilt_rms_deg 0.31, target 0.2"]

@@ -1,0 +1,146 @@
+"""One robot under way in the twin's tank: real firmware, real pty, the driver's conversation, virtual time.
+
+What is asserted about it is the twin's truth, not what the robot says of itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from agent.config import Fleet, Pose, Robot, Target, Twin
+from agent.messages import SetPoint, Telemetry
+from hw.stm32_talk import Talk
+from hw.twin.devices import Board, interpreter
+from hw.twin.dive import Dive, run_in_lock_step
+from hw.twin.event import Event
+from hw.twin.rotation import matrix
+
+FLEET = Fleet(
+    fleet="tank",
+    target={"ball": Target(radius_m=0.07)},
+    robot={
+        "r1": Robot(
+            listen="tcp/127.0.0.1:17401",
+            serial="twin:r1",
+            camera="twin:r1",
+            pose=Pose(x_m=0.75, y_m=0.6, yaw_deg=30.0),
+            depth_m=0.35,
+            calibration="none.toml",
+        )
+    },
+    twin=Twin(seed=5),
+)
+HOVER = SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5)
+REST_N = 0.01  # a thruster that stops fades with its lag: a second leaves less than this of 10 N
+
+
+class Dived:
+    """`run` is the only thing that lets time pass. The host sends set-points at 20 Hz while `talks`."""
+
+    def __init__(self, folder: Path, events: Sequence[Event]) -> None:
+        self.dive = Dive(FLEET, ["r1"], 0, events=events)
+        self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter())
+        self.dive.boards = [self.board]
+        self.talk = Talk(7)
+        self.talks = True
+        self.asks = HOVER
+        self.telemetry: list[Telemetry] = []
+        self.said: list[str] = []
+        self._port = -1
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 100)):
+            self._converse()
+            run_in_lock_step(self.dive, 1)
+
+    def until(self, done: Callable[[], bool], seconds: float) -> float:
+        """Run until `done`; after how long that was."""
+        for tick in range(round(seconds * 100)):
+            if done():
+                return tick / 100
+            self.run(0.01)
+        raise AssertionError(f"not within {seconds} s; said {self.said}, newest {self.telemetry[-1:]}")
+
+    def arm(self) -> None:
+        """Hovering at depth, level, the crew's hands off."""
+        self.talk.arm()
+        self.until(lambda: bool(self.telemetry) and self.telemetry[-1].armed, 10.0)
+        self.run(3.0)
+        assert abs(self.depth_m - HOVER.depth_m) < 0.01 and self.tilt_deg < 1.0
+
+    def _converse(self) -> None:
+        """Be the driver's thread for one tick: open the port if there is one, hear, speak."""
+        now_ns = self.dive.now_ns
+        if self._port < 0:
+            with contextlib.suppress(FileNotFoundError):
+                self._port = os.open(self.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                self.talk.connected()
+        if self._port < 0:
+            return
+        try:
+            with contextlib.suppress(BlockingIOError):
+                if not (chunk := os.read(self._port, 65536)):
+                    raise OSError("hung up")
+                self.talk.receive(chunk, now_ns)
+            out = self.talk.due(now_ns) if self.talks else b""
+            if self.talks and self.dive.ticks % 5 == 0:
+                out += self.talk.set_point(self.asks, now_ns)
+            if out:
+                os.write(self._port, out)
+        except OSError:
+            self.hang_up()
+        self.telemetry += self.talk.telemetry
+        self.said += [line.text for line in self.talk.said]
+        self.talk.telemetry.clear()
+        self.talk.said.clear()
+
+    def hang_up(self) -> None:
+        if self._port >= 0:
+            os.close(self._port)
+            self._port = -1
+
+    # --- the truth ------------------------------------------------------------------------------------------------
+
+    @property
+    def depth_m(self) -> float:
+        return FLEET.tank.surface_m - float(self.dive.states["position_m"][0, 2])
+
+    @property
+    def tilt_deg(self) -> float:
+        """Between the hull's up and the world's."""
+        return float(np.degrees(np.arccos(np.clip(matrix(self.dive.states["quaternion"][0])[2, 2], -1, 1))))
+
+    @property
+    def thrust_n(self) -> np.ndarray:
+        """(8,) without sign."""
+        return np.abs(self.dive.states["thrust_n"][0])
+
+    # --- what the robot says --------------------------------------------------------------------------------------
+
+    @property
+    def ladder(self) -> int:
+        return self.telemetry[-1].ladder
+
+    @property
+    def armed(self) -> bool:
+        return self.telemetry[-1].armed
+
+    def heard(self, text: str) -> bool:
+        return any(text in line for line in self.said)
+
+
+@contextlib.contextmanager
+def dived(folder: Path, events: Sequence[Event] = ()) -> Iterator[Dived]:
+    """A robot held by the crew at 0.35 m, its firmware running, until the end of the block."""
+    robot = Dived(folder, events)
+    try:
+        robot.board.start()
+        yield robot
+    finally:
+        robot.hang_up()
+        robot.board.close()

@@ -1,0 +1,202 @@
+"""Make the golden logs anew: `python -m tests.golden.make [CASE ...]`, from the root of the repository.
+
+Swarms in one process and in virtual time: real kernels, whose cameras and motors are the script of
+tests/network/scripted_agent.py and whose messages travel as bytes from one step to the next. `aucamp replay check
+--update` keeps the inputs and accepts new outputs; this is for the day on which the inputs themselves change.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from agent.config import Fleet, dump, load_fleet
+from agent.core import Agent
+from agent.messages import Heard, Inputs, SetPoint, Sighting, SweepPlan, decode, encode
+from agent.ranging.calibration import Calibration
+from agent.runtime import run_facts
+from replay.backlog import Entry
+from replay.log import parts
+from replay.mcap_file import Part
+from replay.names import active
+from replay.recover import STEP_IN, STEP_OUT
+from tests.network.scripted_agent import CALIBRATION, Motors, Script
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+START_NS = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z, whatever the day: the files come out the same
+STEP_NS = 50_000_000  # 20 Hz, as the real loop
+CUT = 0.6  # of a file: where the torn one ends
+
+
+class Case(NamedTuple):
+    """A dive of three robots. Times are seconds since its start."""
+
+    protocol: str
+    seconds: float
+    hidden: tuple[float, float] = (0.0, 0.0)  # nobody sees the target
+    mute: tuple[float, float] = (0.0, 0.0)  # r2 neither hears nor is heard
+    dead: tuple[float, float] = (0.0, 0.0)  # r3 is down, and comes back without memory
+    wrong: float = 0.0  # lens positions by which r3's calibration is off: it is convinced of another place
+
+
+CASES = {
+    "three": Case("paper", 16.0),
+    "three_evidence": Case("evidence", 16.0),
+    "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0)),
+    "liar": Case("evidence", 18.0, wrong=60.0),
+    "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
+}
+TORN = "torn"  # r1 of `three`, cut
+
+
+def make(folder: Path, names: list[str]) -> None:
+    """Write the cases called `names` into folders of their names, replacing what is there."""
+    for name in names:
+        out = folder / name
+        shutil.rmtree(out, ignore_errors=True)
+        if name == TORN:
+            tear(folder / "three" / "r1.mcap", out)
+        else:
+            dive(CASES[name], out)
+
+
+def dive(case: Case, out: Path) -> None:
+    """Step all robots in turn; what one says reaches the others at their next step."""
+    fleet = fleet_of(case)
+    clock = Clock()
+    robots = {name: Robot(fleet, name, case, clock) for name in fleet.robot}
+    for robot in robots.values():
+        robot.start(out)
+    for _ in range(round(case.seconds * 1e9) // STEP_NS):
+        clock.now_ns += STEP_NS
+        for robot in robots.values():
+            robot.alive(not (robot.name == "r3" and clock.within(case.dead)), out)
+        for robot in robots.values():
+            for dst, heard in robot.step() if robot.agent else ():
+                if not ("r2" in (robot.name, dst) and clock.within(case.mute)):
+                    robots[dst].post.append(heard)
+    for robot in robots.values():
+        robot.alive(False, out)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_ns = START_NS
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+    def within(self, span_s: tuple[float, float]) -> bool:
+        return span_s[0] <= (self.now_ns - START_NS) * 1e-9 < span_s[1]
+
+
+class Robot:
+    """One robot of the script, with its recording."""
+
+    def __init__(self, fleet: Fleet, name: str, case: Case, clock: Clock) -> None:
+        self.fleet, self.name, self.clock = fleet, name, clock
+        self.calibration = calibration_of(case, name)
+        self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden))
+        self.motors = Motors(self.script)
+        self.agent: Agent | None = None
+        self.post: list[Heard] = []
+        self.starts = 0
+
+    def alive(self, alive: bool, out: Path) -> None:
+        """Start it or end it, if that is a change."""
+        if alive and self.agent is None:
+            self.start(out)
+        elif not alive and self.agent is not None:
+            self.agent = None
+            self.part.finish("aucamp.end", {"cause": "clean"})
+
+    def start(self, out: Path) -> None:
+        self.starts += 1
+        self.steps, self.post, self.script.sweep = 0, [], None
+        incarnation = self.clock.now_ns
+        self.agent = Agent(self.fleet, self.name, self.calibration, incarnation)
+        file = f"{self.name}.mcap" if self.starts == 1 else f"{self.name}.{self.starts}.mcap"
+        self.part = Part(out / file)
+        attachments = {"fleet.toml": dump(self.fleet), "calibration.toml": dump(self.calibration)}
+        self.part.start(run_facts(self.fleet, self.name, incarnation), attachments)
+
+    def step(self) -> list[tuple[str, Heard]]:
+        """One step; returns what it says to whom."""
+        assert self.agent is not None
+        now_ns = self.clock.now_ns
+        telemetry, _ = self.motors.drain()
+        # Through bytes and back, so that nothing but what is recorded can reach the kernel.
+        inputs = encode(
+            Inputs(telemetry=tuple(telemetry), sightings=tuple(self.script.drain()), heard=tuple(self.post))
+        )
+        self.post = []
+        outputs = self.agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
+        for channel, data in ((STEP_IN, inputs), (STEP_OUT, encode(outputs))):
+            self.part.add(Entry(channel, now_ns, now_ns, self.steps, data, "msgpack", {}))
+        self.steps += 1
+        self.act(outputs.set_point, outputs.sweep)
+        return [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(e))) for e in outputs.says]
+
+    def act(self, set_point: SetPoint, sweep: SweepPlan | None) -> None:
+        self.motors.send(set_point, self.clock.now_ns)
+        if sweep is not None:
+            self.script.plan(sweep)
+
+
+class Slow(Script):
+    """The script's camera as on a robot: one frame of a sweep each step, and a target that can be out of sight."""
+
+    def __init__(self, fleet: Fleet, name: str, clock: Clock, hidden: Callable[[], bool]) -> None:
+        super().__init__(fleet, name, clock)
+        self._hidden = hidden
+        self._waiting: list[tuple[int, int, int]] = []  # focus, sweep, index
+
+    def drain(self) -> list[Sighting]:
+        if self.sweep is not None:
+            plan, self.sweep = self.sweep, None
+            self._waiting = [(focus, plan.sweep, index) for index, focus in enumerate(plan.focus)][1:]
+        if self._waiting:
+            self.idle_ns = self.clock()
+            return [self.look(self.clock(), *self._waiting.pop(0))]
+        return super().drain()
+
+    def look(self, now_ns: int, focus: int | None, sweep: int, index: int) -> Sighting:
+        seen = super().look(now_ns, focus, sweep, index)
+        if not self._hidden():
+            return seen
+        return replace(seen, found=False, centre_px=None, radius_px=None, clarity=None, area_px=None, score=0.0)
+
+
+def fleet_of(case: Case) -> Fleet:
+    """The first three robots of the tank, on ports that nobody opens."""
+    fleet = load_fleet(ROOT / "agent" / "fleets" / "tank.toml")
+    names = list(fleet.robot)[:3]
+    robots = {
+        name: replace(fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names))
+        for name in names
+    }
+    return replace(fleet, robot=robots, estimation=replace(fleet.estimation, protocol=case.protocol))
+
+
+def calibration_of(case: Case, robot: str) -> Calibration:
+    focus = CALIBRATION.focus
+    if robot == "r3" and case.wrong:
+        focus = replace(focus, rho0=focus.rho0 + case.wrong)
+    return replace(CALIBRATION, robot=robot, focus=focus)
+
+
+def tear(whole: Path, out: Path) -> None:
+    """A file as SIGKILL leaves it: cut, without a summary, under the name of one that is being written."""
+    data = parts(whole)[0].read_bytes()
+    out.mkdir(parents=True)
+    active(out / whole.name).write_bytes(data[: round(CUT * len(data))])
+
+
+if __name__ == "__main__":
+    make(HERE, sys.argv[1:] or [*CASES, TORN])

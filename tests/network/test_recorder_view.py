@@ -1,0 +1,113 @@
+"""The live view: what robots show arrives at a Foxglove client, and nothing listens but on this machine."""
+
+import base64
+import contextlib
+import itertools
+import json
+import os
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+import replay.view
+from agent.config import ConfigError, Fleet
+from agent.messages import State
+from agent.transport import Transport
+from replay.view import view
+
+foxglove = pytest.importorskip("foxglove", reason="the extra `view` is not installed")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Client:
+    """As much of a WebSocket client (RFC 6455) as a viewer that only listens needs."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
+        key = base64.b64encode(os.urandom(16)).decode()
+        self._socket.sendall(
+            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
+        )
+        self._file = self._socket.makefile("rb")
+        assert b"101" in self._file.readline()
+        while self._file.readline().strip():
+            pass
+
+    def messages(self) -> Iterator[tuple[int, bytes]]:
+        """(opcode, payload): 1 is JSON, 2 is data."""
+        while True:
+            first, length = self._file.read(2)
+            if length == 126:
+                (length,) = struct.unpack(">H", self._file.read(2))
+            elif length == 127:
+                (length,) = struct.unpack(">Q", self._file.read(8))
+            yield first & 0x0F, self._file.read(length)
+
+    def send(self, message: dict[str, object]) -> None:
+        data = json.dumps(message).encode()
+        head = bytes([0x81, 0x80 | len(data)]) if len(data) < 126 else struct.pack(">BBH", 0x81, 0x80 | 126, len(data))
+        self._socket.sendall(head + bytes(4) + data)  # the mask may be zero
+
+    def close(self) -> None:
+        self._file.close()
+        self._socket.close()
+
+
+def test_a_viewer_sees_what_a_robot_shows(
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], until: Callable[..., None]
+) -> None:
+    fleet, port, stop, lines = make_fleet({"r1": ()}), free_port(), threading.Event(), []
+
+    def shows(robot: Transport) -> None:
+        for seq in itertools.count():
+            robot.show(state("r1", seq))
+            if stop.wait(0.05):
+                return
+
+    with ThreadPoolExecutor(2) as pool, Transport(fleet, "r1", time.time_ns) as r1:
+        serving, showing = pool.submit(view, fleet, stop, port, lines.append), pool.submit(shows, r1)
+        try:
+            until(lambda: lines or serving.done())
+            with contextlib.closing(Client(port)) as client:
+                assert first_data(client) == "/r1/plot/protocol"
+        finally:
+            stop.set()
+            serving.result(timeout=10)
+            showing.result(timeout=10)
+    assert f"ws://127.0.0.1:{port}" in lines[0]
+
+
+def first_data(client: Client) -> str:
+    """Subscribe to every channel that is offered; the topic of the first message."""
+    topics: dict[int, str] = {}
+    for kind, data in client.messages():
+        if kind == 1:
+            for channel in json.loads(data).get("channels", ()):
+                assert channel["encoding"] == "protobuf"
+                topics[channel["id"]] = channel["topic"]
+                subscription = {"id": channel["id"], "channelId": channel["id"]}
+                client.send({"op": "subscribe", "subscriptions": [subscription]})
+        elif kind == 2 and data[0] == 1:  # message data: subscription, time, payload
+            return topics[struct.unpack("<I", data[1:5])[0]]
+    raise AssertionError("the server hung up")
+
+
+def test_a_port_that_is_taken_is_one_line(make_fleet: Callable[..., Fleet]) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(ConfigError, match="choose another with --port"):
+            view(make_fleet({"r1": ()}), threading.Event(), other.getsockname()[1])
+    assert replay.view.HOST == "127.0.0.1"

@@ -1,0 +1,132 @@
+"""A black box of two seconds in virtual time: frames of a red disc, telemetry, and a robot that sees its target."""
+
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from agent.config import load_fleet
+from agent.messages import (
+    Inputs,
+    LogLine,
+    NeighbourState,
+    Outputs,
+    SetPoint,
+    Sighting,
+    State,
+    Telemetry,
+    encode,
+)
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from replay.black_box_writer import BlackBoxWriter, black_box_log
+from replay.log import LogWriter
+
+START_NS = 1_767_225_600_000_000_000  # 2026-01-01
+STEP_NS = 50_000_000
+STEPS = 40
+FLEET = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
+CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
+FOCUS = FocusFit(
+    u_inf_m=-0.01,
+    b_m=130.0,
+    rho0=100.0,
+    covariance=(1e-6, 0.0, 0.0, 1e-2, 0.0, 1e-2),
+    noise=0.5,
+    width=60.0,
+    lowest=180,
+    highest=900,
+    r2=1.0,
+    rmse_m=0.001,
+    held_out_rmse_m=0.001,
+)
+CALIBRATION = Calibration(robot="r1", made="2026-01-01", source="test", focus=FOCUS, camera=CAMERA)
+
+
+def write_box(folder: Path, views: bool = True, lossless: bool = False) -> Path:
+    """Write r1.mcap into a folder."""
+    now = [START_NS]
+    log = black_box_log(folder, FLEET, "r1", CALIBRATION, {"kind": "black box", "robot": "r1"}, views)
+    with log:
+        fill(log, now, lossless)
+    return log.path
+
+
+def fill(log: LogWriter, now: list[int], lossless: bool = False) -> None:
+    box = BlackBoxWriter(log, lambda: now[0], lossless)
+    for step in range(STEPS):
+        now[0] += STEP_NS
+        sighting = seen(now[0], step)
+        part = (0, 0, 640, 480) if step % 4 == 0 else (200, 120, 240, 240)
+        box.serial(True, b"\x01telemetry\x00")
+        box.serial(False, b"\x02set point\x00")
+        box.frame(disc(step)[part[1] : part[1] + part[3], part[0] : part[0] + part[2]], part, sighting)
+        inputs = Inputs(telemetry=(telemetry(now[0]),), sightings=(sighting,))
+        says = LogLine(robot="r1", sent_ns=now[0], level="warning", text=f"step {step}")
+        outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=state(now[0], step), log=(says,))
+        box.step(step, now[0], encode(inputs), encode(outputs))
+
+
+@cache
+def disc(step: int) -> np.ndarray:
+    """A red disc on grey, with a grain that no two frames share."""
+    image = np.full((480, 640, 3), 110, np.uint8)
+    cv2.circle(image, (320, 240), 90, (50, 50, 180), -1)
+    return image + np.random.default_rng(step).integers(0, 12, (480, 640, 1), dtype=np.uint8)
+
+
+def seen(now_ns: int, step: int) -> Sighting:
+    return Sighting(
+        t_ns=now_ns - 20_000_000,
+        frame=step,
+        sweep=step // 4 if step % 4 else 0,
+        index=step % 4 or -1,
+        focus=300 + step,
+        target="ball",
+        found=True,
+        centre_px=(320.0, 240.0),
+        radius_px=90.0,
+        clarity=100.0 + step,
+        area_px=6000.0,
+        score=0.9,
+    )
+
+
+def telemetry(now_ns: int) -> Telemetry:
+    return Telemetry(
+        t_ns=now_ns,
+        board_us=0,
+        depth_m=0.4,
+        roll_deg=1.0,
+        pitch_deg=-2.0,
+        sensor_depth_m=(0.39, 0.4, 0.4, 0.41),
+        pulses_us=(1500, 1501, 1502, 1503, 1504, 1505, 1506, 1507),
+        servos_us=(1500, 1510, 1520, 1530),
+        battery_v=14.5,
+        armed=True,
+        ladder=0,
+        flags=0,
+        loop_us=900,
+    )
+
+
+def state(now_ns: int, step: int) -> State:
+    return State(
+        fleet="tank",
+        robot="r1",
+        incarnation=1,
+        seq=step,
+        sent_ns=now_ns,
+        target="ball",
+        knows="sees",
+        t=step,
+        prior_m=(0.75, 0.55, 0.07),
+        posterior_m=(0.76, 0.56, 0.07),
+        posterior_sigma_m=0.004,
+        neighbours=(NeighbourState(robot="r2", age_s=0.1, valid=True, used=True, heard=step),),
+        depth_m=0.4,
+        roll_deg=1.0,
+        pitch_deg=-2.0,
+        pan_deg=12.0,
+        tilt_deg=-20.0,
+    )

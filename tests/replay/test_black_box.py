@@ -1,0 +1,72 @@
+"""What the loop leaves in the black box: every step, also the one that broke."""
+
+import threading
+from pathlib import Path
+
+import pytest
+from small_box import CALIBRATION, FLEET, START_NS, state
+
+from agent.messages import Inputs, LogLine, Outputs, SetPoint, State, decode, encode
+from agent.runtime import loop
+from replay.black_box_writer import BlackBoxWriter, black_box_log
+from replay.info import info
+from replay.log import read
+from replay.recover import STEP_IN, STEP_OUT
+
+
+class Still:
+    """Camera, control module and network of a robot to which nothing happens."""
+
+    def drain(self) -> tuple[tuple, tuple]:
+        return (), ()
+
+    def send(self, set_point: SetPoint, now_ns: int) -> None: ...
+
+    def show(self, message: State | LogLine) -> None: ...
+
+
+class Eyes(Still):
+    def drain(self) -> tuple:
+        return ()
+
+
+class Breaks:
+    """An agent whose third step raises."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+
+    def step(self, inputs: Inputs, now_ns: int) -> Outputs:
+        self.steps += 1
+        if self.steps == 3:
+            raise ZeroDivisionError
+        return Outputs(set_point=SetPoint(depth_m=0.1 * self.steps), state=state(now_ns, self.steps))
+
+
+def test_the_inputs_that_broke_a_step_are_recorded(tmp_path: Path) -> None:
+    now = iter(range(START_NS, START_NS + 100))
+    log = black_box_log(tmp_path, FLEET, "r1", CALIBRATION, {"kind": "black box"}, views=True)
+    still = Still()
+    with pytest.raises(ZeroDivisionError), log:
+        box = BlackBoxWriter(log, lambda: START_NS)
+        loop(Breaks(), "r1", Eyes(), still, still, box.step, lambda: next(now), threading.Event())
+    records = [record for record in read(log.path) if record.channel in (STEP_IN, STEP_OUT)]
+    assert [(record.channel, record.sequence) for record in records] == [
+        (STEP_IN, 0),
+        (STEP_OUT, 0),
+        (STEP_IN, 1),
+        (STEP_OUT, 1),
+        (STEP_IN, 2),
+    ]
+    assert records[4].data == encode(Inputs())
+    assert decode(records[3].data, Outputs).set_point.depth_m == 0.2
+    assert info(log.path).end["cause"] == "exception:ZeroDivisionError"
+
+
+def test_a_second_start_keeps_the_first_recording(tmp_path: Path) -> None:
+    paths = []
+    for _ in range(2):
+        with black_box_log(tmp_path, FLEET, "r1", CALIBRATION, {}, views=False) as log:
+            paths.append(log.path.name)
+    assert paths == ["r1.mcap", "r1.2.mcap"]
+    assert set(info(tmp_path / "r1.2.mcap").attachments) == {"fleet.toml", "calibration.toml"}

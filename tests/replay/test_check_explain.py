@@ -1,0 +1,73 @@
+"""Why a robot believed what it believed, in sentences that agree with the recording."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rewritten import GOLDEN
+
+from agent.config import ConfigError
+from agent.messages import Outputs, State, decode
+from replay.blackbox import open_box
+from replay.explain import explain, find
+
+R2 = GOLDEN / "three" / "r2.mcap"
+
+
+def first(file: Path, wanted: Callable[[State], bool]) -> tuple[int, float, State]:
+    """Step, seconds and state of the first state that is wanted."""
+    start_ns = None
+    for step in open_box(file).steps():
+        start_ns = start_ns or step.now_ns
+        state = decode(step.outputs, Outputs, limit=10**6).state
+        if state is not None and wanted(state):
+            return step.number, (step.now_ns - start_ns) * 1e-9, state
+    raise AssertionError(file)
+
+
+def test_a_moment_is_found_by_iteration_time_and_step() -> None:
+    step, seconds, _ = first(R2, lambda state: state.t == 7)
+    for at in ("7", f"{seconds + 0.01:.2f}s", f"step:{step}", f"step:{step + 3}"):
+        moment = find(R2, at)
+        assert moment is not None
+        assert (moment.state.t, moment.step) == (7, step), at
+        assert moment.before is not None
+        assert moment.before.t == 6
+    last, late = find(R2, None), find(R2, "999")
+    assert last == late
+    assert last is not None
+    assert last.state.t > 7
+
+
+def test_mixing_has_its_weights_ages_and_alpha() -> None:
+    _, _, state = first(R2, lambda state: state.rule == "mix" and sum(n.used for n in state.neighbours) == 2)
+    shown = explain(R2, str(state.t))
+    assert "It mixed its own measurement with what its neighbours said." in shown
+    assert f"alpha {1 / state.t:.4f}" in shown
+    assert "Neighbours in S that counted: r1, r3." in shown
+    assert shown.count(f"weight {(1 - 1 / state.t) / 2:.4f}") == 2
+    assert "ms old" in shown
+
+
+def test_being_told_and_holding_are_told_apart() -> None:
+    _, _, state = first(R2, lambda state: state.rule == "told")
+    assert "did not measure, and took what its neighbours said" in explain(R2, str(state.t))
+    assert "knows the target from others only" in explain(R2, str(state.t))
+    _, _, state = first(R2, lambda state: state.rule == "hold")
+    assert "It neither measured nor heard" in explain(R2, str(state.t))
+
+
+def test_a_robot_that_was_left_out_is_named() -> None:
+    shown = explain(GOLDEN / "liar" / "r1.mcap")
+    assert "The protocol calls the outcome outlier." in shown
+    assert "left out" in next(line for line in shown.splitlines() if line.startswith("  r3:"))
+
+
+@pytest.mark.parametrize("at", ["soon", "-1", "1.5", "step:x", "0"])
+def test_a_moment_that_is_none_is_one_line(at: str) -> None:
+    with pytest.raises(ConfigError, match="--at") as caught:
+        explain(R2, at)
+    assert "\n" not in str(caught.value)

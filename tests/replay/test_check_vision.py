@@ -1,0 +1,95 @@
+"""Vision on recorded frames: the same code gives the same sightings, another code is noticed."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
+from painted import PX_PER_POSITION, ball_frame, sharp_position
+from rewritten import GOLDEN
+
+from agent.messages import Sighting, encode
+from agent.perception.again import see_again
+from replay.backlog import Entry
+from replay.blackbox import open_box
+from replay.frames import FRAME, VISION, picture
+from replay.log import info
+from replay.mcap_file import Part
+from replay.vision_check import check_vision
+
+R1 = GOLDEN / "three" / "r1.mcap"
+CENTRE_M = (0.03, -0.02, 0.5)
+WHOLE = (0, 0, 640, 480)
+
+
+def recorded(out: Path, lossless: bool, lost: int | None = None, change=lambda sighting: sighting) -> Path:
+    """A black box with one sweep of seven frames, and what vision made of them before they were compressed."""
+    box, about = open_box(R1), info(R1)
+    see = see_again(box.fleet, box.calibration.camera)
+    sharp = sharp_position(CENTRE_M[2])
+    part = Part(out)
+    part.start(about.run, about.attachments)
+    radius_px = None
+    for k in range(7):
+        focus = round(sharp + (k - 3) * 90)
+        image = ball_frame(CENTRE_M, blur_px=abs(focus - sharp) * PX_PER_POSITION)
+        then = Sighting(t_ns=k + 1, frame=k, sweep=1, index=k + 1, focus=focus, target="ball", found=False)
+        then = see(image, WHOLE, then, radius_px)
+        radius_px = radius_px or then.radius_px
+        if k != lost:
+            part.add(Entry(FRAME, k, k, k, picture(image, WHOLE, then, lossless), "msgpack", {}))
+        part.add(Entry(VISION, k, k, k, encode(change(then)), "msgpack", {}))
+    part.finish("aucamp.end", {"cause": "clean"})
+    return out
+
+
+def test_lossless_frames_give_the_same_bits(tmp_path: Path) -> None:
+    (found,) = check_vision([recorded(tmp_path / "r1.mcap", lossless=True)], see_again)
+    assert found.passed
+    assert (found.frames, found.lost, found.missing, found.extra) == (7, 0, 0, 0)
+    assert {name: quantity.worst for name, quantity in found.quantities.items()} == {
+        "centre, px": 0.0,
+        "radius, px": 0.0,
+        "clarity, relative": 0.0,
+        "peak, positions": 0.0,
+    }
+
+
+def test_jpeg_frames_are_within_what_compression_does(tmp_path: Path) -> None:
+    (found,) = check_vision([recorded(tmp_path / "r1.mcap", lossless=False)], see_again)
+    assert found.passed, str(found)
+    assert all(quantity.worst > 0 for quantity in found.quantities.values())
+
+
+def test_a_lost_frame_is_counted_and_a_box_without_frames_does_not_pass(tmp_path: Path) -> None:
+    (found,) = check_vision([recorded(tmp_path / "r1.mcap", lossless=True, lost=4)], see_again)
+    assert (found.frames, found.lost) == (6, 1)
+    (none,) = check_vision([R1], see_again)
+    assert not none.passed
+    assert "holds no frames" in str(none)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda s: replace(s, centre_px=(s.centre_px[0] + 0.02, s.centre_px[1])), "centre, px"),
+        (lambda s: replace(s, clarity=s.clarity * 1.001), "clarity, relative"),
+    ],
+)
+def test_vision_that_sees_something_else_is_noticed(tmp_path: Path, change, name: str) -> None:
+    (found,) = check_vision([recorded(tmp_path / "r1.mcap", lossless=True, change=change)], see_again)
+    assert not found.passed
+    assert found.quantities[name].worst > found.quantities[name].limit
+    assert "<- too large" in str(found)
+
+
+def test_a_target_that_is_missed_now_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = recorded(tmp_path / "r1.mcap", lossless=True)
+    monkeypatch.setattr("agent.perception.vision.find_ball", lambda *_: None)
+    (found,) = check_vision([file], see_again)
+    assert not found.passed
+    assert found.missing == 7
+    assert "target missed: 7" in str(found)

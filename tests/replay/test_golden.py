@@ -1,0 +1,97 @@
+"""The golden logs: a change of behaviour that does not update them fails here, and so does one that notices none.
+
+`aucamp replay check tests/golden/CASE --update --reason "..."` accepts a change that was meant.
+"""
+
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rewritten import GOLDEN
+
+from agent.messages import Outputs, State, decode
+from replay.blackbox import open_box, open_boxes
+from replay.check import check, text
+
+CASES = ("three", "three_evidence", "outage", "liar", "empty", "torn")
+TARGET_M = (0.76, 0.56, 0.07)  # of tests/network/scripted_agent.py
+
+
+def states(file: Path) -> list[State]:
+    outputs = (decode(step.outputs, Outputs, limit=10**6) for step in open_box(file).steps() if step.outputs)
+    return [each.state for each in outputs if each.state is not None]
+
+
+def test_todays_kernel_does_what_the_golden_logs_say() -> None:
+    checked = check([GOLDEN / case for case in CASES], GOLDEN / "ignore.toml")
+    assert checked.exit_code == 0, text(checked)
+    assert checked.unused == (), "rows of ignore.toml that cover nothing"
+    assert all(link.unknown == 0 for found in checked.links.values() for link in found), text(checked)
+
+
+def test_they_are_small() -> None:
+    files = [file for file in GOLDEN.rglob("*") if ".mcap" in file.name]
+    assert sum(file.stat().st_size for file in files) < 2e6
+
+
+def test_each_shows_what_it_is_kept_for() -> None:
+    for robot in ("r1", "r2", "r3"):
+        for case in ("three", "three_evidence", "outage", "liar", "empty"):
+            last = states(sorted((GOLDEN / case).glob(f"{robot}.*mcap"))[0])[-1]  # r3.2.mcap before r3.mcap
+            assert last.posterior_m == pytest.approx(TARGET_M, abs=0.003), (case, robot)
+    assert [box.path.name for box in open_boxes([GOLDEN / "outage"])] == ["r1.mcap", "r2.mcap", "r3.mcap", "r3.2.mcap"]
+    assert {s.rule for s in states(GOLDEN / "outage" / "r2.mcap") if 10 <= s.t <= 12} == {"alone"}
+    liar = states(GOLDEN / "liar" / "r1.mcap")[-1]
+    assert liar.explain is not None
+    assert liar.explain.doubted == {"r3": 0.0}
+    assert {s.rule for s in states(GOLDEN / "empty" / "r1.mcap") if 11 <= s.t <= 12} == {"hold"}
+    assert not open_box(GOLDEN / "torn" / "r1.mcap").complete
+
+
+MUTATIONS = {
+    "agent.core.LATEST_ITERATION": 1.4,
+    "agent.core.STATE_NS": 250_000_000,
+    "agent.control.seek.CENTRED": 1.0,
+    "agent.control.sweep.TRACK_SPAN": 1.6,
+    "agent.control.pointing.SETTLE_NS": 10**6,
+    "agent.estimation.fuse.AGREE": 1e6,
+    "agent.control.sweep.HOME": 0.7,
+    "agent.status.NO_FRAMES_NS": 10**7,
+}
+
+
+@pytest.mark.parametrize("constant", MUTATIONS)
+def test_one_other_constant_is_noticed(constant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(constant, MUTATIONS[constant])
+    checked = check([GOLDEN / "three_evidence", GOLDEN / "liar"])
+    assert checked.exit_code == 1
+    assert checked.first is not None
+
+
+def test_a_changed_gain_in_a_copy_is_named_by_its_first_step_and_field(tmp_path: Path) -> None:
+    root = GOLDEN.parents[1]
+    for package in ("agent", "replay"):
+        shutil.copytree(root / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    source = tmp_path / "agent" / "estimation" / "paper.py"
+    line = "alpha = 1.0 / (self.t + 1)"
+    assert source.read_text().count(line) == 1
+    source.write_text(source.read_text().replace(line, "alpha = 1.1 / (self.t + 1)"))
+    program = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "from pathlib import Path; import replay.check as c\n"
+        f"assert c.__file__.startswith({str(tmp_path)!r})\n"
+        f"checked = c.check([Path({str(GOLDEN / 'three')!r})]); print(c.text(checked)); sys.exit(checked.exit_code)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == ""
+    first = Counter(line.split(":")[0].strip() for line in done.stdout.splitlines() if "recorded" in line)
+    assert any(field.startswith(("state.", "says[")) for field in first), done.stdout
+    mixed = next(s for s in states(GOLDEN / "three" / "r2.mcap") if s.rule == "mix")
+    step = next(line for line in done.stdout.splitlines() if "first at step" in line and " r2" in line)
+    assert abs(int(step.split()[3]) - mixed.seq * 4) <= 8  # a state each fourth step

@@ -1,0 +1,146 @@
+"""A long recording is a chain of files; a disk that fills up ends it with a sound file."""
+
+import contextlib
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import replay.log
+from replay.backlog import Backlog, Entry
+from replay.info import info
+from replay.log import Limits, LogWriter, parts, read
+from replay.recover import STEP_IN, STEP_OUT
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay.log, "WRITE_S", 0.01)
+
+
+def write_steps(log: LogWriter, numbers: range, pause_s: float = 0.0) -> None:
+    for n in numbers:
+        log.write(STEP_IN, n, n, n, os.urandom(300))
+        log.write("/raw/frame", n, n, n, os.urandom(300))  # comes from another thread, at any moment
+        log.write(STEP_OUT, n, n, n, os.urandom(300))
+        time.sleep(pause_s)
+
+
+def test_parts_begin_with_a_step_and_are_read_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    limits = Limits(part_bytes=20_000, floor_bytes=0)
+    with LogWriter(path, {"robot": "r1"}, {"fleet.toml": "x"}, limits, splits_at=STEP_IN) as log:
+        write_steps(log, range(200), 0.002)
+    files = parts(path)
+    assert [file.name for file in files[:3]] == ["r1.mcap", "r1.part002.mcap", "r1.part003.mcap"]
+    assert len(files) == len(list(tmp_path.iterdir()))
+    for number, file in enumerate(files, start=1):
+        about = info(file)
+        assert about.complete
+        assert (about.run["part"], about.run["robot"], about.attachments) == (str(number), "r1", {"fleet.toml": "x"})
+        assert about.end["cause"] == ("clean" if number == len(files) else "rotated")
+        assert next(read(file)).channel == STEP_IN
+        assert set(about.clock) == {"start", "end"}
+    records = list(read(path))
+    assert [record.sequence for record in records] == [n for n in range(200) for _ in range(3)]
+
+
+def test_a_part_ends_by_its_age_too(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.mcap"
+    with LogWriter(path, {}, limits=Limits(part_s=0.1, floor_bytes=0)) as log:
+        write_steps(log, range(60), 0.005)
+    assert len(parts(path)) >= 3
+    assert len(list(read(path))) == 180
+
+
+def test_a_killed_recording_is_read_with_its_torn_last_part(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, {}, limits=Limits(part_bytes=20_000, floor_bytes=0), splits_at=STEP_IN) as log:
+        write_steps(log, range(100), 0.002)
+    whole = list(read(path))
+    last = parts(path)[-1]
+    last.with_name(last.name + ".active").write_bytes(last.read_bytes()[:-30])
+    last.unlink()
+    assert parts(path)[-1].name.endswith(".mcap.active")
+    assert list(read(path)) == whole  # the tear is in the summary
+
+
+def test_frames_are_lost_before_state() -> None:
+    backlog = Backlog(max_messages=1000, max_bytes=1000)
+    for n in range(8):
+        backlog.put(Entry("/raw/frame", n, n, n, bytes(100), "msgpack", {}, expendable=True))
+        backlog.put(Entry("/raw/step_in", n, n, n, bytes(100), "msgpack", {}))
+    entries, drops = backlog.take()
+    assert [entry.sequence for entry in entries if entry.channel == "/raw/step_in"] == list(range(8))
+    assert [entry.sequence for entry in entries if entry.channel == "/raw/frame"] == [6, 7]
+    assert [entry.channel for entry in entries[-4:]] == ["/raw/frame", "/raw/step_in"] * 2  # in order of arrival
+    assert drops == {"/raw/frame": (6, 600, 0, 5, 5)}
+
+
+def test_below_the_floor_the_file_is_finished_and_the_caller_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, {}, limits=Limits(floor_bytes=2**62, floor_share=1.0)) as log:
+        deadline = time.monotonic() + 10
+        while log.failed is None and time.monotonic() < deadline:
+            write_steps(log, range(10))
+            time.sleep(0.01)
+        assert log.failed is not None
+        assert "make room there" in log.failed
+    about = info(path)
+    assert about.complete
+    assert about.end["cause"] == "disk_floor"
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path, size: str) -> Iterator[Path]:
+    """A file system of a few megabytes; needs the right to mount."""
+    folder.mkdir()
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)], capture_output=True, check=False
+    )
+    if done.returncode != 0:
+        pytest.skip("a small disk cannot be mounted here: " + done.stderr.decode(errors="replace").strip())
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize(("floor_bytes", "whole"), [(2_000_000, True), (0, False)])
+def test_a_disk_that_fills_up(tmp_path: Path, floor_bytes: int, whole: bool) -> None:
+    """With the floor the file is finished; without it the file is torn, and read up to the last flush."""
+    with small_disk(tmp_path / "disk", "4m") as disk:
+        path = disk / "r1.mcap"
+        with LogWriter(path, {}, limits=Limits(floor_bytes=floor_bytes, floor_share=1.0)) as log:
+            deadline = time.monotonic() + 20
+            n = 0
+            while log.failed is None and time.monotonic() < deadline:
+                write_steps(log, range(n, n + 20))
+                n += 20
+                time.sleep(0.005)
+        assert log.failed is not None
+        there = path if whole else path.with_name("r1.mcap.active")
+        assert [file.name for file in disk.iterdir()] == [there.name]
+        about = info(there)
+        assert about.complete is whole
+        assert about.end.get("cause") == ("disk_floor" if whole else None)
+        sequences = [record.sequence for record in read(there) if record.channel == STEP_OUT]
+        assert sequences == list(range(len(sequences)))
+        assert len(sequences) * 900 > 1_500_000
+
+
+def test_viewer_channels_that_fail_do_not_end_the_recording(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def derive(entry: Entry) -> list[Entry]:
+        return [entry._replace(channel="/view", data=bytes(1 // (20 - entry.sequence)))]
+
+    path = tmp_path / "r1.mcap"
+    with LogWriter(path, {}, derive=derive) as log:
+        write_steps(log, range(40))
+    channels = [record.channel for record in read(path)]
+    assert channels.count("/view") == 60
+    assert channels.count(STEP_IN) == 40
+    assert "no more viewer channels" in caplog.text
+    assert info(path).complete

@@ -1,0 +1,159 @@
+"""Mending torn files: whatever is sound is kept, a black box ends with a whole step, and the loss is named."""
+
+import os
+import random
+import time
+from pathlib import Path
+
+import pytest
+from small_box import STEPS, write_box
+
+from agent.config import ConfigError
+from replay.info import info
+from replay.log import LogWriter, Record, read
+from replay.recover import CUT, STEP_IN, STEP_OUT, recover, recover_all, sound
+
+
+def torn(folder: Path, data: bytes, name: str = "r1.mcap.active") -> Path:
+    """A file that nobody has written to for a minute."""
+    path = folder / name
+    path.write_bytes(data)
+    old_s = time.time() - 60
+    os.utime(path, (old_s, old_s))
+    return path
+
+
+def write(path: Path, records: list[tuple[str, int]], run: dict[str, object] | None = None) -> bytes:
+    with LogWriter(path, run or {"kind": "black box"}, {"fleet.toml": "fleet = 'tank'\n"}) as log:
+        for n, (channel, sequence) in enumerate(records):
+            log.write(channel, n, n, sequence, b"%d" % n)
+    return path.read_bytes()
+
+
+def steps(count: int) -> list[tuple[str, int]]:
+    return [(channel, n) for n in range(count) for channel in (STEP_IN, STEP_OUT)]
+
+
+def test_a_whole_file_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    write(path, steps(3))
+    result = recover(path)
+    assert (result.out, result.lossy) == (None, False)
+    assert [file.name for file in tmp_path.iterdir()] == ["r1.mcap"]
+
+
+def test_every_cut_is_mended(tmp_path: Path) -> None:
+    """200 cuts: no exception, all whole steps before the cut kept, a summary, and nothing invented."""
+    whole = write_box(tmp_path, views=False)
+    data, place = whole.read_bytes(), {record: n for n, record in enumerate(read(whole))}
+    lengths = set()
+    anywhere, tail = random.Random(1).sample(range(12, len(data)), 120), range(len(data) - 4000, len(data), 50)
+    for number, cut in enumerate([*anywhere, *tail]):  # indexes, summary and footer are in the tail
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        result = recover(torn(folder, data[:cut]))
+        if result.out is None:
+            assert not result.messages
+            assert "nothing to save" in result.summary
+            continue
+        kept = [record for record in read(result.out) if record.channel != CUT]
+        places = [place[record] for record in kept]
+        assert places == sorted(places)
+        about = info(result.out)
+        assert about.torn_bytes == 0
+        assert about.attachments == info(torn(folder, data[:cut])).attachments
+        paired = [record.sequence for record in kept if record.channel == STEP_IN]
+        assert paired == [record.sequence for record in kept if record.channel == STEP_OUT]
+        assert paired == list(range(len(paired)))
+        assert result.last_step == (paired[-1] if paired else None)
+        lengths.add(len(paired))
+    assert max(lengths) == STEPS
+
+
+def test_inputs_without_outputs_are_kept_aside(tmp_path: Path) -> None:
+    records = [*steps(3), (STEP_IN, 3), ("/raw/vision", 9)]
+    data = write(tmp_path / "x.mcap", records)
+    path = torn(tmp_path, data[:-20])
+    result = recover(path)
+    assert (result.last_step, result.cut_step, result.lossy) == (2, 3, True)
+    assert "step 3 has no outputs" in result.summary
+    assert result.out == tmp_path / "r1.recovered.mcap"
+    assert [(record.channel, record.sequence) for record in read(result.out)] == [
+        *steps(3),
+        (CUT, 3),
+        ("/raw/vision", 9),
+    ]
+    assert path.read_bytes() == data[:-20]
+
+
+def test_a_broken_chunk_costs_only_itself(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.mcap"
+    with LogWriter(path, {"kind": "fleet"}) as log:
+        log.write("/a", 0, 0, 0, b"")
+        time.sleep(0.7)  # the channel is in a chunk of its own
+        for n in range(1, 4000):
+            log.write("/a", n, n, n, random.Random(n).randbytes(200))
+    data = bytearray(path.read_bytes())
+    data[data.index(random.Random(1000).randbytes(200)[50:58])] ^= 0xFF  # random bytes are not compressed
+    path.unlink()
+    result = recover(torn(tmp_path, bytes(data), "fleet.mcap"))
+    assert (result.tears, result.lossy) == (1, True)
+    assert result.out is not None
+    kept = [record.sequence for record in read(result.out)]
+    assert 1000 not in kept
+    assert kept[-1] == 3999
+    assert len(kept) > 2000
+    assert 200_000 < result.bytes_lost < 300_000
+    assert info(result.out).channels["/a"].gaps == 3999 - len(kept) + 1
+
+
+def test_a_file_with_a_writer_is_not_touched(tmp_path: Path) -> None:
+    data = write(tmp_path / "x.mcap", steps(3))[:-20]
+    path = tmp_path / "r1.mcap.active"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError, match="still being written"):
+        recover(path)
+    assert recover(path, force=True).last_step == 2
+
+
+def test_a_mended_copy_is_never_overwritten(tmp_path: Path) -> None:
+    path = torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20])
+    recover(path)
+    with pytest.raises(ConfigError, match="exists already"):
+        recover(path)
+
+
+def test_opening_mends_once_and_says_so(tmp_path: Path) -> None:
+    path = torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20])
+    lines: list[str] = []
+    assert sound(tmp_path / "r1.mcap", lines.append) == tmp_path / "r1.recovered.mcap"
+    assert lines == [f"{path} was torn, mended as {tmp_path / 'r1.recovered.mcap'}: {recovered_summary(tmp_path)}"]
+    assert sound(path, lines.append) == tmp_path / "r1.recovered.mcap"
+    assert len(lines) == 2
+    assert sound(tmp_path / "x.mcap", lines.append) == tmp_path / "x.mcap"
+    assert len(lines) == 2
+
+
+def recovered_summary(folder: Path) -> str:
+    return info(folder / "r1.recovered.mcap").recovered["summary"]
+
+
+def test_reading_a_recording_finds_its_mended_copy(tmp_path: Path) -> None:
+    recover(torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20]))
+    (tmp_path / "r1.mcap.active").unlink()
+    assert len(list(read(tmp_path / "r1.mcap"))) == 6
+
+
+@pytest.mark.parametrize(("length", "code"), [(0, 1), (300, 1), (-20, 0)])
+def test_the_exit_code_says_whether_there_was_anything(tmp_path: Path, length: int, code: int) -> None:
+    path = torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:length])
+    lines: list[str] = []
+    assert recover_all([tmp_path / "x.mcap", path], False, lines.append) == code
+    assert lines[0].endswith("x.mcap: whole, nothing to mend")
+    assert lines[1].startswith(str(path))
+
+
+def test_what_is_read_is_a_record(tmp_path: Path) -> None:
+    path = tmp_path / "r1.mcap"
+    write(path, [(STEP_IN, 7)])
+    assert list(read(path)) == [Record(STEP_IN, 0, 0, 7, b"0")]
