@@ -105,6 +105,7 @@ def dive(
     with console.status("starting the twin"):
         processes.start("twin", "twin", str(path))
         wait_for("the twin", (folder / "ready").exists, processes, READY_S)
+    console.print((run / "logs" / "twin.log").read_text(encoding="utf-8").strip())
     truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     processes.start("recorder", "record", str(path), "--out", str(run / "fleet.mcap"))
     for name in fleet.robot:
