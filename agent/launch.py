@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import signal
 import socket
@@ -23,6 +24,7 @@ from agent.config import MAX_PORT, ConfigError
 
 T = TypeVar("T")
 
+FIRST_PORT, PORTS_APART, PLACES = 17401, 8, 1500  # up to 29400, well below the ephemeral range
 STOP_S = 4.0  # from SIGTERM to SIGKILL: an agent needs under 2 s, a recorder finishes its file
 
 
@@ -137,8 +139,12 @@ def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: f
         time.sleep(0.05)
 
 
-def free_ports(count: int, first: int = 17401) -> list[int]:
-    """Ports on loopback that nobody listens on now, below the ephemeral range."""
+def free_ports(count: int, first: int | None = None) -> list[int]:
+    """Ports on loopback that nobody listens on now, below the ephemeral range.
+
+    Where to begin depends on the process: two runs that choose at the same time do not choose the same.
+    """
+    first = first or FIRST_PORT + PORTS_APART * (os.getpid() % PLACES)
     ports: list[int] = []
     for port in range(first, MAX_PORT):
         if len(ports) == count:
