@@ -17,17 +17,16 @@ ROUTER_LISTEN = "tcp/127.0.0.1:17447"
 
 
 def peer_config(fleet: Fleet, robot: str) -> str:
-    """Configuration of `robot`: listens on its own endpoint and dials those neighbours whose names come before its own.
+    """Configuration of `robot`: listens on its own endpoint and dials its neighbours, nobody else.
 
-    Of two neighbours one dials, again and again, so the order of starting does not matter. When both did, their calls
-    crossed after a partition of five robots, and it took 2 to 13 s until all were linked again; now it takes one.
+    Neighbours dial each other. One link results, and the order of starting does not matter.
     """
     own = fleet.robot[robot]
     return _over(
         "peer.json5",
         {
             "listen": {"endpoints": [own.listen]},
-            "connect": {"endpoints": [fleet.robot[name].listen for name in own.neighbours if name < robot]},
+            "connect": {"endpoints": [fleet.robot[name].listen for name in own.neighbours]},
             "metadata": {"fleet": fleet.fleet, "name": robot},
         },
     )
