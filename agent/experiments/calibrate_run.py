@@ -13,11 +13,10 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
-from rich.progress import Progress
 
 from agent.config import ConfigError, Fleet, dump, load_fleet, load_robot
 from agent.experiments.bench import Place, calibrate
-from agent.launch import crew, temporary_folder, wait_for
+from agent.launch import crew, temporary_folder, wait_for, with_bar
 from agent.messages import SetPoint, Vector
 from agent.ranging.calibration import Calibration
 from hw.camera import Camera, open_camera
@@ -36,13 +35,8 @@ def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None
     if file.exists():
         raise ConfigError(f"{file}: exists already; move it away or give another --out")
     bench = twin_bench if robot.camera.startswith("twin:") else bench_by_hand
-    with bench(fleet, name) as (camera, place), Progress(console=console) as progress:
-        task = progress.add_task(f"calibrating {name}")
-
-        def show(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
-
-        calibration = calibrate(fleet, name, camera, place, show)
+    with bench(fleet, name) as (camera, place):
+        calibration = with_bar(console, f"calibrating {name}", lambda show: calibrate(fleet, name, camera, place, show))
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(dump(calibration), encoding="utf-8")
     console.print(describe(calibration))

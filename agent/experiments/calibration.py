@@ -8,13 +8,12 @@ from typing import Any
 
 import msgspec
 from rich.console import Console
-from rich.progress import Progress
 
 from agent.config import load_fleet
 from agent.experiments.bench import focus_rows
 from agent.experiments.calibrate_focus import draw, paper_gauge, result_table, verdict
 from agent.experiments.calibrate_run import twin_bench
-from agent.launch import run_folder, shipped_fleet
+from agent.launch import run_folder, shipped_fleet, with_bar
 from agent.ranging.calibrate import fit_focus, leave_one_out
 
 
@@ -26,9 +25,8 @@ def calibration(seed: int, out: Path | None, console: Console) -> dict[str, Any]
     folder = run_folder(out)
     fleet = load_fleet(shipped_fleet())
     fleet = msgspec.structs.replace(fleet, twin=msgspec.structs.replace(fleet.twin, seed=seed))
-    with twin_bench(fleet, "r1") as (camera, place), Progress(console=console) as progress:
-        task = progress.add_task("board at known distances")
-        rows = focus_rows(fleet, camera, place, lambda done, total: progress.update(task, completed=done, total=total))
+    with twin_bench(fleet, "r1") as (camera, place):
+        rows = with_bar(console, "board at known distances", lambda show: focus_rows(fleet, camera, place, show))
     fit, left_out = fit_focus(rows), leave_one_out(rows)
     paper = paper_gauge(fit)
     result = {

@@ -6,23 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from agent.experiments.depth import depth
-from agent.launch import run_folder
+from agent.launch import run_folder, with_bar
 
 
 def run(seed: int, out: Path | None, console: Console) -> dict[str, Any]:
     """Run the experiment into `out` or runs/<UTC>; returns the content of result.json."""
     folder = run_folder(out)
-    with Progress(console=console) as bar:
-        task = bar.add_task("sweeps of whole views")
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        result = depth(seed, folder, show)
+    result = with_bar(console, "sweeps of whole views", lambda show: depth(seed, folder, show))
     console.print(cases_table(result["cases"]))
     for text in result["missed"]:
         console.print(f"missed: {text}")

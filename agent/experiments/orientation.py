@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.console import Console
-from rich.progress import Progress as Bar
 
 from agent.config import ConfigError
 from agent.experiments.figures_orientation import draw
 from agent.experiments.manoeuvre import HOVER_S, PLACES_M, PUSH, STEP, Case, Flight, fly
 from agent.experiments.settling import rms, score_push, score_step, spread
 from agent.experiments.tables_orientation import controllers_table, number, stability_table
-from agent.launch import run_folder, temporary_folder
+from agent.launch import run_folder, temporary_folder, with_bar
 from hw.twin.scene import generator
 
 Progress = Callable[[int, int], None]  # dives done, dives in all
@@ -60,13 +59,7 @@ class Flown(NamedTuple):
 def run(seed: int, seeds: int, out: Path | None, console: Console) -> dict[str, Any]:
     """The verb: progress bar, table, where it went."""
     folder = run_folder(out)
-    with Bar(console=console) as bar:
-        task = bar.add_task("dives of up to five robots")
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        result = orientation(seed, seeds, folder, show)
+    result = with_bar(console, "dives of up to five robots", lambda show: orientation(seed, seeds, folder, show))
     console.print(controllers_table(result))
     console.print(stability_table(result))
     for text in result["missed"]:
