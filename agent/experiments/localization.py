@@ -122,7 +122,7 @@ def chase(case: Case, world: Scene, rng: np.random.Generator, random: Random) ->
     speed_m_s, seconds = case.speed_mm_s * 1e-3, case.at[-1]
     path_m = lap_m(speed_m_s, np.arange(seconds, dtype=np.float64))
     samples = draw(world, case.views, case.outlier_mm * 1e-3, seconds, rng, path_m)
-    track = central_track_m(world, samples, DENSITY)
+    track = central_track_m(world, samples, DENSITY, case.honest)
     moments = []
     for t, late_s, swarm in swim(case, world, samples, random):
         if 2 * t > seconds:

@@ -1,7 +1,7 @@
 """A swarm in virtual time: the agents' own estimators and mailboxes, a list instead of a network.
 
-All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it. Nothing is encoded: what the bytes do is
-the business of other tests, and this makes a thousand robots affordable.
+All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it.
+Nothing is encoded: what the bytes do is the business of other tests, and this makes a thousand robots affordable.
 """
 
 from __future__ import annotations
