@@ -28,7 +28,7 @@ Level = Literal["info", "warning", "error"]
 M = TypeVar("M", bound="Message")
 
 
-RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place"]
+RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place", "target"]
 
 
 class Refusal(ValueError):
@@ -144,7 +144,7 @@ class Explain(Message, frozen=True, kw_only=True):
 
 
 class State(Message, frozen=True, kw_only=True):
-    """What a robot knows, does and suffers from."""
+    """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
 
     schema: int = SCHEMA
     fleet: Id
@@ -255,6 +255,7 @@ class SweepPlan(Message, frozen=True, kw_only=True):
 
     sweep: Count
     focus: tuple[int, ...]
+    target: Id | None = None  # whose clarity to take; none: the first of the fleet file
 
 
 class SetPoint(Message, frozen=True, kw_only=True):
