@@ -109,13 +109,17 @@ class Agent:
 
     def _act(self, now_ns: int) -> SweepPlan | None:
         """Whose turn it is, gimbal and lens."""
+        before = self.turns.target
         if not self.seek.measuring and self.pursuit.prior is None:
             self.turns.next({target: pursuit.estimator.t for target, pursuit in self.pursuits.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
         believed = self.pursuit.estimator.posterior
         told_m, wanted = believed.x_m if believed else None, self.pursuit.prior is None
-        return self.seek.act(now_ns, self.turns.target, level, told_m, wanted)
+        plan = self.seek.act(now_ns, self.turns.target, level, told_m, wanted)
+        if self.turns.target != before:  # the first iteration of a turn begins when the camera has arrived
+            self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)
+        return plan
 
     def _say(self, now_ns: int) -> tuple[Estimate, ...]:
         """To each neighbour about each target."""

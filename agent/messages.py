@@ -250,12 +250,12 @@ class Inputs(Message, frozen=True, kw_only=True):
 # --- to the robot's own devices, outputs of Agent.step --------------------------------------------------------
 
 
-class SweepPlan(Message, frozen=True, kw_only=True):
+class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Lens positions to visit in this order; the first only brings the lens to its starting side."""
 
     sweep: Count
     focus: tuple[int, ...]
-    target: Id | None = None  # whose clarity to take; none: the first of the fleet file
+    target: Id | None = None  # whose clarity to take; left out where the fleet has one target
 
 
 class SetPoint(Message, frozen=True, kw_only=True):

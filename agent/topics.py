@@ -28,7 +28,9 @@ class Topic(NamedTuple):
 LINK = Topic(
     "link", "aucamp/{fleet}/link/{src}/{dst}[/{target}]", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 64), "src"
 )
-STATE = Topic("state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot")
+STATE = Topic(
+    "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
+)
 LOG = Topic("log", "aucamp/{fleet}/robot/{robot}/log", LogLine, 0.0, QoS("DATA", "RELIABLE", 256), "robot")
 
 TOPICS = (LINK, STATE, LOG)
@@ -49,7 +51,7 @@ def match(key_text: str) -> tuple[Topic, dict[str, str]] | None:
     parts = key_text.split("/")
     for topic in TOPICS:
         required, _, optional = topic.key.rstrip("]").partition("[")
-        for pattern in ((required, required + optional) if optional else (required,)):
+        for pattern in (required, required + optional) if optional else (required,):
             chunks = _match(pattern.split("/"), parts)
             if chunks is not None:
                 return topic, chunks

@@ -79,8 +79,10 @@ class Seek:
             sought.search.reset()
             off_px = off_centre_px(sought.seen.centre_px, self._camera.width_px, self._camera.height_px)
             if off_px <= CENTRED * self._camera.width_px:
-                plan = sought.sweep.start(now_ns) if wanted and attitude is not None else None
-                return None if plan is None else replace(plan, target=target)
+                if not wanted or attitude is None:
+                    return None
+                plan = sought.sweep.start(now_ns)
+                return replace(plan, target=target) if len(self._sought) > 1 else plan
             self._turn_to_pixel(sought.seen.centre_px, attitude, now_ns)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds
             self._look_around(sought.search, attitude, told_m, now_ns)
