@@ -35,19 +35,20 @@ OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and
 
 @app.command(epilog="Example: aucamp demo --robots 3 --seed 1")
 def demo(
-    robots: Annotated[int, typer.Option(help="How many of the tank's robots.")] = 3,
+    robots: Annotated[int, typer.Option(help="How many of the fleet's robots.")] = 3,
     protocol: Annotated[str, typer.Option(help="How robots agree: evidence, metropolis or paper.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
     enhance: Annotated[bool, typer.Option(help="White balance before detection (LU2Net is not here yet).")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
+    fleet: Annotated[str, typer.Option(help="A fleet that ships (tank, two_balls), or a fleet file.")] = "tank",
 ) -> None:
     """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
     from agent.demo import demo as dive
     from replay.report import report
 
-    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal())
+    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal(), fleet)
     report(run)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 

@@ -15,6 +15,7 @@ Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
+Colour = Literal["red", "yellow", "green"]
 
 T = TypeVar("T")
 
@@ -42,7 +43,10 @@ class Water(Struct, frozen=True, kw_only=True):
 
 
 class Target(Struct, frozen=True, kw_only=True):
+    """What the robots look for. Targets are told apart by their colours."""
+
     detector: Literal["ball"] = "ball"
+    colour: Colour = "red"
     radius_m: Positive
 
 
@@ -182,10 +186,16 @@ def _check(fleet: Fleet, path: Path) -> None:
     """What a type cannot say: the graph is symmetric and the endpoints are distinct and usable."""
     if not fleet.robot:
         raise ConfigError(f"{path}: key 'robot': the fleet has no robot; add a table [robot.r1]")
-    if len(fleet.target) != 1:
-        raise ConfigError(
-            f"{path}: key 'target': {len(fleet.target)} targets; agents follow one, keep one [target.NAME]"
-        )
+    if not fleet.target:
+        raise ConfigError(f"{path}: key 'target': nothing to look for; add a table [target.ball]")
+    wearer: dict[str, str] = {}
+    for name, target in fleet.target.items():
+        if target.colour in wearer:
+            raise ConfigError(
+                f"{path}: key 'target.{name}.colour': '{wearer[target.colour]}' is {target.colour} too and nobody "
+                f"could tell them apart; give each target its own colour"
+            )
+        wearer[target.colour] = name
     owner: dict[str, str] = {}
     for name, robot in fleet.robot.items():
         key = f"robot.{name}"

@@ -96,10 +96,9 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
         eyes = Vision(
             lambda: open_camera(robot.camera, sockets, size),
             fleet,
-            next(iter(fleet.target)),
             calibration.camera,
             epoch_offset_ns=offset_ns,
-            on_frame=lambda frame, sighting: box.frame(frame.image, frame.roi, sighting),
+            on_frame=lambda frame, sightings: box.frame(frame.image, frame.roi, *sightings),
         )
         eyes.start()
         stack.callback(eyes.close)
@@ -162,9 +161,10 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
 
 
 def goodbye(agent: Agent, network: Network, clock: Callable[[], int]) -> None:
-    """The last state tells a planned end from a crash."""
-    if (state := agent.last_state) is not None:
-        network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock()))
+    """The last state, of each target, tells a planned end from a crash."""
+    for pursuit in agent.pursuits.values():
+        if (state := pursuit.last_state) is not None:
+            network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock()))
 
 
 def act(outputs: Outputs, eyes: Eyes, board: Board, network: Network, now_ns: int) -> None:

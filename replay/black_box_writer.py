@@ -48,14 +48,15 @@ class BlackBoxWriter:
         if outputs is not None:
             self._log.write(STEP_OUT, now_ns, now_ns, step, outputs, metadata={"schema": "aucamp.Outputs"})
 
-    def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], sighting: Sighting) -> None:
-        """A frame and what vision found in it; called on vision's thread."""
+    def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
+        """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""
         number, now_ns = next(self._frames), self._clock()
-        data = picture(image, roi, sighting, self._lossless)
+        data = picture(image, roi, sightings[0], self._lossless)
         about = {"schema": "aucamp.Picture"}
-        self._log.write(FRAME, now_ns, sighting.t_ns, number, data, metadata=about, expendable=True)
+        self._log.write(FRAME, now_ns, sightings[0].t_ns, number, data, metadata=about, expendable=True)
         about = {"schema": "aucamp.Sighting"}
-        self._log.write(VISION, now_ns, sighting.t_ns, number, encode(sighting), metadata=about)
+        for sighting in sightings:
+            self._log.write(VISION, now_ns, sighting.t_ns, number, encode(sighting), metadata=about)
 
     def serial(self, from_board: bool, data: bytes) -> None:
         """Bytes of the tether; called on the port's thread."""

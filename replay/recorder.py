@@ -130,7 +130,7 @@ def listening(fleet: Fleet, ear: Ear, name: str) -> Iterator[None]:
         session = zenoh.open(zenoh.Config.from_json5(observer_config(fleet, name)))
     except zenoh.ZError as error:
         raise ConfigError(f"fleet '{fleet.fleet}': zenoh cannot open a session: {error}") from None
-    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*"}
+    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
     with session:
         for row in topics.TOPICS:
             session.declare_subscriber(topics.key(row, **anyone), handler(ear.message))

@@ -70,7 +70,7 @@ class Evidence:
 
     def adopt(self, t: int) -> None:
         if t > self.t + 1:  # see Paper.adopt
-            self.t = t
+            self.t = t - 1
 
     def hear(self, letter: Letter) -> tuple[str, ...]:
         said, src = letter.estimate, letter.estimate.src

@@ -23,11 +23,11 @@ def see_again(fleet: Fleet, camera: CameraFit) -> See:
 
     What the devices said, time, number and lens position, is taken from then; what the image says is new.
     """
-    vision = Vision(_no_camera, fleet, next(iter(fleet.target)), camera, epoch_offset_ns=0)
+    vision = Vision(_no_camera, fleet, camera, epoch_offset_ns=0)
 
     def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, radius_px: float | None) -> Sighting:
         frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))
-        _, now = vision.sight(frame, then.sweep, then.index, radius_px)
+        _, now = vision.sight(frame, then.target, then.sweep, then.index, radius_px)
         return replace(now, focus=then.focus)
 
     return see

@@ -1,4 +1,4 @@
-"""Find a red ball in a frame, sharp or defocused, whole or cut off by the edge of the frame.
+"""Find a ball of one colour in a frame, sharp or defocused, whole or cut off by the edge of the frame.
 
 Colour says where it may be, shape says where it is. The outline of a sphere is a circular cone of rays m around the
 direction of the centre: m . g = 1, with g = a / cos(theta), a the axis and theta the apparent angular radius. That is
@@ -7,21 +7,22 @@ linear in g and exact off the optical axis, where the image is an ellipse and it
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.perception.colour import CONTRAST, Colour, Light, light, share, untint
 from agent.ranging.calibration import CameraFit
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SHRINK = 4  # the search runs on a picture this much smaller
-MIN_REDNESS = 0.10  # see redness(): rendered balls have 0.4 to 0.6 in every kind of water, all else below 0.04
-DARK = 24.0  # 8-bit value below which the noise of a pixel counts as no colour
-MIN_RADIUS_PX, MAX_RADIUS_PX = 12.0, 400.0  # 0.07 m at f = 1169 px: beyond 5 m, nearer than 0.2 m
+MIN_SHARE = 0.06  # see colour.share(): with the water's tint divided out, walls and floor stay below 0.03
+MIN_RADIUS_PX = 12.0  # 0.07 m at f = 1169 px: beyond 5 m
 RAYS = 96  # points of the outline
 BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess
 SAMPLES = 49  # along each of them
@@ -44,20 +45,28 @@ class Cone(NamedTuple):
     theta_rad: float
 
 
-def find_ball(image: Image, camera: CameraFit, origin_px: tuple[int, int] = (0, 0)) -> Ball | None:
-    """The most convincing red ball of an image (height, width, 3) blue green red; None if there is none.
+def find_ball(
+    image: Image, camera: CameraFit, origin_px: tuple[int, int] = (0, 0), colour: Colour = "red"
+) -> Ball | None:
+    """The most convincing ball of an image (height, width, 3) blue green red; None if there is none.
 
-    `origin_px` is where the image's upper left pixel lies in the full frame.
+    `origin_px` is where the image's upper left pixel lies in the full frame. A ball that overflows the frame is
+    found while the frame shows 120 deg of its outline.
     """
-    seed = _search(image)
+    small = _smaller(image)
+    if small is None:
+        return None
+    gain = untint(small, colour)
+    seed = _search(share(small * gain, colour), image)
     if seed is None:
         return None
+    weights = gain * CONTRAST[colour]
     origin = np.asarray(origin_px, float)
     cone = _consensus(_rays(seed + origin, camera), camera, tolerance_px=1.5 * SHRINK)
     for _ in range(2):  # the second pass starts from an outline within a pixel or two
         if cone is None:
             return None
-        points, visible = _edges(image, _outline(cone, camera) - origin, _project(cone.axis, camera) - origin)
+        points, visible = _edges(image, weights, _outline(cone, camera) - origin, _project(cone.axis, camera) - origin)
         if len(points) < MIN_ARC * RAYS:
             return None
         rays = _rays(points + origin, camera)
@@ -66,31 +75,31 @@ def find_ball(image: Image, camera: CameraFit, origin_px: tuple[int, int] = (0, 
         return None
     agree = _agree(rays, cone, camera, max(2.0, 0.03 * cone.theta_rad * camera.f_px))
     count, radius = int(agree.sum()), cone.theta_rad * camera.f_px
-    if count < MIN_INLIERS * visible or count < MIN_ARC * RAYS or not MIN_RADIUS_PX <= radius <= MAX_RADIUS_PX:
+    if count < MIN_INLIERS * visible or count < MIN_ARC * RAYS or not MIN_RADIUS_PX <= radius <= _max_radius_px(camera):
         return None
     u, v = _project(cone.axis, camera)
     return Ball((float(u), float(v)), float(radius), count / RAYS)
 
 
-def redness(image: Image) -> NDArray[np.uint8]:
-    """255 (R - max(G, B)) / (R + G + B + dark) in light, clipped at 0: (height, width).
-
-    In light, not in 8-bit values: the gamma would press a veiled red into grey.
-    """
-    b, g, r = (plane.astype(np.float32) ** 2 for plane in cv2.split(image))
-    score = (r - np.maximum(g, b)) / (r + g + b + DARK**2)
-    return (255.0 * np.maximum(score, 0.0)).astype(np.uint8)
+def _max_radius_px(camera: CameraFit) -> float:
+    """Of a circle of which the frame can hold 120 deg: their chord, sqrt(3) radii, fits into its diagonal."""
+    return math.hypot(camera.width_px, camera.height_px) / math.sqrt(3.0)
 
 
-def _search(image: Image) -> Array | None:
-    """Points (n, 2) on the outline of the largest red spot, without those on the image's own border."""
+def _smaller(image: Image) -> Light | None:
+    """Light of a picture SHRINK times smaller; None if nothing could be seen in it."""
     height, width = image.shape[0] // SHRINK, image.shape[1] // SHRINK
     if min(height, width) < 8:
         return None
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    score = cv2.medianBlur(redness(small), 3)  # type: ignore[arg-type]
+    return light(np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8))
+
+
+def _search(coloured: Light, image: Image) -> Array | None:
+    """Points (n, 2) on the outline of the largest spot of the colour, without those on the image's own border."""
+    height, width = coloured.shape
+    score = np.asarray(cv2.medianBlur((255.0 * np.maximum(coloured, 0.0)).astype(np.uint8), 3), np.uint8)
     otsu, _ = cv2.threshold(score, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    _, mask = cv2.threshold(score, max(otsu, 255 * MIN_REDNESS), 255, cv2.THRESH_BINARY)
+    _, mask = cv2.threshold(score, max(otsu, 255 * MIN_SHARE), 255, cv2.THRESH_BINARY)
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
@@ -109,24 +118,22 @@ def _search(image: Image) -> Array | None:
     return points
 
 
-def _edges(image: Image, outline: Array, centre: Array) -> tuple[Array, int]:
+def _edges(image: Image, weights: Light, outline: Array, centre: Array) -> tuple[Array, int]:
     """Sub-pixel edge near each point of a predicted outline -> points (n, 2), number of outline points in the image.
 
     Along a line through the centre the ball's light falls from an inner to an outer level; the edge is where it
-    passes their mean, which a blur does not move. Squared, 8-bit values are nearly linear in light (gamma 2.2), and
-    R^2 - (G^2 + B^2)/2 is nought for every grey.
+    passes their mean, which a blur does not move. `weights` (3,) make one number of blue, green and red light.
     """
     height, width = image.shape[:2]
-    share = np.linspace(1.0 - BAND, 1.0 + BAND, SAMPLES)
+    reach = np.linspace(1.0 - BAND, 1.0 + BAND, SAMPLES)
     line = outline - centre  # (RAYS, 2)
-    map_x = (centre[0] + line[:, :1] * share).astype(np.float32)
-    map_y = (centre[1] + line[:, 1:] * share).astype(np.float32)
+    map_x = (centre[0] + line[:, :1] * reach).astype(np.float32)
+    map_y = (centre[1] + line[:, 1:] * reach).astype(np.float32)
     inside = (map_x >= 0) & (map_x <= width - 1) & (map_y >= 0) & (map_y <= height - 1)
     near = slice(SAMPLES // 4, -(SAMPLES // 4))
     visible = inside[:, near].all(axis=1)
-    light = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32) ** 2
-    profile = light[:, :, 2] - 0.5 * (light[:, :, 0] + light[:, :, 1])
-    profile = cv2.GaussianBlur(profile, (5, 1), 1.0)
+    seen = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profile = cv2.GaussianBlur(light(np.asarray(seen, np.uint8)) @ weights, (5, 1), 1.0)
     quarter = SAMPLES // 4
     inner = np.median(profile[:, :quarter], axis=1)
     outer = np.median(profile[:, -quarter:], axis=1)
@@ -140,7 +147,7 @@ def _edges(image: Image, outline: Array, centre: Array) -> tuple[Array, int]:
     k = np.nonzero(good)[0]
     a, b = profile[k, last[k]], profile[k, last[k] + 1]
     level = 0.5 * (inner[k] + outer[k])
-    at = share[last[k]] + (share[1] - share[0]) * (a - level) / (a - b)
+    at = reach[last[k]] + (reach[1] - reach[0]) * (a - level) / (a - b)
     return centre + line[k] * at[:, None], int(visible.sum())
 
 
