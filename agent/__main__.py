@@ -180,6 +180,19 @@ def experiment_depth(seed: Seed = 0, out: OutFolder = None) -> None:
     run(seed, out, terminal())
 
 
+@experiment_app.command("detection", epilog="Example: aucamp experiment detection --count 200")
+def experiment_detection(
+    seed: Seed = 0,
+    count: Annotated[int, typer.Option(min=1, help="Places in each kind of water.")] = 200,
+    sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
+    out: OutFolder = None,
+) -> None:
+    """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced."""
+    from agent.experiments.detection import run
+
+    run(seed, count, sensor, out, terminal())
+
+
 @experiment_app.command("localization", epilog="Example: aucamp experiment localization --quick")
 def experiment_localization(
     seed: Seed = 0,

@@ -2,8 +2,7 @@
 
 Water tints: what is grey looks green in coastal water and yellow in turbid water, where red or blue goes first. So the
 tint is measured in the picture itself, along its border, and divided out before colours are compared. All of it works
-on light, not on 8-bit values: the gamma would press a veiled red into grey. Squared, 8-bit values are nearly light
-(gamma 2.2).
+on light, not on 8-bit values: the gamma would press a veiled red into grey.
 """
 
 from __future__ import annotations
@@ -16,7 +15,8 @@ from numpy.typing import NDArray
 Colour = Literal["red", "yellow", "green"]
 Light = NDArray[np.float32]
 
-DARK = 24.0**2  # light of an 8-bit value below which a pixel's noise counts as no colour
+DARK = 0.0055  # light of the 8-bit value 24, below which a pixel's noise counts as no colour
+LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(2.2)  # of 8-bit values, as cameras encode it
 MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
 
 # What of blue, green, red has to be there, and what must not; the weaker of the first against the stronger of the rest.
@@ -34,8 +34,8 @@ CONTRAST: dict[Colour, tuple[float, float, float]] = {
 
 
 def light(image: NDArray[np.uint8]) -> Light:
-    """8-bit (height, width, 3) blue green red -> light of the same shape, 255^2 is white."""
-    return image.astype(np.float32) ** 2
+    """8-bit (height, width, 3) blue green red -> light of the same shape, 1 is white."""
+    return LIGHT[image]
 
 
 def share(pixels: Light, colour: Colour) -> Light:

@@ -21,15 +21,16 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SHRINK = 4  # the search runs on a picture this much smaller
-MIN_SHARE = 0.06  # see colour.share(): with the water's tint divided out, walls and floor stay below 0.03
+MIN_SHARE = 0.06  # of the colour, see colour.share(): walls and floor stay below 0.03 where red is looked for
 MIN_RADIUS_PX = 12.0  # 0.07 m at f = 1169 px: beyond 5 m
 RAYS = 96  # points of the outline
-BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess
+BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess,
+BAND_FRAME = 0.05  # and within this share of the frame's width: twice the largest blur's radius
 SAMPLES = 49  # along each of them
 TRIALS = 60  # RANSAC, three points each: with 60 % good points one of 60 triples is good but for 1 in 10^6
 SEED = 1  # the same frame gives the same answer
 MIN_INLIERS = 0.6  # share of the visible outline that has to agree
-MIN_ARC = 1 / 3  # share of the whole outline: from less than 120 deg the radius is a guess
+MIN_ARC = 0.28  # share of the whole outline: what is left of 120 deg where it runs into the edge of the frame
 
 
 class Ball(NamedTuple):
@@ -57,7 +58,8 @@ def find_ball(
     if small is None:
         return None
     gain = untint(small, colour)
-    seed = _search(share(small * gain, colour), image)
+    # More of the colour than grey has in air, and more than the surroundings have: these are far, and tinted more.
+    seed = _search(np.minimum(share(small, colour), share(small * gain, colour)), image)
     if seed is None:
         return None
     weights = gain * CONTRAST[colour]
@@ -66,7 +68,8 @@ def find_ball(
     for _ in range(2):  # the second pass starts from an outline within a pixel or two
         if cone is None:
             return None
-        points, visible = _edges(image, weights, _outline(cone, camera) - origin, _project(cone.axis, camera) - origin)
+        band = min(BAND, BAND_FRAME * camera.width_px / (cone.theta_rad * camera.f_px))
+        points = _edges(image, weights, _outline(cone, camera) - origin, _project(cone.axis, camera) - origin, band)
         if len(points) < MIN_ARC * RAYS:
             return None
         rays = _rays(points + origin, camera)
@@ -75,7 +78,7 @@ def find_ball(
         return None
     agree = _agree(rays, cone, camera, max(2.0, 0.03 * cone.theta_rad * camera.f_px))
     count, radius = int(agree.sum()), cone.theta_rad * camera.f_px
-    if count < MIN_INLIERS * visible or count < MIN_ARC * RAYS or not MIN_RADIUS_PX <= radius <= _max_radius_px(camera):
+    if count < max(MIN_INLIERS * len(points), MIN_ARC * RAYS) or not MIN_RADIUS_PX <= radius <= _max_radius_px(camera):
         return None
     u, v = _project(cone.axis, camera)
     return Ball((float(u), float(v)), float(radius), count / RAYS)
@@ -118,37 +121,57 @@ def _search(coloured: Light, image: Image) -> Array | None:
     return points
 
 
-def _edges(image: Image, weights: Light, outline: Array, centre: Array) -> tuple[Array, int]:
-    """Sub-pixel edge near each point of a predicted outline -> points (n, 2), number of outline points in the image.
+def _edges(image: Image, weights: Light, outline: Array, centre: Array, band: float) -> Array:
+    """Sub-pixel edge near each point of a predicted outline -> points (n, 2), where there is one.
 
     Along a line through the centre the ball's light falls from an inner to an outer level; the edge is where it
     passes their mean, which a blur does not move. `weights` (3,) make one number of blue, green and red light.
     """
     height, width = image.shape[:2]
-    reach = np.linspace(1.0 - BAND, 1.0 + BAND, SAMPLES)
+    reach = np.linspace(1.0 - band, 1.0 + band, SAMPLES)
     line = outline - centre  # (RAYS, 2)
     map_x = (centre[0] + line[:, :1] * reach).astype(np.float32)
     map_y = (centre[1] + line[:, 1:] * reach).astype(np.float32)
     inside = (map_x >= 0) & (map_x <= width - 1) & (map_y >= 0) & (map_y <= height - 1)
-    near = slice(SAMPLES // 4, -(SAMPLES // 4))
-    visible = inside[:, near].all(axis=1)
-    seen = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    profile = cv2.GaussianBlur(light(np.asarray(seen, np.uint8)) @ weights, (5, 1), 1.0)
     quarter = SAMPLES // 4
+    visible = inside[:, quarter:-quarter].all(axis=1)
+    if not visible.any():
+        return outline[:0]
+    seen = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profile: Array = np.asarray(cv2.GaussianBlur(light(np.asarray(seen, np.uint8)) @ weights, (5, 1), 1.0), float)
     inner = np.median(profile[:, :quarter], axis=1)
     outer = np.median(profile[:, -quarter:], axis=1)
+    contrast = inner - outer
+    good = visible & (contrast > max(0.25 * np.median(contrast[visible]), 0.0))  # nothing else is in front
+    inner *= _shading(profile[:, :quarter], reach[:quarter], good)
     above = profile > (0.5 * (inner + outer))[:, None]
     # The last step down, seen from inside: texture may dip below the level before.
     down = above[:, :-1] & ~above[:, 1:]
     last = down.shape[1] - 1 - np.argmax(down[:, ::-1], axis=1)
-    contrast = inner - outer
-    typical = np.median(contrast[visible]) if visible.any() else np.inf
-    good = visible & down.any(axis=1) & (contrast > max(0.25 * typical, 0.0))  # not where something else is in front
-    k = np.nonzero(good)[0]
+    k = np.nonzero(good & down.any(axis=1))[0]
     a, b = profile[k, last[k]], profile[k, last[k] + 1]
     level = 0.5 * (inner[k] + outer[k])
     at = reach[last[k]] + (reach[1] - reach[0]) * (a - level) / (a - b)
-    return centre + line[k] * at[:, None], int(visible.sum())
+    points: Array = centre + line[k] * at[:, None]
+    return points
+
+
+def _shading(inside: Array, reach: Array, good: NDArray[np.bool_]) -> Array:
+    """(RAYS,) how much brighter the ball is at its outline than further in, `inside` (RAYS, n) at `reach` (n,).
+
+    Light falls from above, and the edge of a ball that grows darker outwards seems to lie too far in. The gradient
+    is smooth around the ball: level and slope are each a mean and a first harmonic, fitted to all rays at once.
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, len(inside), endpoint=False)
+    around = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)  # (RAYS, 3)
+    outward = reach - 1.0
+    terms = np.concatenate([np.repeat(around[:, None], len(reach), 1), around[:, None] * outward[:, None]], axis=2)
+    if good.sum() < 6:
+        return np.ones(len(inside))
+    fit = np.linalg.lstsq(terms[good].reshape(-1, 6), inside[good].ravel(), rcond=None)[0]
+    at_edge, within = around @ fit[:3], around @ (fit[:3] + fit[3:] * outward.mean())
+    ratio: Array = np.where(within > 0.0, at_edge / np.where(within > 0.0, within, 1.0), 1.0)
+    return np.clip(ratio, 0.5, 1.5)
 
 
 def _consensus(rays: Array, camera: CameraFit, tolerance_px: float) -> Cone | None:

@@ -135,3 +135,22 @@ def test_a_large_frame_holds_a_large_ball():
     camera = CameraFit(width_px=1280, height_px=960, f_px=2 * CAMERA.f_px, cx_px=639.5, cy_px=479.5)
     ball = find_ball(cv2.resize(whole, (1280, 960)), camera)
     assert ball.radius_px == pytest.approx(2 * truth((0.0, 0.0, 0.34))[1], abs=3.0)  # 485 px
+
+
+def test_a_grey_stone_nearer_than_the_tinted_wall_is_not_red():
+    far, near = np.array([1.0, 0.95, 0.6]), np.array([1.0, 1.0, 0.9])  # of grey, seen through blue water
+    hit = ball_light((0.05, 0.0, 0.6)) * (0.0, 0.0, 1.0)
+    stone = (hit[..., 2] - 0.3)[..., None] * (1.0, 1.0, 1.0)
+    rows, columns = np.mgrid[:480, :640]
+    inside = ((columns - 400) ** 2 + (rows - 240) ** 2 < 130**2)[..., None]
+    wall = np.repeat((0.3 + 0.08 * grain((480, 640), 5))[..., None], 3, axis=-1)
+    frame = expose(np.where(inside, (0.3 + 0.2 * np.abs(stone)) * near, wall * far), 4)
+    assert find_ball(frame, CAMERA) is None
+
+
+def test_light_from_above_does_not_lift_the_centre_of_a_blurred_ball():
+    centre_m = (0.0, 0.0, 0.9)
+    shade = np.linspace(1.8, 0.2, 480)[:, None, None]
+    ball = find_ball(expose(defocus(ball_light(centre_m) * shade, 10.0), 4), CAMERA)
+    assert math.dist(ball.centre_px, truth(centre_m)[0]) < 0.45  # 0.7 without the correction for shading
+    assert ball.radius_px == pytest.approx(truth(centre_m)[1], abs=0.7)
