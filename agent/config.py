@@ -15,6 +15,7 @@ Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
+Cues = Literal["both", "focus", "size"]
 
 T = TypeVar("T")
 
@@ -44,6 +45,11 @@ class Water(Struct, frozen=True, kw_only=True):
 class Target(Struct, frozen=True, kw_only=True):
     detector: Literal["ball"] = "ball"
     radius_m: Positive
+    radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
+
+
+class Ranging(Struct, frozen=True, kw_only=True):
+    cues: Cues = "both"  # range from the focus, from the apparent size of a known target, or from both
 
 
 class Estimation(Struct, frozen=True, kw_only=True):
@@ -115,6 +121,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     tank: Tank = Tank()
     water: Water = Water()
     target: dict[Name, Target]
+    ranging: Ranging = Ranging()
     estimation: Estimation = Estimation()
     link: Link = Link()
     camera: Camera = Camera()

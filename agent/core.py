@@ -15,7 +15,8 @@ from agent.estimation.mailbox import Mailbox
 from agent.hearing import Hearing
 from agent.messages import Estimate, Inputs, Outputs, SetPoint, State, SweepPlan
 from agent.ranging.calibration import Calibration
-from agent.ranging.camera_model import locate
+from agent.ranging.fix import locate
+from agent.ranging.focus import Refused
 from agent.status import Status, inside
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
@@ -27,8 +28,8 @@ class Agent:
 
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
         robot = fleet.robot[name]
-        (self._target, target), *_ = fleet.target.items()
-        self._fleet, self._name, self._robot, self._radius_m = fleet, name, robot, target.radius_m
+        (self._target, self._ball), *_ = fleet.target.items()
+        self._fleet, self._name, self._robot = fleet, name, robot
         self._calibration, self._incarnation = calibration, incarnation
         self._validity_ns = round(fleet.estimation.validity_s * 1e9)
         self._iteration_ns = round(fleet.estimation.iteration_s * 1e9)
@@ -80,16 +81,12 @@ class Agent:
         if level is None:
             self.status.note("warning", "sweep rejected: no telemetry at the time of its sharpest frame", now_ns)
             return
-        fix = locate(
-            self._calibration.camera,
-            self._calibration.focus,
-            self.seek.eye(level),
-            result.centre_px,
-            result.focus,
-            result.sigma,
-            self._radius_m,
-        )
-        if fix is None or not inside(fix.position_m, self._fleet.tank):
+        eye, cues = self.seek.eye(level), self._fleet.ranging.cues
+        fix = locate(self._calibration, eye, result.outline, result.focus, result.sigma, self._ball, cues)
+        if isinstance(fix, Refused):
+            self.status.note("warning", f"sweep rejected: {fix.reason}", now_ns)
+            return
+        if not inside(fix.position_m, self._fleet.tank):
             self.status.note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
             return
         self.prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2)

@@ -21,7 +21,7 @@ from agent.messages import Sighting, SweepPlan
 from agent.perception.clarity import luminance, tenengrad_disc
 from agent.perception.detect import Ball, find_ball
 from agent.perception.enhance import enhance
-from agent.ranging.calibration import CameraFit
+from agent.ranging.calibration import CameraFit, at_lens
 from agent.ranging.camera_model import INNER_DISC
 from hw.camera import Camera, CameraError, Frame, Roi
 
@@ -142,7 +142,7 @@ class Vision:
         """Read a frame, find the target in it and say so. In a sweep only the part around the last ball is read."""
         roi = around(self._ball, camera.size) if sweep and self._ball else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
-        ball, sighting = self.sight(frame, sweep, index, radius_px)
+        ball, sighting = self.sight(frame, self._focus, sweep, index, radius_px)
         self._ball = ball
         self.frames += 1
         with self._changed:
@@ -152,18 +152,22 @@ class Vision:
             self._on_frame(frame, sighting)
         return ball
 
-    def sight(self, frame: Frame, sweep: int, index: int, radius_px: float | None) -> tuple[Ball | None, Sighting]:
-        """What one frame shows; `radius_px`: of the sweep's first ball. Replay calls it as well."""
-        ball = find_ball(
-            enhance(frame.image) if self._settings.enhance else frame.image, self._fit, (frame.roi.x, frame.roi.y)
-        )
+    def sight(
+        self, frame: Frame, focus: int | None, sweep: int, index: int, radius_px: float | None
+    ) -> tuple[Ball | None, Sighting]:
+        """What one frame taken at lens position `focus` shows; `radius_px`: of the sweep's first ball.
+
+        Replay calls it as well.
+        """
+        image = enhance(frame.image) if self._settings.enhance else frame.image
+        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y))
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
         return ball, Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,
             frame=frame.seq,
             sweep=sweep,
             index=index,
-            focus=self._focus,
+            focus=focus,
             target=self._target,
             found=ball is not None,
             centre_px=ball.centre_px if ball else None,

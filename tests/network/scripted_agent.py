@@ -91,7 +91,7 @@ class Script:
             target="ball",
             found=True,
             centre_px=px,
-            radius_px=0.07 / d * 1169,
+            radius_px=math.asin(0.07 / d) * 1169,
             clarity=None if focus is None else 100.0 + 900.0 / (1.0 + ((focus - rho) / FOCUS.width) ** 2),
             area_px=9000.0,
             score=1.0,
