@@ -16,6 +16,7 @@ Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
 Colour = Literal["red", "yellow", "green"]
+Cues = Literal["both", "focus", "size"]
 
 T = TypeVar("T")
 
@@ -48,6 +49,11 @@ class Target(Struct, frozen=True, kw_only=True):
     detector: Literal["ball"] = "ball"
     colour: Colour = "red"
     radius_m: Positive
+    radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
+
+
+class Ranging(Struct, frozen=True, kw_only=True):
+    cues: Cues = "both"  # range from the focus, from the apparent size of a known target, or from both
 
 
 class Estimation(Struct, frozen=True, kw_only=True):
@@ -119,6 +125,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     tank: Tank = Tank()
     water: Water = Water()
     target: dict[Name, Target]
+    ranging: Ranging = Ranging()
     estimation: Estimation = Estimation()
     link: Link = Link()
     camera: Camera = Camera()

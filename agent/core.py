@@ -15,7 +15,8 @@ from agent.hearing import Hearing
 from agent.messages import Estimate, Inputs, Level, Outputs, SetPoint, State, SweepPlan
 from agent.pursuit import Pursuit
 from agent.ranging.calibration import Calibration
-from agent.ranging.camera_model import locate
+from agent.ranging.fix import locate
+from agent.ranging.focus import Refused
 from agent.status import Status, inside
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
@@ -81,16 +82,12 @@ class Agent:
         if level is None:
             self._note("warning", "sweep rejected: no telemetry at the time of its sharpest frame", now_ns)
             return
-        fix = locate(
-            self._calibration.camera,
-            self._calibration.focus,
-            self.seek.eye(level),
-            result.centre_px,
-            result.focus,
-            result.sigma,
-            self.pursuit.radius_m,
-        )
-        if fix is None or not inside(fix.position_m, self._fleet.tank):
+        eye, cues = self.seek.eye(level), self._fleet.ranging.cues
+        fix = locate(self._calibration, eye, result.outline, result.focus, result.sigma, self.pursuit.ball, cues)
+        if isinstance(fix, Refused):
+            self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
+            return
+        if not inside(fix.position_m, self._fleet.tank):
             self._note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
             return
         self.pursuit.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))

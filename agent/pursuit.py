@@ -22,7 +22,7 @@ class Pursuit:
     def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int) -> None:
         self._fleet, self._robot, self._incarnation = fleet.fleet, robot, incarnation
         self.target = target
-        self.radius_m = fleet.target[target].radius_m
+        self.ball = fleet.target[target]
         self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
         self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
         self._validity_ns = round(fleet.estimation.validity_s * 1e9)

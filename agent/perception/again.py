@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.config import Fleet
@@ -27,8 +26,7 @@ def see_again(fleet: Fleet, camera: CameraFit) -> See:
 
     def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, radius_px: float | None) -> Sighting:
         frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))
-        _, now = vision.sight(frame, then.target, then.sweep, then.index, radius_px)
-        return replace(now, focus=then.focus)
+        return vision.sight(frame, then.target, then.focus, then.sweep, then.index, radius_px)[1]
 
     return see
 

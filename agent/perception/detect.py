@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from agent.perception.colour import CONTRAST, Colour, Light, light, share, untint
 from agent.ranging.calibration import CameraFit
+from agent.ranging.camera_model import UNBEND
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -225,12 +226,17 @@ def _outline(cone: Cone, camera: CameraFit) -> Array:
 def _rays(points_px: Array, camera: CameraFit) -> Array:
     """Unit rays (n, 3), camera frame, through pixels (n, 2)."""
     m: Array = np.ones((len(points_px), 3))
-    m[:, :2] = (points_px - (camera.cx_px, camera.cy_px)) / camera.f_px
+    seen = (points_px - (camera.cx_px, camera.cy_px)) / camera.f_px
+    m[:, :2] = seen
+    for _ in range(UNBEND):
+        m[:, :2] = seen / (1.0 + camera.bend * (m[:, :2] ** 2).sum(axis=1, keepdims=True))
     m /= np.sqrt((m * m).sum(axis=1))[:, None]
     return m
 
 
 def _project(directions: Array, camera: CameraFit) -> Array:
     """Pixels (..., 2) of directions (..., 3) in front of the camera."""
-    px: Array = camera.f_px * directions[..., :2] / directions[..., 2:] + np.array([camera.cx_px, camera.cy_px])
+    slope = directions[..., :2] / directions[..., 2:]
+    slope = slope * (1.0 + camera.bend * (slope * slope).sum(axis=-1, keepdims=True))
+    px: Array = camera.f_px * slope + np.array([camera.cx_px, camera.cy_px])
     return px

@@ -21,7 +21,7 @@ from agent.messages import Sighting, SweepPlan
 from agent.perception.clarity import luminance, tenengrad_disc
 from agent.perception.detect import Ball, find_ball
 from agent.perception.enhance import enhance
-from agent.ranging.calibration import CameraFit
+from agent.ranging.calibration import CameraFit, at_lens
 from agent.ranging.camera_model import INNER_DISC
 from hw.camera import Camera, CameraError, Frame, Roi
 
@@ -156,7 +156,7 @@ class Vision:
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         sightings = []
         for target in targets:
-            self._balls[target], sighting = self.sight(frame, target, sweep, index, radius_px)
+            self._balls[target], sighting = self.sight(frame, target, self._focus, sweep, index, radius_px)
             sightings.append(sighting)
         self.frames += 1
         with self._changed:
@@ -168,22 +168,22 @@ class Vision:
         return self._balls[targets[0]]
 
     def sight(
-        self, frame: Frame, target: str, sweep: int, index: int, radius_px: float | None
+        self, frame: Frame, target: str, focus: int | None, sweep: int, index: int, radius_px: float | None
     ) -> tuple[Ball | None, Sighting]:
-        """What one frame shows of a target; `radius_px`: of the sweep's first ball. Replay calls it as well."""
-        ball = find_ball(
-            enhance(frame.image) if self._settings.enhance else frame.image,
-            self._fit,
-            (frame.roi.x, frame.roi.y),
-            colour=self._targets[target].colour,
-        )
+        """What one frame taken at lens position `focus` shows of a target; `radius_px`: of the sweep's first ball.
+
+        Replay calls it as well.
+        """
+        image = enhance(frame.image) if self._settings.enhance else frame.image
+        colour = self._targets[target].colour
+        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour=colour)
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
         return ball, Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,
             frame=frame.seq,
             sweep=sweep,
             index=index,
-            focus=self._focus,
+            focus=focus,
             target=target,
             found=ball is not None,
             centre_px=ball.centre_px if ball else None,

@@ -94,7 +94,7 @@ class Script:
             target=target,
             found=True,
             centre_px=px,
-            radius_px=radius_m / d * 1169,
+            radius_px=math.asin(radius_m / d) * 1169,
             clarity=None if focus is None else 100.0 + 900.0 / (1.0 + ((focus - rho) / FOCUS.width) ** 2),
             area_px=9000.0,
             score=1.0,
