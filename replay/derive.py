@@ -59,7 +59,8 @@ class Derive:
             yield f"/{self._robot}/plot/attitude", telemetry.t_ns, attitude(telemetry)
             yield f"/{self._robot}/plot/thrusters", telemetry.t_ns, thrusters(telemetry)
         for sighting in inputs.sightings:
-            yield f"/{self._robot}/plot/focus", sighting.t_ns, focus(sighting)
+            which = f"/{sighting.target}" if len(self._fleet.target) > 1 else ""
+            yield f"/{self._robot}/plot/focus{which}", sighting.t_ns, focus(sighting)
 
     def _outputs(self, entry: Entry) -> Iterator[Made]:
         outputs = _own(entry, Outputs)
@@ -90,20 +91,21 @@ class Derive:
 
     def _state(self, state: State) -> Iterator[Made]:
         robot, t_ns = state.robot, state.sent_ns
+        which = f"/{state.target}" if len(self._fleet.target) > 1 else ""
         own = self._fleet.robot.get(robot)
         if own is not None:
             tree = foxglove.transforms(state, own.pose, self._fleet.body, self._fleet.tank.surface_m)
             if tree is not None:
                 yield f"/{robot}/tf", t_ns, tree
         if state.prior_m is not None:
-            yield f"/{robot}/target/prior", t_ns, foxglove.position(state.prior_m, t_ns)
+            yield f"/{robot}/target{which}/prior", t_ns, foxglove.position(state.prior_m, t_ns)
         if state.posterior_m is not None:
-            yield f"/{robot}/target/estimate", t_ns, foxglove.position(state.posterior_m, t_ns)
-        yield f"/{robot}/plot/protocol", t_ns, protocol(state)
+            yield f"/{robot}/target{which}/estimate", t_ns, foxglove.position(state.posterior_m, t_ns)
+        yield f"/{robot}/plot/protocol{which}", t_ns, protocol(state)
         weights = state.explain.weights if state.explain is not None else {}
         for other in state.neighbours:
             yield (
-                f"/{robot}/plot/hears/{other.robot}",
+                f"/{robot}/plot/hears/{other.robot}{which}",
                 t_ns,
                 plot(
                     "Neighbour",

@@ -22,7 +22,8 @@ def above(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Fig
     length_m, width_m, _ = fleet.tank.size_m
     panel.add_patch(Rectangle((0, 0), length_m, width_m, fill=False))
     if truth_m is not None:
-        radius_m = next(iter(fleet.target.values())).radius_m
+        target = stories[0].target if stories else next(iter(fleet.target))
+        radius_m = fleet.target[target].radius_m
         panel.add_patch(Circle(truth_m[:2], radius_m, color="C3", alpha=0.2))
         panel.plot(*truth_m[:2], "+", color="black", markersize=12, label="truth")
     for index, (name, robot) in enumerate(fleet.robot.items()):

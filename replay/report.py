@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,8 +49,7 @@ def report(run: Path, out: Path | None = None) -> Path:
     if not boxes and summary is None:
         raise ConfigError(f"{run}: no black box and no summary.json; give the folder of a run or a <robot>.mcap")
     fleet = boxes[0].fleet if boxes else load_fleet(run / "fleet.toml")
-    truth_m: Vector | None = tuple(summary["truth_m"]) if summary else None
-    told = stories(boxes)
+    told = {target: stories(boxes, target) for target in fleet.target}
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
     out = out or (run / "report.html" if run.is_dir() else run.with_name(f"{run.name.split('.mcap')[0]}.html"))
     out.write_text(
@@ -58,8 +57,8 @@ def report(run: Path, out: Path | None = None) -> Path:
             title=f"Fleet {fleet.fleet}",
             verdict=summary["verdict"] if summary else "",
             reasons=summary["reasons"] if summary else [],
-            about=_about(fleet, boxes, told, summary),
-            sections=_sections(fleet, boxes, told, summary, truth_m),
+            about=_about(fleet, boxes, next(iter(told.values())), summary),
+            sections=_sections(fleet, boxes, told, summary),
         ),
         encoding="utf-8",
     )
@@ -90,8 +89,10 @@ def _about(fleet: Fleet, boxes: Sequence[BlackBox], told: Sequence[Story], summa
         dirty = " with uncommitted changes" if run.get("dirty") == "yes" else ""
         parts_.append(f"aucamp {run.get('version.aucamp', '?')}, commit {run.get('commit', '?')[:10]}{dirty}.")
     if summary:
-        truth = ", ".join(f"{1e3 * x:.1f}" for x in summary["truth_m"])
-        parts_.append(f"Twin seed {summary['seed']}; by the twin the target is at ({truth}) mm.")
+        truths = ((target, _of_target(summary, target)) for target in fleet.target)
+        places = [(target, ", ".join(f"{1e3 * x:.1f}" for x in about["truth_m"])) for target, about in truths if about]
+        where = [f"{target if len(places) > 1 else 'the target'} is at ({place}) mm" for target, place in places]
+        parts_.append(f"Twin seed {summary['seed']}; by the twin {', '.join(where)}.")
     torn = [box.path.name for box in boxes if not box.complete]
     if torn:
         parts_.append(f"Not finished by their writer: {', '.join(torn)}.")
@@ -101,11 +102,23 @@ def _about(fleet: Fleet, boxes: Sequence[BlackBox], told: Sequence[Story], summa
 def _sections(
     fleet: Fleet,
     boxes: Sequence[BlackBox],
-    told: Sequence[Story],
+    told: Mapping[str, Sequence[Story]],
     summary: dict[str, Any] | None,
-    truth_m: Vector | None,
 ) -> list[Section]:
+    """Those of each target, then those of the robots."""
     heard = links(boxes)
+    sections = []
+    for target, stories_ in told.items():
+        of_target = _target_sections(fleet, stories_, _of_target(summary, target))
+        if len(told) > 1:
+            of_target = [s._replace(id=f"{s.id}_{target}", title=f"{s.title}: {target}") for s in of_target]
+        sections += of_target
+    return [*sections, *(_robot_sections(fleet, next(iter(told.values())), heard) if boxes else [])]
+
+
+def _target_sections(fleet: Fleet, told: Sequence[Story], summary: dict[str, Any] | None) -> list[Section]:
+    """What the robots know of one target; `summary` is that of the target."""
+    truth_m: Vector | None = tuple(summary["truth_m"]) if summary else None
     against = "" if truth_m is None else " Dashed: the truth, by the twin."
     lower = "" if truth_m is None else " Coloured: each robot's distance from the truth."
     sections = [
@@ -146,6 +159,13 @@ def _sections(
             [],
             [_svg(figures_focus.clarity_curves(story)) for story in told],
         ),
+    ]
+    return [section for section in sections if told or section.id in ("errors", "above")]
+
+
+def _robot_sections(fleet: Fleet, told: Sequence[Story], heard: Sequence[Link]) -> list[Section]:
+    """What does not depend on the target."""
+    return [
         Section(
             "calibration",
             "Calibration",
@@ -164,7 +184,11 @@ def _sections(
         ),
         Section("links", "Who heard whom", _link_note(heard), [_matrix(fleet, heard)], []),
     ]
-    return [section for section in sections if told or section.id in ("errors", "above")]
+
+
+def _of_target(summary: dict[str, Any] | None, target: str) -> dict[str, Any] | None:
+    """The part of a summary that is about one target; those of fleets with one target need not have parts."""
+    return summary and summary.get("targets", {}).get(target, summary)
 
 
 # --- tables ---------------------------------------------------------------------------------------------------

@@ -1,4 +1,6 @@
-"""What a run's black boxes tell, in the shape in which figures need it: series over time, one story for each robot.
+"""What a run's black boxes tell, in the shape in which figures need it: series over time.
+
+There is one story for each robot, about one target.
 
 Times are seconds since the first step of any robot of the run, by the robots' own clocks.
 """
@@ -52,6 +54,7 @@ class Story(NamedTuple):
     """One robot over all of its starts in the run."""
 
     robot: str
+    target: str
     boxes: tuple[BlackBox, ...]
     starts_s: tuple[float, ...]
     ends_s: float
@@ -86,20 +89,26 @@ class Story(NamedTuple):
         return found
 
 
-def stories(boxes: Sequence[BlackBox]) -> list[Story]:
-    """The robots of one run, by name. Raises Refusal for steps of another version."""
+def stories(boxes: Sequence[BlackBox], target: str | None = None) -> list[Story]:
+    """The robots of one run, by name, and what they know of a target; of the fleet's first one if not given.
+
+    Raises Refusal for steps of another version.
+    """
     firsts = [step.now_ns for box in boxes for step in _first(box.steps())]
     start_ns = min(firsts, default=0)
     robots = sorted({box.robot for box in boxes})
-    return [_story([box for box in boxes if box.robot == robot], start_ns) for robot in robots]
+    targets = boxes[0].fleet.target if boxes else {}
+    target = target or next(iter(targets), "")
+    others = tuple(f"{name}: " for name in targets if name != target)  # how lines of the log about these begin
+    return [_story([box for box in boxes if box.robot == robot], start_ns, target, others) for robot in robots]
 
 
 def _first(steps: Iterable[Step]) -> list[Step]:
     return [step for _, step in zip(range(1), steps, strict=False)]
 
 
-def _story(boxes: Sequence[BlackBox], start_ns: int) -> Story:
-    collected = _Collected()
+def _story(boxes: Sequence[BlackBox], start_ns: int, target: str, others: tuple[str, ...]) -> Story:
+    collected = _Collected(target)
     starts = []
     t_s = 0.0
     for box in boxes:
@@ -114,6 +123,7 @@ def _story(boxes: Sequence[BlackBox], start_ns: int) -> Story:
         collected.end_sweep(box)
     return Story(
         robot=boxes[0].robot,
+        target=target,
         boxes=tuple(boxes),
         starts_s=tuple(starts),
         ends_s=t_s,
@@ -122,14 +132,15 @@ def _story(boxes: Sequence[BlackBox], start_ns: int) -> Story:
         sweeps=tuple(collected.sweeps),
         posture=collected.posture(),
         set_depth_m=tuple(collected.set_depth_m),
-        log=tuple(collected.log),
+        log=tuple((t_s, line) for t_s, line in collected.log if not line.text.startswith(others)),
     )
 
 
 class _Collected:
     """What one pass over a robot's steps leaves."""
 
-    def __init__(self) -> None:
+    def __init__(self, target: str) -> None:
+        self._target = target
         self.states: list[tuple[float, State]] = []
         self.beliefs: list[Belief] = []
         self.sweeps: list[Sweep] = []
@@ -144,7 +155,7 @@ class _Collected:
         for t in inputs.telemetry:
             t_s = (t.t_ns - start_ns) * 1e-9
             self._telemetry.append((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
-        for sighting in inputs.sightings:
+        for sighting in (s for s in inputs.sightings if s.target == self._target):
             if self._frames and sighting.sweep != self._frames[-1][1].sweep:
                 self._ended.append(self._frames)
                 self._frames = []
@@ -156,8 +167,9 @@ class _Collected:
         if not self.set_depth_m or self.set_depth_m[-1][1] != outputs.set_point.depth_m:
             self.set_depth_m.append((t_s, outputs.set_point.depth_m))
         for estimate in outputs.says:
-            self._said = estimate
-        if (state := outputs.state) is None:
+            if estimate.target == self._target:
+                self._said = estimate
+        if (state := outputs.state) is None or state.target != self._target:
             return
         self.states.append((t_s, state))
         cov_m2 = self._said.cov_m2 if self._said is not None and self._said.x_m == state.posterior_m else None
