@@ -45,10 +45,11 @@ def demo(
 ) -> None:
     """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
     from agent.demo import demo as dive
+    from agent.sweep_depth import sweep_depth
     from replay.report import report
 
     run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal())
-    report(run)
+    report(run, depth=sweep_depth)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 
@@ -271,9 +272,10 @@ def replay_explain(
 @replay_app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
 def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
     """One page with the run's figures: report.html in its folder."""
+    from agent.sweep_depth import sweep_depth
     from replay.report import report
 
-    terminal().print(f"written to {report(run)}")
+    terminal().print(f"written to {report(run, depth=sweep_depth)}")
 
 
 def terminal() -> Console:

@@ -35,6 +35,7 @@ from agent.messages import (
 )
 from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
+from agent.sweep_depth import sweep_depth
 from agent.transport import Transport
 from hw.camera import open_camera
 from hw.firmware import wire
@@ -87,7 +88,9 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         log = stack.enter_context(
-            black_box_log(out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views)
+            black_box_log(
+                out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views, sweep_depth
+            )
         )
         box = BlackBoxWriter(log, clock, lossless)
         network = stack.enter_context(Transport(fleet, name, clock))
