@@ -44,6 +44,7 @@ from hw.stm32 import Stm32, open_port_path
 from hw.twin.place import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.environment import environment
+from replay.leftovers import leftovers, mending
 
 STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 
@@ -87,6 +88,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     agent = Agent(fleet, name, calibration, incarnation)
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
+        stack.enter_context(mending(leftovers((out or Path()) / f"{name}.mcap")))
         log = stack.enter_context(
             black_box_log(
                 out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views, sweep_depth

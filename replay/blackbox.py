@@ -106,7 +106,7 @@ def open_box(path: Path) -> BlackBox:
     if needs:
         raise ConfigError(f"{path}: has no {needs[0]}, so its agent cannot be built again; record with this version")
     if run.get("part", "1") != "1":
-        raise ConfigError(f"{path}: is part {run['part']} and needs those before it; give the first")
+        raise ConfigError(f"{path}: is part {run['part']}, and its steps build on those before; give the first part")
     return BlackBox(
         path=path,
         robot=run["robot"],
