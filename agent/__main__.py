@@ -46,10 +46,11 @@ def demo(
 ) -> None:
     """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
     from agent.demo import demo as dive
+    from agent.sweep_depth import sweep_depth
     from replay.report import report
 
     run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal(), fleet)
-    report(run)
+    report(run, depth=sweep_depth)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 
@@ -254,21 +255,23 @@ def replay_check(
     from agent.perception.again import see_again
     from replay.accept import accept
     from replay.check import check, text
+    from replay.leftovers import mended
     from replay.vision_check import check_vision
 
     bar = Console(stderr=True)
     if update:
         for accepted in accept(paths, reason):
             typer.echo(str(accepted))
-    elif vision:
+        return
+    paths = mended(paths, complain)
+    if vision:
         seen = check_vision(paths, see_again, bar)
         for one in seen:
             typer.echo(json.dumps(one.as_json()) if as_json else str(one))
         raise typer.Exit(2 if any(not one.frames for one in seen) else int(any(not one.passed for one in seen)))
-    else:
-        checked = check(paths, ignore, bar)
-        typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
-        raise typer.Exit(checked.exit_code)
+    checked = check(paths, ignore, bar)
+    typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
+    raise typer.Exit(checked.exit_code)
 
 
 @replay_app.command("explain", epilog="Example: aucamp replay explain r1.mcap --at 16")
@@ -278,16 +281,26 @@ def replay_explain(
 ) -> None:
     """Why a robot believed what it believed: whom it heard, with which weights."""
     from replay.explain import explain
+    from replay.leftovers import mended
 
-    typer.echo(explain(file, at))
+    (there,) = mended([file], complain)
+    typer.echo(explain(there, at))
 
 
 @replay_app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
 def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
     """One page with the run's figures: report.html in its folder."""
+    from agent.sweep_depth import sweep_depth
+    from replay.leftovers import mended
     from replay.report import report
 
-    terminal().print(f"written to {report(run)}")
+    (there,) = mended([run], complain)
+    terminal().print(f"written to {report(there, depth=sweep_depth)}")
+
+
+def complain(line: str) -> None:
+    """What a person should know but a program that reads our output should not."""
+    typer.echo(line, err=True)
 
 
 def terminal() -> Console:

@@ -35,6 +35,7 @@ from agent.messages import (
 )
 from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
+from agent.sweep_depth import sweep_depth
 from agent.transport import Transport
 from hw.camera import open_camera
 from hw.firmware import wire
@@ -43,6 +44,7 @@ from hw.stm32 import Stm32, open_port_path
 from hw.twin.place import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.environment import environment
+from replay.leftovers import leftovers, mending
 
 STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 
@@ -86,8 +88,11 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     agent = Agent(fleet, name, calibration, incarnation)
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
+        stack.enter_context(mending(leftovers((out or Path()) / f"{name}.mcap")))
         log = stack.enter_context(
-            black_box_log(out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views)
+            black_box_log(
+                out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views, sweep_depth
+            )
         )
         box = BlackBoxWriter(log, clock, lossless)
         network = stack.enter_context(Transport(fleet, name, clock))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agent.config import Fleet, dump
 from agent.messages import Sighting, encode
 from agent.ranging.calibration import Calibration
+from replay.depth import MeasureDepth
 from replay.derive import Derive
 from replay.frames import FRAME, VISION, picture
 from replay.log import LogWriter
@@ -22,15 +23,24 @@ FROM_BOARD, TO_BOARD = "/raw/serial/from_board", "/raw/serial/to_board"  # the b
 
 
 def black_box_log(
-    folder: Path, fleet: Fleet, robot: str, calibration: Calibration, run: Mapping[str, object], views: bool
+    folder: Path,
+    fleet: Fleet,
+    robot: str,
+    calibration: Calibration,
+    run: Mapping[str, object],
+    views: bool,
+    depth: MeasureDepth | None = None,
 ) -> LogWriter:
-    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart; `views`: with channels for viewers."""
+    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart.
+
+    `views`: with channels for viewers; `depth`: what makes depth maps for them.
+    """
     return LogWriter(
         unused(folder / f"{robot}.mcap"),
         run,
         attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
         splits_at=STEP_IN,
-        derive=Derive(fleet, robot, calibration.camera) if views else None,
+        derive=Derive(fleet, robot, calibration, depth) if views else None,
     )
 
 
