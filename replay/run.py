@@ -83,4 +83,5 @@ def _summary(run: Path) -> dict[str, Any] | None:
 def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
     if summary is None:
         return {}
-    return {next(iter(fleet.target)): tuple(summary["truth_m"])}
+    first = {next(iter(fleet.target)): {"truth_m": summary["truth_m"]}}  # all that older summaries have
+    return {target: tuple(about["truth_m"]) for target, about in summary.get("targets", first).items()}
