@@ -137,7 +137,9 @@ def _uneven(height: int, width: int, rng: np.random.Generator) -> Picture:
 def _snow(height: int, width: int, rng: np.random.Generator) -> Plane:
     """(h, w) brightness of drifting particles: a few dozen soft dots."""
     flakes = np.zeros((height, width), np.float32)
-    for x, y, brightness in zip(*rng.uniform((0, 0, 1), (width, height, 12), (int(rng.integers(5, 80)), 3)).T, strict=True):
+    for x, y, brightness in zip(
+        *rng.uniform((0, 0, 1), (width, height, 12), (int(rng.integers(5, 80)), 3)).T, strict=True
+    ):
         flakes[int(y), int(x)] = brightness
     return np.asarray(cv2.GaussianBlur(flakes, (0, 0), rng.uniform(0.6, 1.6)), np.float32)
 

@@ -88,7 +88,9 @@ def landscape(side: int, rng: np.random.Generator) -> tuple[Picture, Plane]:
         picture = picture + front[:, :, None] * (thing - picture)
         z = z + front * (distance * (np.float32(1.1) - np.float32(0.2) * bulge) - z)
     if rng.random() < 0.4:  # holes and crevices
-        picture = picture * (1 - 0.9 * _step(noise(side, rng, (4, 10)) - np.float32(rng.uniform(1.2, 2.2)), 0.15))[..., None]
+        picture = (
+            picture * (1 - 0.9 * _step(noise(side, rng, (4, 10)) - np.float32(rng.uniform(1.2, 2.2)), 0.15))[..., None]
+        )
     z = np.clip(z, 0.15, FAR).astype(np.float32)
     return picture.astype(np.float32), z / max(float(np.median(z)), 0.15)
 

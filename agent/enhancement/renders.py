@@ -88,4 +88,6 @@ def _square(picture: np.ndarray, side: int) -> np.ndarray:
 def _recoloured(picture: Picture, rng: np.random.Generator) -> Picture:
     """Colours mixed and scaled at random: a tank of other paints."""
     mix = np.eye(3) + rng.uniform(0, 0.6) * rng.normal(0, 0.5, (3, 3))
-    return np.clip(picture @ mix.astype(np.float32).T * np.float32(rng.uniform(0.6, 1.5)), 0.005, 1.5).astype(np.float32)
+    return np.clip(picture @ mix.astype(np.float32).T * np.float32(rng.uniform(0.6, 1.5)), 0.005, 1.5).astype(
+        np.float32
+    )
