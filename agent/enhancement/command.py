@@ -20,10 +20,10 @@ from agent.launch import run_folder
 from agent.perception import lu2net
 
 MADE, SIDE = 3120, 256  # pairs of our own, and their side in pixels; real pairs are scaled to the same
-VALIDATED = 40  # pairs: enough for a curve, and a small part of the time
+VALIDATED = 24  # pairs: enough for a curve, and a small part of the time
 SHARES = 5  # of real pairs, one in so many scenes is for validation
 FINE_TUNING_RATE = 3e-4  # a third of the rate from scratch: the start is worth keeping
-SAVE_EVERY = 100  # steps
+SAVE_EVERY = 50  # steps
 
 
 def train(

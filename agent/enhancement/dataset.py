@@ -1,8 +1,8 @@
 """The training pairs of our own making, written once to a folder and read from there picture by picture.
 
-Of six pairs three are landscapes of noise, two photographs, one a view of the twin's tank, for tanks look alike. Pair `i` of a seed is always the
-same, so several processes can share the work. A scene is a landscape, a photograph or a tank; validation has scenes
-of its own, of which training sees nothing.
+Of six pairs three are landscapes of noise, two photographs, and one is a view of the twin's tank: tanks look alike.
+Pair `i` of a seed is always the same, so several processes can share the work. A scene is a landscape, a photograph
+or a tank; validation has scenes of its own, of which training sees nothing.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def draw_sea(rng: np.random.Generator) -> Sea:
     # At working depth: how far the light has come down, up to four optical depths of the weakest colour.
     down = np.exp(-kd * rng.uniform(0, 4.0) / kd.max())
     veil = down * np.exp(-kd * rng.uniform(0, 2.0) / kd.max()) * rng.uniform(0.05, 0.5)
-    return Sea(*(_colour(c) for c in (direct, scatter, veil, down)), green_depth=float(rng.uniform(0.05, 1.0)))
+    return Sea(_colour(direct), _colour(scatter), _colour(veil), _colour(down), float(rng.uniform(0.05, 1.0)))
 
 
 def pair(picture: Picture, range_share: Plane, rng: np.random.Generator) -> tuple[Image, Image]:
@@ -76,18 +76,22 @@ def pair(picture: Picture, range_share: Plane, rng: np.random.Generator) -> tupl
         picture, lit = picture * np.sqrt(light), picture * light
     else:
         lit = picture
-    through = np.exp(-sea.direct * z[:, :, None])
-    direct = lit * sea.down * through
-    reach = float(rng.uniform(0.4, 2.5))
-    scattered = cv2.GaussianBlur(direct, (0, 0), reach)
-    weight = (FORWARD * (1 - np.exp(-z * sea.direct[1])))[:, :, None]
-    seen = direct + weight * (scattered - direct) + sea.veil * -np.expm1(-sea.scatter * z[:, :, None])
+    seen = submerge(lit, z, sea, float(rng.uniform(0.4, 2.5)))
     if rng.random() < 0.3:
         seen = seen + _snow(seen.shape[0], seen.shape[1], rng)[:, :, None] * sea.veil
-    return photograph(seen, rng), target(picture, z, sea, rng)
+    return photograph(seen, rng), target(picture, z, sea)
 
 
-def target(picture: Picture, z: Plane, sea: Sea, rng: np.random.Generator | None = None) -> Image:
+def submerge(lit: Picture, z: Plane, sea: Sea, reach_px: float) -> Picture:
+    """What arrives from a scene under the day's light, `z` (h, w) metres away; forward scatter blurs by `reach_px`."""
+    direct = lit * sea.down * np.exp(-sea.direct * z[:, :, None])
+    scattered = cv2.GaussianBlur(direct, (0, 0), reach_px)
+    weight = (FORWARD * (1 - np.exp(-z * sea.direct[1])))[:, :, None]
+    veil = sea.veil * -np.expm1(-sea.scatter * z[:, :, None])
+    return np.asarray(direct + weight * (scattered - direct) + veil, np.float32)
+
+
+def target(picture: Picture, z: Plane, sea: Sea) -> Image:
     """The scene with a thin grey veil in the distance, balanced and stretched."""
     grey = float(sea.direct.mean()) * KEPT
     left = np.exp(-grey * z)[:, :, None]

@@ -55,7 +55,7 @@ def paint(side: int, rng: np.random.Generator, vivid: float) -> Picture:
     tilt = cv2.Sobel(relief, cv2.CV_32F, 1, 0) * np.float32(rng.normal()) + cv2.Sobel(relief, cv2.CV_32F, 0, 1)
     light = np.exp(np.float32(rng.uniform(0.1, 0.6)) * tilt / max(float(tilt.std()), 1e-3))
     light = light * np.exp(noise(side, rng, (0, 4)) * np.float32(rng.uniform(0, 0.25)))
-    return np.clip(picture * light[:, :, None], 0, 1.5)
+    return np.asarray(np.clip(picture * light[:, :, None], 0, 1.5), np.float32)
 
 
 def colour(rng: np.random.Generator, vivid: float) -> Picture:
@@ -73,26 +73,26 @@ def landscape(side: int, rng: np.random.Generator) -> tuple[Picture, Plane]:
     x = np.linspace(-0.5, 0.5, side, dtype=np.float32)[None, :]
     relief = noise(side, rng, (5, SHEETS))
     picture = paint(side, rng, 0.06)
-    kind = rng.random()
-    if kind < 0.45:  # a wall or the floor from above
-        z = 1 + np.float32(rng.uniform(0, 0.25)) * relief + np.float32(rng.uniform(-0.8, 0.8)) * (0.5 - y)
+    if rng.random() < 0.45:  # a wall or the floor from above
+        bumps, tilt = np.float32(rng.uniform(0, 0.25)), np.float32(rng.uniform(-0.8, 0.8))
+        z = np.asarray(1 + bumps * relief + tilt * (0.5 - y), np.float32)
     else:  # the floor to the horizon, open water above it
         horizon = np.float32(rng.uniform(-0.2, 0.55)) + np.float32(rng.normal(0, 0.2)) * x + np.float32(0.04) * relief
         below = y - horizon
-        z = np.where(below > 0, np.minimum(0.5 / np.maximum(below, 1e-3), FAR), FAR) + 0.1 * relief
+        away = np.where(below > 0, np.minimum(0.5 / np.maximum(below, 1e-3), FAR), FAR)
+        z = np.asarray(away + 0.1 * relief, np.float32)
     for _ in range(int(rng.integers(0, 7))):
         mask, bulge = _boulder(side, rng)
         distance = np.float32(rng.uniform(0.35, 1.5))
         front = mask * (z > distance)
         thing = paint(side, rng, 0.25) * (np.float32(0.45) + np.float32(0.55) * bulge)[:, :, None]
         picture = picture + front[:, :, None] * (thing - picture)
-        z = z + front * (distance * (np.float32(1.1) - np.float32(0.2) * bulge) - z)
+        z = np.asarray(z + front * (distance * (np.float32(1.1) - np.float32(0.2) * bulge) - z), np.float32)
     if rng.random() < 0.4:  # holes and crevices
-        picture = (
-            picture * (1 - 0.9 * _step(noise(side, rng, (4, 10)) - np.float32(rng.uniform(1.2, 2.2)), 0.15))[..., None]
-        )
-    z = np.clip(z, 0.15, FAR).astype(np.float32)
-    return picture.astype(np.float32), z / max(float(np.median(z)), 0.15)
+        hole = _step(noise(side, rng, (4, 10)) - np.float32(rng.uniform(1.2, 2.2)), 0.15)
+        picture = picture * (1 - np.float32(0.9) * hole)[:, :, None]
+    z = np.asarray(np.clip(z, 0.15, FAR), np.float32)
+    return np.asarray(picture, np.float32), z / np.float32(np.median(z))
 
 
 def _boulder(side: int, rng: np.random.Generator) -> tuple[Plane, Plane]:

@@ -6,6 +6,8 @@ and the other half are rendered in air, given other colours, and put into water 
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
 from msgspec.structs import replace
@@ -18,7 +20,7 @@ from hw.twin.scene import SceneWater, Solid, load_scene
 from hw.twin.view import Board, Eye, Hull
 
 INDEX = 1.333
-PRESETS = ("tap", "pool", "coastal", "turbid")
+PRESETS: tuple[Literal["tap", "pool", "coastal", "turbid"], ...] = ("tap", "pool", "coastal", "turbid")
 MARGIN_M = 0.12  # between an eye and a wall
 
 
@@ -55,7 +57,7 @@ class Tankful:
 def _solid(rng: np.random.Generator, tank: Tank) -> Solid:
     r = tuple(float(v) for v in rng.uniform(0.03, 0.12, 3))
     x, y = rng.uniform(0.2, 0.8, 2) * tank.size_m[:2]
-    kind = "ball" if rng.random() < 0.4 else "stone"
+    kind: Literal["ball", "stone"] = "ball" if rng.random() < 0.4 else "stone"
     return Solid(kind=kind, position_m=(float(x), float(y), r[2] * 0.9), radii_m=(r[0], r[1], r[2]))
 
 
@@ -88,6 +90,5 @@ def _square(picture: np.ndarray, side: int) -> np.ndarray:
 def _recoloured(picture: Picture, rng: np.random.Generator) -> Picture:
     """Colours mixed and scaled at random: a tank of other paints."""
     mix = np.eye(3) + rng.uniform(0, 0.6) * rng.normal(0, 0.5, (3, 3))
-    return np.clip(picture @ mix.astype(np.float32).T * np.float32(rng.uniform(0.6, 1.5)), 0.005, 1.5).astype(
-        np.float32
-    )
+    mixed = picture @ mix.astype(np.float32).T * np.float32(rng.uniform(0.6, 1.5))
+    return np.asarray(np.clip(mixed, 0.005, 1.5), np.float32)

@@ -1,6 +1,6 @@
-"""The training loop: pairs in, weights out. Everything follows from the seed; a run that was cut off goes on as if not.
+"""The training loop: pairs in, weights out. Everything follows from the seed; one that was cut off goes on as if not.
 
-Adam, cosine rate, and a running average of the weights, which is what is validated and shipped. Batches mix two sizes of
+Adam, cosine rate, and a running average of the weights, which is what is validated and shipped. Batches mix sizes of
 whole views, for the attention sees the mean of the whole picture and must not learn the means of small cut-outs.
 """
 
@@ -10,6 +10,7 @@ import copy
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, NamedTuple
 
 import cv2
@@ -88,7 +89,7 @@ class Run:
         try:
             state: dict[str, Any] = torch.load(file, weights_only=True)
             kept = Plan(**state["plan"])
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError) as error:
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, UnpicklingError) as error:
             raise ConfigError(f"{file}: no checkpoint to go on from; leave --resume out to start anew") from error
         if kept != plan:
             raise ConfigError(f"{file}: was started with {kept}; give the same numbers, or leave --resume out")
@@ -188,4 +189,5 @@ def validate(net: LU2Net, pairs: Pairs) -> tuple[float, float]:
     net.eval()
     outputs = [run(net, image) for image in pairs.raw]
     figures = [(psnr(o, t), ssim(o, t)) for o, t in zip(outputs, pairs.target, strict=True)]
-    return tuple(np.mean(figures, axis=0).tolist())  # type: ignore[return-value]
+    mean_psnr_db, mean_ssim = np.mean(figures, axis=0).tolist()
+    return mean_psnr_db, mean_ssim

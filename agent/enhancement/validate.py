@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -59,8 +60,8 @@ def cross_validate(start: LU2Net, pairs: Pairs, plan: Plan, count: int) -> Itera
         held_out = pairs.only(fold_of == number)
         state = Run(plan, start)
         yield from advance(state, pairs.only(fold_of != number), nothing)
-        tuned, before = state.average.eval(), mean(score(held_out, lambda image: run(start, image)))
-        yield Fold(number + 1, len(held_out.raw), before, score(held_out, lambda image: run(tuned, image)))
+        before, after = (score(held_out, partial(run, net)) for net in (start, state.average.eval()))
+        yield Fold(number + 1, len(held_out.raw), mean(before), after)
 
 
 def table(rows: dict[str, Quality], title: str) -> Table:
