@@ -26,7 +26,7 @@ COV = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
 
 
 def run() -> dict[str, dict[str, Any]]:
-    """Median processor time of hearing all neighbours and ticking once, and median bytes of a message, each against `paper`.
+    """Medians: processor time of hearing all neighbours and ticking once, bytes of a message; each against `paper`.
 
     `paper` itself stands against what there is: 1 % of an iteration, and one datagram.
     """
