@@ -204,12 +204,13 @@ def experiment_localization(
     full: Annotated[bool, typer.Option("--full", help="More draws, losses and robots.")] = False,
 ) -> None:
     """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, a robot that is wrong."""
-    from agent.experiments.localization import localization, table
+    from agent.experiments.localization import localization, table, verdict_table
     from agent.launch import run_folder, with_bar
 
     console, folder = terminal(), run_folder(out)
     result = with_bar(console, "dives", lambda show: localization(seed, folder, show, quick, full))
     console.print(table(result))
+    console.print(verdict_table(result))
     console.print(f"written to {folder}")
 
 

@@ -30,10 +30,11 @@ from agent.experiments.bounds import bound_m, central_m, central_track_m, closed
 from agent.experiments.graphs import graph, metropolis_weights, paper_weights
 from agent.experiments.localization_cases import Case, cases
 from agent.experiments.localization_figure import draw_iterations
+from agent.experiments.localization_targets import verdicts
 from agent.experiments.lockstep import Swarm, prior, symmetric
 from agent.experiments.scene import TARGET_M, Array, Draw, Scene, draw, lap_m, scene, seen
 
-Progress = Callable[[int, int], None]  # draws done, draws in all
+Progress = Callable[[int, int], None]  # work done, work in all, by `cost`
 
 # One world for all: cases differ in what they name, not in where robots happen to be. Of these draws it is an ordinary
 # one: ten robots have a bound of 2.5 mm after one sample each (half of all worlds lie between 2.3 and 2.6), and a mean
@@ -64,7 +65,14 @@ def localization(seed: int, out: Path, progress: Progress, quick: bool = False, 
     chosen = cases(quick, full)
     scores = all_scores(chosen, seed, progress)
     rows = [row for case, found in zip(chosen, scores, strict=True) for row in rows_of(case, found)]
-    result = {"schema": 1, "source": "simulation", "seed": seed, "world": WORLD, "cases": rows}
+    result = {
+        "schema": 1,
+        "source": "simulation",
+        "seed": seed,
+        "world": WORLD,
+        "cases": rows,
+        "verdicts": verdicts(rows),
+    }
     (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     for loss in (0.0, 0.3):
         draw_iterations(seed, WORLD, loss, out / f"localization_loss_{round(100 * loss)}")
@@ -76,7 +84,7 @@ def all_scores(chosen: Sequence[Case], seed: int, progress: Progress) -> list[li
     work = [(n, first) for n, case in enumerate(chosen) for first in range(0, case.draws, UNIT)]
     work.sort(key=lambda item: -cost(chosen[item[0]]))  # the longest first, so that all end together
     found: list[dict[int, list[list[Score]]]] = [{} for _ in chosen]
-    total, done = sum(case.draws for case in chosen), 0
+    total, done = sum(case.draws * cost(case) for case in chosen), 0
     processes = multiprocessing.get_context("spawn")  # a fork would copy the progress bar's thread in mid-step
     with ProcessPoolExecutor(os.cpu_count(), mp_context=processes) as pool:
         jobs = {}
@@ -86,14 +94,16 @@ def all_scores(chosen: Sequence[Case], seed: int, progress: Progress) -> list[li
         for job in as_completed(jobs):
             n, first, last = jobs[job]
             found[n][first] = job.result()
-            done += last - first
+            done += (last - first) * cost(chosen[n])
             progress(done, total)
     return [[scores for first in sorted(parts) for scores in parts[first]] for parts in found]
 
 
-def cost(case: Case) -> float:
-    """Roughly how long a draw takes: fusing is linear in the origins, and there is one fusion per robot."""
-    return case.at[-1] * case.robots * (case.robots if case.protocol == "evidence" else 1)
+def cost(case: Case) -> int:
+    """Roughly how long a draw takes: fusing is linear in the origins, there is one fusion per robot, and a target that
+    moves is placed anew at every round of messages."""
+    fusions = case.at[-1] * case.robots * (case.ticks * case.says if case.speed_mm_s else 1)
+    return fusions * (case.robots if case.protocol == "evidence" else 1)
 
 
 def dives(case: Case, seed: int, first: int, last: int) -> list[list[Score]]:
@@ -230,6 +240,19 @@ def table(result: dict[str, Any]) -> Table:
         names = (row["protocol"], row["topology"], str(row["robots"]), row["noise"], f"{row['loss']:.0%}", row["views"])
         figures = (number(row["rmse_mm"]), number(row["bound_mm"]), number(row["ratio"]), number(row["nees"], 1))
         shown.add_row(*names, ", ".join(e for e in else_ if e), str(row["t"]), *figures, f"{row['covered']:.0%}")
+    return shown
+
+
+def verdict_table(result: dict[str, Any]) -> Table:
+    """Each target of localization_targets.py beside what was measured."""
+    shown = Table(title="targets")
+    for head in ("target", "case", "t", "asked", "measured", "met"):
+        shown.add_column(head, justify="left" if head in ("target", "case") else "right")
+    for verdict in result["verdicts"]:
+        low, high = verdict["least"], verdict["most"]
+        asked = f"{low:g} to {high:g}" if low and high else f">= {low:g}" if low else f"<= {high:g}"
+        measured, met = number(verdict["measured"], 3), "yes" if verdict["met"] else "no"
+        shown.add_row(verdict["target"], verdict["case"], str(verdict["t"]), asked, measured, met)
     return shown
 
 

@@ -98,16 +98,20 @@ def honest_covariance() -> Sequence[Case]:
 
 
 def moving(losses: Sequence[float]) -> Sequence[Case]:
-    """A target that swims in circles. Old news is wrong news, so there are several iterations for each sample."""
-    return [
-        Case("evidence", "geometric", 10, 10, (60,), loss=loss, speed_mm_s=20.0, ticks=ticks)
+    """A target that swims in circles. Old news is wrong news: one message a second, ten (the agents' rate), and
+    iterations five times as frequent as samples."""
+    rates = ((1, 1), (1, 10), (5, 1))
+    found = [
+        Case("evidence", "geometric", 10, 5, (60,), loss=loss, speed_mm_s=20.0, ticks=ticks, says=says)
         for loss in losses
-        for ticks in (1, 5)
+        for ticks, says in rates
     ]
+    wrong = Case("evidence", "full", 3, 10, (60,), loss=0.3, speed_mm_s=20.0, says=10, systematic=True)
+    return [*found, wrong, wrong._replace(outlier_mm=300.0)]
 
 
 def large(full: bool) -> Sequence[Case]:
-    """Swarms that no tank holds."""
+    """Swarms that no tank holds. A draw of a thousand with `evidence` is a million fusions' worth: one, and short."""
     found = [
         *(Case(p, "geometric", 100, 10, (10, 25, 50), loss=0.3) for p in PROTOCOLS[:2]),
         Case("evidence", "geometric", 100, 2, (10, 25), loss=0.3),
@@ -115,5 +119,6 @@ def large(full: bool) -> Sequence[Case]:
     ]
     if full:
         found += [Case(p, "ring", 100, 10, AT, loss=0.3) for p in PROTOCOLS[:2]]
-        found += [Case("evidence", g, 100, 10, (25, 60), loss=0.3) for g in ("geometric", "ring")]
+        found += [Case("evidence", g, 100, 4, (25, 60), loss=0.3) for g in ("geometric", "ring")]
+        found += [Case("evidence", "geometric", 1000, 1, (5,), loss=0.3)]
     return found

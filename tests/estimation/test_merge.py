@@ -53,6 +53,46 @@ def test_any_order_and_any_repetition_end_in_the_same_table(order, repeated) -> 
     assert table.opinions() == reference.opinions(), "to the last bit"
 
 
+def joined(*tables: Table) -> Table:
+    """One table after it was told all that the tables hold, in their order."""
+    found = Table(BOUNDS)
+    for table in tables:
+        for entry in table.entries.values():
+            found.merge(entry, 0)
+    return found
+
+
+tables = st.lists(st.sampled_from(SAID), max_size=12)
+
+
+@given(tables, tables, tables)
+@settings(max_examples=100, deadline=None)
+def test_joining_tables_is_commutative_associative_and_idempotent(first, second, third) -> None:
+    a, b, c = (Table(BOUNDS) for _ in range(3))
+    for table, entries in zip((a, b, c), (first, second, third), strict=True):
+        for entry in entries:
+            table.merge(entry, 0)
+    assert joined(a, b).entries == joined(b, a).entries
+    assert joined(joined(a, b), c).entries == joined(a, joined(b, c)).entries
+    assert joined(a, a).entries == a.entries
+    assert joined(a, b).opinions() == joined(b, a).opinions(), "to the last bit"
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=6), st.integers(0, 2**32))
+@settings(max_examples=60, deadline=None)
+def test_restarts_split_the_sum_and_lose_nothing(lives, seed) -> None:
+    """A robot that measures under several incarnations says what one that never stopped says."""
+    whole, split, random = Table(BOUNDS), Table(BOUNDS), Random(seed)
+    for incarnation, count in enumerate(lives):
+        for _ in range(count):
+            sample = prior(0.7 + random.gauss(0.0, 0.01))
+            whole.measure(("r1", 0), sample)
+            split.measure(("r1", incarnation), sample)
+    (one,), (other,) = whole.opinions(), split.opinions()
+    assert other.x_m == pytest.approx(one.x_m, abs=1e-12)
+    assert other.cov_m2 == pytest.approx(one.cov_m2, rel=1e-9)
+
+
 def test_a_repeat_is_no_news() -> None:
     table = Table(BOUNDS)
     assert table.merge(SAID[2], 0) == (True, None)

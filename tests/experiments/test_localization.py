@@ -13,6 +13,7 @@ from agent.experiments.bounds import bound_m, central_m, central_track_m, closed
 from agent.experiments.graphs import diameter, graph, metropolis_weights, paper_weights
 from agent.experiments.localization import dives, rows_of, table
 from agent.experiments.localization_cases import Case, cases
+from agent.experiments.localization_targets import EVIDENCE_UNDER_LOSS, verdicts
 from agent.experiments.lockstep import Swarm, prior, symmetric
 from agent.experiments.scene import TARGET_M, Draw, draw, lap_m, scene, seen
 
@@ -219,7 +220,8 @@ def test_result_figures_and_table(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(experiment, "cases", lambda quick, full: few)
     done = []
     result = experiment.localization(3, tmp_path / "run", lambda n, total: done.append((n, total)), quick=True)
-    assert done[-1] == (4, 4)
+    assert done[-1][0] == done[-1][1]
+    assert len({total for _, total in done}) == 1
     assert json.loads((tmp_path / "run" / "result.json").read_text()) == result
     assert [(row["protocol"], row["topology"], row["robots"], row["t"]) for row in result["cases"]] == [
         ("paper", "full", 3, 3),
@@ -242,6 +244,29 @@ def test_the_same_seed_gives_the_same_draws_and_another_does_not() -> None:
     assert dives(case, 1, 0, 2) == dives(case, 1, 0, 2)
     assert dives(case, 1, 1, 2) == dives(case, 1, 0, 2)[1:]  # however the work is shared out
     assert dives(case, 1, 0, 2) != dives(case, 2, 0, 2)
+
+
+def test_verdicts_say_yes_only_to_what_meets_the_target() -> None:
+    said = Case("evidence", "geometric", 10, 1, loss=0.3).named() | {"t": 10, "nees": 3.0, "covered": 1.0}
+    for ratio, met in ((EVIDENCE_UNDER_LOSS[10], True), (EVIDENCE_UNDER_LOSS[10] + 0.01, False), (None, False)):
+        (verdict,) = verdicts([said | {"ratio": ratio, "rmse_mm": ratio}])
+        assert verdict["met"] is met
+        assert verdict["measured"] == ratio
+    wrong = said | {"topology": "full", "robots": 3, "systematic": True, "nees": 400.0, "ratio": 1.0}
+    assert [v["met"] for v in verdicts([wrong])] == [False]
+    assert [v["met"] for v in verdicts([wrong | {"nees": 3.0}])] == [True]
+    assert [v["met"] for v in verdicts([wrong | {"outlier_mm": 300.0, "ratio": 20.0}])] == [False]
+    failed = said | {"protocol": "paper", "ratio": 1.1, "rmse_mm": 1.1}
+    assert [v["met"] for v in verdicts([failed])] == [False], "the paper's failure is to be reproduced"
+
+
+def test_every_target_is_about_some_case_of_the_usual_run() -> None:
+    rows = [
+        c.named() | {"t": t, "closed_form_mm": 1.0, "rmse_mm": 1.0, "ratio": 1.0, "nees": 3.0, "covered": 1.0}
+        for c in cases()
+        for t in c.at
+    ]
+    assert len({v["target"] for v in verdicts(rows)}) == 7
 
 
 def test_the_list_of_cases() -> None:
