@@ -7,6 +7,7 @@ tests/network/scripted_agent.py and whose messages travel as bytes from one step
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from replay.log import parts
 from replay.mcap_file import Part
 from replay.names import active
 from replay.recover import STEP_IN, STEP_OUT
+from tests.golden.frames import paint
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 
 HERE = Path(__file__).parent
@@ -42,6 +44,7 @@ class Case(NamedTuple):
     hidden: tuple[float, float] = (0.0, 0.0)  # nobody sees the target
     mute: tuple[float, float] = (0.0, 0.0)  # r2 neither hears nor is heard
     dead: tuple[float, float] = (0.0, 0.0)  # r3 is down, and comes back without memory
+    pushed: tuple[float, float] = (0.0, 0.0)  # r2 is knocked, and rights itself
     wrong: float = 0.0  # lens positions by which r3's calibration is off: it is convinced of another place
     fleet: str = "tank"
     targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
@@ -55,9 +58,12 @@ CASES = {
     "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0)),
     "liar": Case("evidence", 18.0, wrong=60.0),
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
+    "push": Case("evidence", 18.0, pushed=(11.0, 12.5)),
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
 }
 TORN = "torn"  # r1 of `three`, cut
+SEEN = "seen"  # frames, for vision
+TILT_DEG, SINK_M, SWINGS_HZ, CALMS_S = 9.0, 0.03, 1.6, 0.5  # what a knock does, and how it dies away
 
 
 def make(folder: Path, names: list[str]) -> None:
@@ -67,6 +73,8 @@ def make(folder: Path, names: list[str]) -> None:
         shutil.rmtree(out, ignore_errors=True)
         if name == TORN:
             tear(folder / "three" / "r1.mcap", out)
+        elif name == SEEN:
+            paint(fleet_of(CASES["three"]), out, START_NS, STEP_NS)
         else:
             dive(CASES[name], out)
 
@@ -108,7 +116,7 @@ class Robot:
         self.fleet, self.name, self.clock = fleet, name, clock
         self.calibration = calibration_of(case, name)
         self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden), case.targets_m)
-        self.motors = Motors(self.script)
+        self.motors = Knocked(self.script, clock, case.pushed) if name == "r2" else Motors(self.script)
         self.agent: Agent | None = None
         self.post: list[Heard] = []
         self.starts = 0
@@ -152,6 +160,32 @@ class Robot:
         self.motors.send(set_point, self.clock.now_ns)
         if sweep is not None:
             self.script.plan(sweep)
+
+
+class Knocked(Motors):
+    """The script's control module, which somebody pushes: it sinks and swings, and is level again soon after."""
+
+    def __init__(self, script: Script, clock: Clock, pushed_s: tuple[float, float]) -> None:
+        super().__init__(script)
+        self._clock, self._pushed_s = clock, pushed_s
+
+    def drain(self) -> tuple[tuple, tuple]:
+        frames, lines = super().drain()
+        if not self._clock.within(self._pushed_s):
+            return frames, lines
+        since_s = (self._clock() - START_NS) * 1e-9 - self._pushed_s[0]
+        left = math.exp(-since_s / CALMS_S)
+        swing = math.sin(2 * math.pi * SWINGS_HZ * since_s)
+        return tuple(
+            replace(
+                frame,
+                depth_m=frame.depth_m + SINK_M * left,
+                roll_deg=TILT_DEG * left * swing,
+                pitch_deg=-TILT_DEG / 2 * left * swing,
+                sensor_depth_m=tuple(depth_m + SINK_M * left for depth_m in frame.sensor_depth_m),
+            )
+            for frame in frames
+        ), lines
 
 
 class Slow(Script):
@@ -206,4 +240,4 @@ def tear(whole: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(HERE, sys.argv[1:] or [*CASES, TORN])
+    make(HERE, sys.argv[1:] or [*CASES, TORN, SEEN])
