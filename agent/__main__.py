@@ -24,6 +24,8 @@ experiment_app = typer.Typer(no_args_is_help=True, help="The paper's experiments
 app.add_typer(experiment_app, name="experiment")
 replay_app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 app.add_typer(replay_app, name="replay")
+train_app = typer.Typer(no_args_is_help=True, help="Train what the robots see with.")
+app.add_typer(train_app, name="train")
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
@@ -219,6 +221,40 @@ def experiment_orientation(
     from agent.experiments.orientation import run
 
     run(seed, seeds, out, terminal())
+
+
+@train_app.command("enhance", epilog="Example: aucamp train enhance --out lu2net.safetensors --seed 0")
+def train_enhance(
+    pairs: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(metavar="RAW REFERENCE", help="Folders of pairs to train on instead of pairs of our own making."),
+    ] = None,
+    start: Annotated[Path | None, typer.Option(help="Weights to go on from; from scratch if not given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Weights to write; runs/<UTC> if not given.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Batches; 4000 from scratch, 400 from weights.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the weights, of the pairs, of their order.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint beside --out.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Keep none of --pairs back for validation.")] = False,
+    cross_validate: Annotated[
+        int | None, typer.Option(min=2, help="Write nothing: figures of --start tuned on --pairs, in so many folds.")
+    ] = None,
+) -> None:
+    """LU2Net's weights, from pairs of pictures with and without water; loss and validation curves beside them."""
+    try:
+        import safetensors  # noqa: F401
+        import torch
+    except ImportError as error:
+        raise ConfigError("training needs torch: pip install 'aucamp[enhance]'") from error
+    from agent.enhancement.command import cross_validation, plan_of, train
+
+    torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
+    plan = plan_of(steps, seed, start is not None)
+    if cross_validate is None:
+        train(pairs, out, plan, start, resume, everything, terminal())
+    elif pairs is None or start is None:
+        raise ConfigError("--cross-validate needs --pairs RAW REFERENCE and --start WEIGHTS")
+    else:
+        cross_validation(pairs, start, plan, cross_validate, terminal())
 
 
 @replay_app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")

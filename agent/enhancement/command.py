@@ -1,0 +1,145 @@
+"""`aucamp train enhance`: pairs of our own making or of yours -> weights, their hash, curves and a checkpoint."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from agent.config import ConfigError
+from agent.enhancement.dataset import Pairs, load, make_pairs, save, split
+from agent.enhancement.folders import folds, read_pairs
+from agent.enhancement.train import Plan, Point, Run, advance
+from agent.enhancement.validate import SIMPLE, Fold, cross_validate, mean, score, table
+from agent.launch import run_folder
+from agent.perception import lu2net
+
+MADE, SIDE = 3120, 256  # pairs of our own, and their side in pixels; real pairs are scaled to the same
+VALIDATED = 24  # pairs: enough for a curve, and a small part of the time
+SHARES = 5  # of real pairs, one in so many scenes is for validation
+FINE_TUNING_RATE = 3e-4  # a third of the rate from scratch: the start is worth keeping
+SAVE_EVERY = 50  # steps
+
+
+def train(
+    folders: tuple[Path, Path] | None,
+    out: Path | None,
+    plan: Plan,
+    start: Path | None,
+    resume: bool,
+    everything: bool,
+    console: Console,
+) -> None:
+    """Train from scratch, or from the weights `start`; `everything`: no pair is kept back for validation.
+
+    Raises ConfigError for pairs, weights or a checkpoint that cannot be used.
+    """
+    real = _real(folders, everything, console) if folders else None  # complain before a folder is made
+    net = lu2net.load(start) if start else None
+    out = run_folder(None) / "lu2net.safetensors" if out is None else out
+    out.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint = out.with_suffix(".checkpoint")
+    state = Run.resume(checkpoint, plan) if resume else Run(plan, net)
+    training, validation = real or _made(out, plan.seed, console)
+    console.print(
+        f"{len(training.raw)} pairs of {len(set(training.scene))} scenes to train on, "
+        f"{len(validation.raw)} of {len(set(validation.scene))} others to validate"
+    )
+    with progress(console) as bar:
+        task = bar.add_task("training", total=plan.steps, completed=state.step)
+        for value in advance(state, training, validation):
+            last = f", validation {state.curve[-1].psnr_db:.2f} dB" if state.curve else ""
+            bar.update(task, completed=state.step, description=f"loss {value:.3f}{last}")
+            if state.step % SAVE_EVERY == 0 or state.step == plan.steps:
+                state.save(checkpoint)
+                curves(state.curve, out)
+    lu2net.save(state.average.eval(), out)
+    console.print(f"written to {out}; curves beside it")
+
+
+def cross_validation(folders: tuple[Path, Path], start: Path, plan: Plan, count: int, console: Console) -> None:
+    """Print what fine-tuning on real pairs is worth on scenes it has not seen, beside what it starts from."""
+    net = lu2net.load(start)
+    pairs = _read(folders, console)
+    rows = {name: mean(score(pairs, method)) for name, method in SIMPLE.items()}
+    rows["weights as given"] = mean(score(pairs, lambda image: lu2net.run(net, image)))
+    done: list[Fold] = []
+    with progress(console) as bar:
+        task = bar.add_task("cross-validation", total=plan.steps * count)
+        for item in cross_validate(net, pairs, plan, count):
+            if isinstance(item, Fold):
+                done.append(item)
+                before, after = item.before, mean(item.after)
+                console.print(
+                    f"fold {item.number}: {item.held_out} pairs held out, "
+                    f"{before.psnr_db:.2f} -> {after.psnr_db:.2f} dB, {before.ssim:.3f} -> {after.ssim:.3f}"
+                )
+            else:
+                bar.update(task, advance=1, description=f"fold {len(done) + 1}, loss {item:.3f}")
+    rows["fine-tuned, held out"] = mean([figures for fold in done for figures in fold.after])
+    console.print(table(rows, f"{len(pairs.raw)} pairs of {len(set(pairs.scene))} scenes at {SIDE}x{SIDE}"))
+    folds_mean = np.mean([mean(fold.after).psnr_db for fold in done])
+    console.print(f"mean of the folds: {folds_mean:.2f} dB")
+
+
+def curves(points: Iterable[Point], out: Path) -> None:
+    """Loss and validation against steps, as CSV and PNG beside the weights."""
+    from matplotlib.figure import Figure
+
+    points = list(points)
+    with out.with_suffix(".csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(Point._fields)
+        rows.writerows(points)
+    figure = Figure(figsize=(7, 4))
+    left = figure.subplots()
+    left.plot([p.step for p in points], [p.loss for p in points], "C0.-")
+    left.set(xlabel="step", ylabel="training loss")
+    if any(math.isfinite(p.psnr_db) for p in points):
+        right = left.twinx()
+        right.plot([p.step for p in points], [p.psnr_db for p in points], "C1.-")
+        right.set_ylabel("validation PSNR, dB", color="C1")
+    figure.savefig(out.with_suffix(".png"), dpi=100, bbox_inches="tight")
+
+
+def progress(console: Console) -> Progress:
+    left = TimeRemainingColumn()
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), left, console=console)
+
+
+def _made(out: Path, seed: int, console: Console) -> tuple[Pairs, Pairs]:
+    """Our own pairs, from the file beside the weights, or made and put there."""
+    file = out.with_suffix(".pairs.npz")
+    if file.exists():
+        pairs = load(file)
+    else:
+        with progress(console) as bar:
+            task = bar.add_task("making pairs", total=MADE)
+            pairs = make_pairs(MADE, SIDE, seed, lambda done, total: bar.update(task, completed=done))
+        save(pairs, file)
+    training, validation = split(pairs)
+    return training, validation.only(np.arange(min(VALIDATED, len(validation.raw))))
+
+
+def _real(folders: tuple[Path, Path], everything: bool, console: Console) -> tuple[Pairs, Pairs]:
+    pairs = _read(folders, console)
+    held_out = np.zeros(len(pairs.raw), bool) if everything else folds(pairs.scene, SHARES, 0) == 0
+    return pairs.only(~held_out), pairs.only(held_out)
+
+
+def _read(folders: tuple[Path, Path], console: Console) -> Pairs:
+    with progress(console) as bar:
+        task = bar.add_task("reading pairs")
+        return read_pairs(*folders, SIDE, lambda done, total: bar.update(task, completed=done, total=total))
+
+
+def plan_of(steps: int | None, seed: int, fine: bool) -> Plan:
+    """Steps and rate as they suit: from scratch, or from weights that are good already. Raises ConfigError."""
+    if steps is not None and steps < 1:
+        raise ConfigError(f"--steps {steps}: give at least 1")
+    return Plan(steps or 400, seed, FINE_TUNING_RATE) if fine else Plan(steps or 4000, seed)

@@ -1,0 +1,151 @@
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from agent.config import ConfigError
+from agent.enhancement import degrade, folders
+from agent.enhancement.dataset import Pairs
+from agent.enhancement.landscapes import landscape
+
+torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
+
+from agent.enhancement import losses  # noqa: E402
+from agent.enhancement.train import Plan, Run, advance, batch, rate  # noqa: E402
+
+TINY = Plan(steps=5, seed=3, sizes=((64, 2), (32, 3)), validate_every=2)
+
+
+@pytest.fixture(scope="module")
+def pairs() -> Pairs:
+    made = [degrade.pair(*landscape(72, np.random.default_rng(i)), np.random.default_rng(i)) for i in range(6)]
+    raw, target = (np.stack([pair[k] for pair in made]) for k in (0, 1))
+    return Pairs(raw, target, np.array([f"land-{i}" for i in range(6)]))
+
+
+def test_training_that_was_cut_off_goes_on_as_if_not(pairs, tmp_path):
+    whole = Run(TINY)
+    losses_whole = list(advance(whole, pairs, pairs.only(np.arange(2))))
+    first = Run(TINY)
+    steps = advance(first, pairs, pairs.only(np.arange(2)))
+    losses_cut = [next(steps) for _ in range(3)]
+    first.save(tmp_path / "run.checkpoint")
+    second = Run.resume(tmp_path / "run.checkpoint", TINY)
+    losses_cut += list(advance(second, pairs, pairs.only(np.arange(2))))
+    assert losses_cut == losses_whole
+    assert second.curve == whole.curve and [point.step for point in whole.curve] == [2, 4, 5]
+    for ours, theirs in zip(second.average.state_dict().values(), whole.average.state_dict().values(), strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_a_checkpoint_of_another_plan_or_none_is_one_line(tmp_path):
+    file = tmp_path / "run.checkpoint"
+    with pytest.raises(ConfigError, match="no checkpoint"):
+        Run.resume(file, TINY)
+    Run(TINY).save(file)
+    with pytest.raises(ConfigError, match="was started with"):
+        Run.resume(file, TINY._replace(steps=6))
+    file.write_bytes(b"not a checkpoint")
+    with pytest.raises(ConfigError, match="no checkpoint"):
+        Run.resume(file, TINY)
+
+
+def test_training_learns(pairs):
+    plan = Plan(steps=25, sizes=((32, 6),))
+    values = list(advance(Run(plan), pairs, pairs.only(np.zeros(6, bool))))
+    assert np.mean(values[-5:]) < 0.9 * np.mean(values[:5])
+
+
+def test_batches_follow_from_seed_and_step_and_both_pictures_move_together(pairs):
+    same = Pairs(pairs.raw, pairs.raw, pairs.scene)
+    raw, target = batch(same, TINY, 1)
+    assert torch.equal(raw, target)
+    assert torch.equal(raw, batch(same, TINY, 1)[0])
+    assert raw.shape in [(2, 3, 64, 64), (3, 3, 32, 32)] and raw.min() >= 0 and raw.max() <= 1
+
+
+def test_the_rate_rises_and_ends_near_zero():
+    plan = Plan(steps=1000)
+    assert rate(plan, 0) < rate(plan, 49) > rate(plan, 500) > rate(plan, 999) > 0
+
+
+def test_equal_pictures_lose_nothing_and_others_do():
+    x = torch.rand(2, 3, 24, 20, generator=torch.Generator().manual_seed(0))
+    assert losses.loss(x, x).item() == pytest.approx(0, abs=1e-5)
+    for worse in (x * 0.5, x.flip(1), torch.rand_like(x)):
+        assert losses.loss(worse, x).item() > 0.1
+
+
+def test_lab_agrees_with_opencv():
+    rgb = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
+    theirs = cv2.cvtColor(rgb[0].permute(1, 2, 0).numpy(), cv2.COLOR_RGB2LAB)
+    assert np.abs(losses.to_lab(rgb)[0].permute(1, 2, 0).numpy() - theirs).max() < 0.3
+
+
+def test_losses_can_be_followed_downhill_from_black_and_white():
+    x = torch.tensor([0.0, 1.0]).repeat(1, 3, 16, 8).requires_grad_()
+    losses.loss(x, torch.full_like(x, 0.4)).backward()
+    assert torch.isfinite(x.grad).all() and x.grad.abs().sum() > 0
+
+
+def test_near_things_keep_their_light_and_far_things_are_veil():
+    sea = degrade.draw_sea(np.random.default_rng(0))
+    lit = np.full((16, 16, 3), 0.5, np.float32)
+    near, far = (degrade.submerge(lit, np.full((16, 16), z, np.float32), sea, 1.0) for z in (0.0, 1e3))
+    assert near[8, 8] == pytest.approx(0.5 * sea.down, rel=1e-5)
+    assert far[8, 8] == pytest.approx(sea.veil, rel=1e-5)
+
+
+def test_targets_are_neutral_and_of_full_contrast(pairs):
+    means, raw_means = pairs.target.mean((1, 2)), pairs.raw.mean((1, 2))
+    assert np.ptp(means, axis=1).mean() < 0.5 * np.ptp(raw_means, axis=1).mean()
+    assert (np.ptp(pairs.target, axis=(1, 2, 3)) >= 250).all()
+
+
+def test_clips_stay_together_and_folds_keep_scenes_whole():
+    rng = np.random.default_rng(0)
+    views = [cv2.resize(rng.integers(0, 256, (6, 6, 3), dtype=np.uint8), (64, 64)) for _ in range(6)]
+    clip = [np.roll(views[0], shift, axis=1) for shift in (0, 1, 2)]
+    numbers = folders.scenes(np.array(clip + views[1:]))
+    assert numbers[0] == numbers[1] == numbers[2]
+    assert len(set(numbers)) == 6
+    fold = folders.folds(np.array([f"scene-{n}" for n in numbers]), 3, seed=0)
+    assert len(set(fold[:3])) == 1 and set(fold) == {0, 1, 2}
+    with pytest.raises(ConfigError, match="cannot make 7 folds"):
+        folders.folds(np.array([f"scene-{n}" for n in numbers]), 7, seed=0)
+
+
+def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
+    raw, reference = tmp_path / "raw-890", tmp_path / "reference-890"
+    with pytest.raises(ConfigError, match="no such folder"):
+        folders.read_pairs(raw, reference, 32)
+    for folder in (raw, reference):
+        folder.mkdir()
+    cv2.imwrite(str(raw / "a.png"), np.full((40, 50, 3), 60, np.uint8))
+    with pytest.raises(ConfigError, match="no pairs"):
+        folders.read_pairs(raw, reference, 32)
+    cv2.imwrite(str(reference / "a.bmp"), np.full((40, 50, 3), 90, np.uint8))
+    pairs = folders.read_pairs(raw, reference, 32)
+    assert pairs.raw.shape == (1, 32, 32, 3) and pairs.raw.max() == 60 and pairs.target.max() == 90
+    cv2.imwrite(str(reference / "a.bmp"), np.zeros((40, 40, 3), np.uint8))
+    with pytest.raises(ConfigError, match="50x40 and 40x40 differ"):
+        folders.read_pairs(raw, reference, 32)
+    (raw / "a.png").write_bytes(b"torn")
+    with pytest.raises(ConfigError, match="not a picture"):
+        folders.read_pairs(raw, reference, 32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--pairs", "nowhere", "nowhere"], "nowhere: no such folder"),
+        (["--cross-validate", "3"], "needs --pairs RAW REFERENCE and --start WEIGHTS"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing_behind(arguments, expected, tmp_path):
+    command = [sys.executable, "-m", "agent", "train", "enhance", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and expected in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert not list(tmp_path.iterdir())
