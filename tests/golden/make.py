@@ -19,7 +19,6 @@ from msgspec.structs import replace
 from agent.config import Fleet, dump, load_fleet
 from agent.core import Agent
 from agent.messages import Heard, Inputs, SetPoint, Sighting, SweepPlan, Vector, decode, encode
-from agent.ranging.calibration import Calibration
 from agent.runtime import run_facts
 from replay.backlog import Entry
 from replay.log import parts
@@ -45,7 +44,7 @@ class Case(NamedTuple):
     mute: tuple[float, float] = (0.0, 0.0)  # r2 neither hears nor is heard
     dead: tuple[float, float] = (0.0, 0.0)  # r3 is down, and comes back without memory
     pushed: tuple[float, float] = (0.0, 0.0)  # r2 is knocked, and rights itself
-    wrong: float = 0.0  # lens positions by which r3's calibration is off: it is convinced of another place
+    wrong_m: float = 0.0  # by which r3 was surveyed wrongly along x: it is convinced of another place
     fleet: str = "tank"
     targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
 
@@ -56,7 +55,7 @@ CASES = {
     "three": Case("paper", 16.0),
     "three_evidence": Case("evidence", 16.0),
     "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0)),
-    "liar": Case("evidence", 18.0, wrong=60.0),
+    "liar": Case("evidence", 18.0, wrong_m=0.1),
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
     "push": Case("evidence", 18.0, pushed=(11.0, 12.5)),
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
@@ -113,8 +112,8 @@ class Robot:
     """One robot of the script, with its recording."""
 
     def __init__(self, fleet: Fleet, name: str, case: Case, clock: Clock) -> None:
-        self.fleet, self.name, self.clock = fleet, name, clock
-        self.calibration = calibration_of(case, name)
+        self.fleet, self.name, self.clock = surveyed(fleet, name, case), name, clock
+        self.calibration = replace(CALIBRATION, robot=name)
         self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden), case.targets_m)
         self.motors = Knocked(self.script, clock, case.pushed) if name == "r2" else Motors(self.script)
         self.agent: Agent | None = None
@@ -225,11 +224,13 @@ def fleet_of(case: Case) -> Fleet:
     return replace(fleet, robot=robots, estimation=replace(fleet.estimation, protocol=case.protocol))
 
 
-def calibration_of(case: Case, robot: str) -> Calibration:
-    focus = CALIBRATION.focus
-    if robot == "r3" and case.wrong:
-        focus = replace(focus, rho0=focus.rho0 + case.wrong)
-    return replace(CALIBRATION, robot=robot, focus=focus)
+def surveyed(fleet: Fleet, robot: str, case: Case) -> Fleet:
+    """The fleet file that a robot is given."""
+    if robot != "r3" or not case.wrong_m:
+        return fleet
+    r3 = fleet.robot["r3"]
+    elsewhere = replace(r3, pose=replace(r3.pose, x_m=r3.pose.x_m + case.wrong_m))
+    return replace(fleet, robot={**fleet.robot, "r3": elsewhere})
 
 
 def tear(whole: Path, out: Path) -> None:
