@@ -47,6 +47,7 @@ def run() -> dict[str, dict]:
     for name, entries, derive in (
         ("recording_agent_with_frames", agent, Derive(FLEET, "r1")),
         ("recording_agent_with_frames_no_viewer_channels", agent, None),
+        ("recording_3_robots", list(traffic(robots=3, cameras=0)), Derive(FLEET)),
         ("recording_30_robots_and_3_cameras", fleet, Derive(FLEET)),
     ):
         ours_s = statistics.median(cpu_s(lambda path, e=entries, d=derive: ours(path, e, d)) for _ in range(REPEATS))

@@ -7,6 +7,7 @@ tests/network/scripted_agent.py and whose messages travel as bytes from one step
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -18,13 +19,13 @@ from msgspec.structs import replace
 from agent.config import Fleet, dump, load_fleet
 from agent.core import Agent
 from agent.messages import Heard, Inputs, SetPoint, Sighting, SweepPlan, Vector, decode, encode
-from agent.ranging.calibration import Calibration
 from agent.runtime import run_facts
 from replay.backlog import Entry
 from replay.log import parts
 from replay.mcap_file import Part
 from replay.names import active
 from replay.recover import STEP_IN, STEP_OUT
+from tests.golden.frames import paint
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 
 HERE = Path(__file__).parent
@@ -42,7 +43,8 @@ class Case(NamedTuple):
     hidden: tuple[float, float] = (0.0, 0.0)  # nobody sees the target
     mute: tuple[float, float] = (0.0, 0.0)  # r2 neither hears nor is heard
     dead: tuple[float, float] = (0.0, 0.0)  # r3 is down, and comes back without memory
-    wrong: float = 0.0  # lens positions by which r3's calibration is off: it is convinced of another place
+    pushed: tuple[float, float] = (0.0, 0.0)  # r2 is knocked, and rights itself
+    wrong_m: float = 0.0  # by which r3 was surveyed wrongly along x: it is convinced of another place
     fleet: str = "tank"
     targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
 
@@ -53,11 +55,14 @@ CASES = {
     "three": Case("paper", 16.0),
     "three_evidence": Case("evidence", 16.0),
     "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0)),
-    "liar": Case("evidence", 18.0, wrong=60.0),
+    "liar": Case("evidence", 18.0, wrong_m=0.1),
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
+    "push": Case("evidence", 18.0, pushed=(11.0, 12.5)),
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
 }
 TORN = "torn"  # r1 of `three`, cut
+SEEN = "seen"  # frames, for vision
+TILT_DEG, SINK_M, SWINGS_HZ, CALMS_S = 9.0, 0.03, 1.6, 0.5  # what a knock does, and how it dies away
 
 
 def make(folder: Path, names: list[str]) -> None:
@@ -67,6 +72,8 @@ def make(folder: Path, names: list[str]) -> None:
         shutil.rmtree(out, ignore_errors=True)
         if name == TORN:
             tear(folder / "three" / "r1.mcap", out)
+        elif name == SEEN:
+            paint(fleet_of(CASES["three"]), out, START_NS, STEP_NS)
         else:
             dive(CASES[name], out)
 
@@ -105,10 +112,10 @@ class Robot:
     """One robot of the script, with its recording."""
 
     def __init__(self, fleet: Fleet, name: str, case: Case, clock: Clock) -> None:
-        self.fleet, self.name, self.clock = fleet, name, clock
-        self.calibration = calibration_of(case, name)
+        self.fleet, self.name, self.clock = surveyed(fleet, name, case), name, clock
+        self.calibration = replace(CALIBRATION, robot=name)
         self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden), case.targets_m)
-        self.motors = Motors(self.script)
+        self.motors = Knocked(self.script, clock, case.pushed) if name == "r2" else Motors(self.script)
         self.agent: Agent | None = None
         self.post: list[Heard] = []
         self.starts = 0
@@ -154,6 +161,32 @@ class Robot:
             self.script.plan(sweep)
 
 
+class Knocked(Motors):
+    """The script's control module, which somebody pushes: it sinks and swings, and is level again soon after."""
+
+    def __init__(self, script: Script, clock: Clock, pushed_s: tuple[float, float]) -> None:
+        super().__init__(script)
+        self._clock, self._pushed_s = clock, pushed_s
+
+    def drain(self) -> tuple[tuple, tuple]:
+        frames, lines = super().drain()
+        if not self._clock.within(self._pushed_s):
+            return frames, lines
+        since_s = (self._clock() - START_NS) * 1e-9 - self._pushed_s[0]
+        left = math.exp(-since_s / CALMS_S)
+        swing = math.sin(2 * math.pi * SWINGS_HZ * since_s)
+        return tuple(
+            replace(
+                frame,
+                depth_m=frame.depth_m + SINK_M * left,
+                roll_deg=TILT_DEG * left * swing,
+                pitch_deg=-TILT_DEG / 2 * left * swing,
+                sensor_depth_m=tuple(depth_m + SINK_M * left for depth_m in frame.sensor_depth_m),
+            )
+            for frame in frames
+        ), lines
+
+
 class Slow(Script):
     """The script's camera as on a robot: one frame of a sweep each step, and a target that can be out of sight."""
 
@@ -191,11 +224,13 @@ def fleet_of(case: Case) -> Fleet:
     return replace(fleet, robot=robots, estimation=replace(fleet.estimation, protocol=case.protocol))
 
 
-def calibration_of(case: Case, robot: str) -> Calibration:
-    focus = CALIBRATION.focus
-    if robot == "r3" and case.wrong:
-        focus = replace(focus, rho0=focus.rho0 + case.wrong)
-    return replace(CALIBRATION, robot=robot, focus=focus)
+def surveyed(fleet: Fleet, robot: str, case: Case) -> Fleet:
+    """The fleet file that a robot is given."""
+    if robot != "r3" or not case.wrong_m:
+        return fleet
+    r3 = fleet.robot["r3"]
+    elsewhere = replace(r3, pose=replace(r3.pose, x_m=r3.pose.x_m + case.wrong_m))
+    return replace(fleet, robot={**fleet.robot, "r3": elsewhere})
 
 
 def tear(whole: Path, out: Path) -> None:
@@ -206,4 +241,4 @@ def tear(whole: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(HERE, sys.argv[1:] or [*CASES, TORN])
+    make(HERE, sys.argv[1:] or [*CASES, TORN, SEEN])

@@ -14,17 +14,37 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from rewritten import GOLDEN
 
-from agent.messages import Outputs, State, decode
+from agent.messages import LogLine, Outputs, State, decode
+from agent.perception.again import see_again
 from replay.blackbox import open_box, open_boxes
 from replay.check import check, text
+from replay.vision_check import check_vision
 
-CASES = ("three", "three_evidence", "outage", "liar", "empty", "two", "torn")
+CASES = ("three", "three_evidence", "outage", "liar", "empty", "push", "two", "torn")
 TARGET_M = (0.76, 0.56, 0.07)  # of tests/network/scripted_agent.py
 
 
 def states(file: Path) -> list[State]:
     outputs = (decode(step.outputs, Outputs, limit=10**6) for step in open_box(file).steps() if step.outputs)
     return [each.state for each in outputs if each.state is not None]
+
+
+def log_lines(file: Path) -> list[LogLine]:
+    outputs = (decode(step.outputs, Outputs, limit=10**6) for step in open_box(file).steps() if step.outputs)
+    return [line for each in outputs for line in each.log]
+
+
+def test_todays_vision_sees_what_the_golden_frames_say() -> None:
+    (found,) = check_vision([GOLDEN / "seen"], see_again)
+    assert found.passed, str(found)
+    assert (found.frames, found.lost) == (7, 0)
+    assert found.quantities["peak, positions"].compared == 1
+
+
+def test_vision_that_looks_elsewhere_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.perception.vision.INNER_DISC", 1.0)
+    (found,) = check_vision([GOLDEN / "seen"], see_again)
+    assert not found.passed
 
 
 def test_todays_kernel_does_what_the_golden_logs_say() -> None:
@@ -50,6 +70,9 @@ def test_each_shows_what_it_is_kept_for() -> None:
     assert liar.explain is not None
     assert liar.explain.doubted == {"r3": 0.0}
     assert {s.rule for s in states(GOLDEN / "empty" / "r1.mcap") if 11 <= s.t <= 12} == {"hold"}
+    knocked = [line.text for line in log_lines(GOLDEN / "push" / "r2.mcap")]
+    assert any("tilted by" in text for text in knocked)
+    assert states(GOLDEN / "push" / "r2.mcap")[-1].posterior_m == pytest.approx(TARGET_M, abs=0.003)
     assert not open_box(GOLDEN / "torn" / "r1.mcap").complete
     for robot in ("r1", "r2", "r3"):
         two = {state.target: state for state in states(GOLDEN / "two" / f"{robot}.mcap")}
