@@ -196,6 +196,16 @@ def experiment_detection(
     run(seed, count, sensor, out, terminal())
 
 
+@experiment_app.command("consistency", epilog="Example: aucamp experiment consistency --count 100")
+def experiment_consistency(
+    seed: Seed = 0, count: Annotated[int, typer.Option(min=1, help="Measurements.")] = 1000, out: OutFolder = None
+) -> None:
+    """Whether measurements of a ball are as wrong as they say: with focus, with size, with both."""
+    from agent.experiments.consistency_table import run
+
+    raise typer.Exit(0 if run(seed, count, out, terminal()) else 1)
+
+
 @experiment_app.command("localization", epilog="Example: aucamp experiment localization --quick")
 def experiment_localization(
     seed: Seed = 0,

@@ -24,7 +24,7 @@ MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the pho
 
 
 class Intrinsics(NamedTuple):
-    """Pinhole with two radial terms, as OpenCV defines them; pixels from the centre of the upper left pixel."""
+    """Pinhole with one radial term, as OpenCV defines them; pixels from the centre of the upper left pixel."""
 
     width_px: int
     height_px: int
@@ -32,7 +32,6 @@ class Intrinsics(NamedTuple):
     cx_px: float
     cy_px: float
     k1: float
-    k2: float
     residual_px: float
     views: int
 
@@ -42,7 +41,7 @@ def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | Non
     fit = intrinsics(folder, columns, rows, square_mm, console)
     corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
     radius = corner_px / fit.f_px
-    bend_px = corner_px * abs(fit.k1 * radius**2 + fit.k2 * radius**4)
+    bend_px = corner_px * abs(fit.k1) * radius**2
     console.print(
         f"{fit.views} views: f {fit.f_px:.1f} px, centre ({fit.cx_px:.1f}, {fit.cy_px:.1f}), residual "
         f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners"
@@ -51,7 +50,9 @@ def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | Non
         kept = read_toml(out).get("camera", {}) if out.exists() else {}
         sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
         lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
-        put(out, "camera", {**kept, **sizes, **lens})
+        # OpenCV's k1 is our bend; what else the old scale went with does not belong to the new one.
+        fresh = {"bend": fit.k1, "ahead_m": 0.0, "lens": 0.0, "breathing": 0.0, "scale_covariance": [0.0, 0.0, 0.0]}
+        put(out, "camera", {**kept, **sizes, **lens, **fresh})
         console.print(f"[camera] of {out} written")
     return fit
 
@@ -80,7 +81,7 @@ def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, console:
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
-    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
     start = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1]], float)
     residual, matrix, distortion, *_ = cv2.calibrateCamera(
         [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
@@ -89,7 +90,12 @@ def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, console:
         raise ConfigError(
             f"{folder}: corners miss by {residual:.1f} px; check --columns, --rows, --square-mm and the focus"
         )
-    k1, k2 = (float(v) for v in distortion.ravel()[:2])
     return Intrinsics(
-        *size, float(matrix[0, 0]), float(matrix[0, 2]), float(matrix[1, 2]), k1, k2, float(residual), len(found)
+        *size,
+        float(matrix[0, 0]),
+        float(matrix[0, 2]),
+        float(matrix[1, 2]),
+        float(distortion.ravel()[0]),
+        float(residual),
+        len(found),
     )

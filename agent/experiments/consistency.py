@@ -31,7 +31,8 @@ from agent.perception.detect import Ball
 from agent.perception.vision import HOMING_S, Vision, around
 from agent.ranging.calibration import Calibration
 from agent.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, servos_us
-from agent.ranging.fix import Fix, locate
+from agent.ranging.cues import distance
+from agent.ranging.fix import locate
 from agent.ranging.focus import Refused
 from hw.camera import CameraError
 from hw.twin.body import SENSOR_M, SURVEY_DEG, SURVEY_M
@@ -41,7 +42,7 @@ from hw.twin.sensors import CORNERS, DRIFT_M_S, NOISE_M
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]  # measurements done, in all
 
-ROBOT = "r1"
+ROBOT, SENSOR = "r1", "imx519_640"
 PLACES = 25  # measurements of one robot; the next has another lens, calibration and ball
 RANGES_M = (0.25, 0.40, 0.60, 0.90, 1.20)
 WATERS = ("tap", "pool", "coastal")
@@ -108,13 +109,15 @@ def row(taken: list[dict[str, Any]], cue: str, low: float, high: float) -> dict[
     }
 
 
-def robot_measurements(seed: int, count: int) -> Iterator[dict[str, Any]]:
-    """One robot, calibrated on its bench, then at `count` places around its ball."""
+def robot_measurements(
+    seed: int, count: int, sensor: str = SENSOR, distance_m: float | None = None
+) -> Iterator[dict[str, Any]]:
+    """One robot, calibrated on its bench, then at `count` places around its ball, at one distance or at any."""
     rng = np.random.Generator(np.random.PCG64([seed, 4]))
     fleet = load_fleet(shipped_fleet())
     fleet = msgspec.structs.replace(fleet, twin=msgspec.structs.replace(fleet.twin, seed=seed))
     name, target = next(iter(fleet.target.items()))
-    robot = PosedRobot(fleet, ROBOT)
+    robot = PosedRobot(fleet, ROBOT, sensor)
     known = robot.calibrate()
     radius_m = target.radius_m + float(rng.normal(0.0, target.radius_sigma_m))
     near = [float(rng.uniform(*CORNER_M)) for _ in range(2)]  # a corner: the rest of the tank is as far as can be
@@ -123,19 +126,19 @@ def robot_measurements(seed: int, count: int) -> Iterator[dict[str, Any]]:
     robot.dive(WATERS[seed % len(WATERS)], Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3))
     vision = Vision(_no_camera, fleet, known.camera, epoch_offset_ns=0)
     for _ in range(count):
-        case = draw(fleet, ball_m, rng)
+        reach_m = float(rng.uniform(RANGES_M[0], RANGES_M[-1])) if distance_m is None else distance_m
+        case = draw(fleet, ball_m, reach_m, rng)
         eye = stand(robot, fleet, known, case, ball_m, rng)
         result = sweep(robot, vision, fleet, name, known)
         one: dict[str, Any] = {"seed": seed, "distance_m": case.distance_m}
         for cue in get_args(Cues):
-            one[cue] = judge(result, eye, known, target, cue, ball_m)
+            one[cue] = judge(result, eye, known, target, cue, ball_m, case.distance_m)
         yield one
 
 
-def draw(fleet: Fleet, ball_m: Vector, rng: np.random.Generator) -> Case:
+def draw(fleet: Fleet, ball_m: Vector, distance_m: float, rng: np.random.Generator) -> Case:
     """A place in the tank from which the ball is in reach of the gimbal."""
     width, depth, _ = fleet.tank.size_m
-    distance_m = float(rng.uniform(RANGES_M[0], RANGES_M[-1]))
     while True:
         height_m = float(rng.uniform(*HEIGHT_M))
         flat = math.sqrt(max(distance_m**2 - (height_m - ball_m[2]) ** 2, 0.0))
@@ -194,25 +197,33 @@ def sweep(robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: C
 
 
 def judge(
-    found: Measurement | Refused, eye: Eye, known: Calibration, ball: Target, cue: Cues, truth_m: Vector
+    found: Measurement | Refused,
+    eye: Eye,
+    known: Calibration,
+    ball: Target,
+    cue: Cues,
+    truth_m: Vector,
+    distance_m: float,
 ) -> dict[str, Any]:
-    """The error of one measurement in millimetres, and in standard deviations; or why there is none."""
-    fix: Fix | Refused = (
-        found if isinstance(found, Refused) else locate(known, eye, found.outline, found.focus, found.sigma, ball, cue)
-    )
-    if isinstance(fix, Refused):
-        return {"refused": fix.reason}
+    """The error of one measurement in millimetres, and in standard deviations; or why there is none.
+
+    "range": of the camera's own distance to the ball, without what the robot does not know of its place.
+    """
+    if isinstance(found, Refused):
+        return {"refused": found.reason}
+    measured = found.outline, found.focus, found.sigma, ball, cue
+    fix, reach = locate(known, eye, *measured), distance(known, *measured, math.asin(eye.rotation[2][2]))
+    if isinstance(fix, Refused) or isinstance(reach, Refused):
+        return {"refused": fix.reason if isinstance(fix, Refused) else ""}
     e = np.array(fix.position_m) - truth_m
     xx, xy, xz, yy, yz, zz = fix.covariance_m2
     covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    r = np.array(truth_m) - eye.position_m
-    r /= np.linalg.norm(r)
     return {
         "nees": float(e @ np.linalg.solve(covariance, e)),
         "error_mm": 1e3 * float(np.linalg.norm(e)),
         "sigma_mm": 1e3 * math.sqrt(xx + yy + zz),
-        "along_mm": 1e3 * float(e @ r),
-        "along_sigma_mm": 1e3 * math.sqrt(float(r @ covariance @ r)),
+        "range_mm": 1e3 * (reach.distance_m + known.camera.ahead_m - distance_m),
+        "range_sigma_mm": 1e3 * math.sqrt(reach.variance_m2),
         "focus_share": fix.focus_share,
     }
 

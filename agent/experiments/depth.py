@@ -11,26 +11,26 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import ConfigError
+from agent.config import ConfigError, Cues
 from agent.depth_map import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS, DepthMap, clarity_of, measure
+from agent.experiments.consistency import robot_measurements
 from agent.experiments.depth_figure import draw
 from agent.experiments.still import StillCamera, View
 from agent.launch import Failed
 from agent.perception.breathing import measure_growth
-from agent.perception.clarity import grid, luminance, tenengrad_disc
-from agent.perception.detect import find_ball
+from agent.perception.clarity import grid, luminance
 from agent.perception.enhance import enhance
 from agent.ranging.calibrate import FocusRow, fit_focus
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.ranging.camera_model import INNER_DISC, centre_behind_skin_m, ray
-from agent.ranging.focus import Array, Method, Peak, fit_peak, fit_peaks, h
+from agent.ranging.depth_of_field import depth_of_field_in_water_m
+from agent.ranging.focus import Array, Method, fit_peaks
 from hw.camera import Image, Roi
+from hw.twin.lens import PRESETS
 
 Progress = Callable[[int, int], None]  # sweeps done, sweeps in all
 
@@ -53,9 +53,8 @@ VIEWS = (
     View((0.75, 0.85, 0.20), 20.0, -10.0),  # the wall, at an angle
 )
 WATER = 1.333  # refractive index
-FOUND_PX = 640  # width of the picture in which the ball is looked for: the detector's limits are in pixels
-BALL_M = (0.3, 0.5, 1.0)  # camera to the ball's centre
-BALL_YAW_DEG = (0.0, 25.0, 50.0)  # from three sides each
+BALL_M, BALL_PLACES = (0.3, 0.5, 1.0), 4  # camera to the ball's centre, and from how many sides each
+SPOT_PX, PORT_M = 2.5, 0.005  # blur that a colour sensor cannot tell from a point; lens to window
 
 
 class Taken(NamedTuple):
@@ -77,7 +76,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
     if (out / "result.json").exists():
         raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
     out.mkdir(parents=True, exist_ok=True)
-    each = WALL_REPEATS * len(WALL_M) + len(VIEWS) + len(BALL_M) * len(BALL_YAW_DEG)
+    each = WALL_REPEATS * len(WALL_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
     done = 0
 
     def step() -> None:
@@ -107,7 +106,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
         result["enhanced"].append({"sensor": sensor, **enhanced_shift(taken, maps["matched"], known)})
         for k, one in enumerate(taken):
             draw(maps["matched"][k], one.truth_m, out / f"depth_{sensor}_{k + 1}.png")
-        result["balls"] += [ball(camera, sensor, known, distance_m, step) for distance_m in BALL_M]
+        result["balls"] += balls(sensor, seed, step)
     result["missed"] = missed(result["cases"])
     (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
@@ -237,42 +236,41 @@ def enhanced_shift(taken: list[Taken], raw: list[DepthMap], known: Calibration) 
     }
 
 
-def ball(
-    camera: StillCamera, sensor: str, known: Calibration, distance_m: float, step: Callable[[], None]
-) -> dict[str, Any]:
-    """The ball's centre from the inner disc of its picture, from several sides; error along the ray, mm."""
-    target = next(solid for solid in camera.solids if solid.kind == "ball")
-    errors: list[float | None] = []
-    for yaw_deg in BALL_YAW_DEG:
-        yaw = math.radians(yaw_deg)
-        x, y, z = target.position_m
-        camera.view = View((x - distance_m * math.cos(yaw), y - distance_m * math.sin(yaw), z), yaw_deg)
-        images, focus = frames(camera), positions(camera)
-        found_m = ball_range_m(images, focus, known, target.radii_m[0])
-        errors.append(None if found_m is None else 1e3 * (found_m - distance_m))
-        step()
-    return {"sensor": sensor, "distance_m": distance_m, "errors_mm": errors}
+def balls(sensor: str, seed: int, step: Callable[[], None]) -> list[dict[str, Any]]:
+    """The ball alone at three distances, calibrated as a robot is: with focus alone, with size alone, with both.
+
+    Errors are those of the camera's own range; `depth_of_field_m` is what one frame alone could tell, for spots of
+    SPOT_PX pixels.
+    """
+    lens, found = PRESETS[sensor], []
+    for distance_m in BALL_M:
+        taken = []
+        for one in robot_measurements(seed, BALL_PLACES, sensor, distance_m):
+            taken.append(one)
+            step()
+        spot_m = SPOT_PX * lens.pixel_m
+        field_m = depth_of_field_in_water_m(distance_m, lens.focal_m, lens.f_number, spot_m, WATER, PORT_M)
+        for cue in get_args(Cues):
+            good = [one[cue] for one in taken if "range_mm" in one[cue]]
+            refused = sorted({one[cue]["refused"] for one in taken if "refused" in one[cue]})
+            errors_mm = [one["range_mm"] for one in good]
+            found.append(
+                {
+                    "sensor": sensor,
+                    "distance_m": distance_m,
+                    "cues": cue,
+                    "errors_mm": errors_mm,
+                    "rms_mm": rms(errors_mm),
+                    "sigma_mm": rms([one["range_sigma_mm"] for one in good]),
+                    "refused": refused,
+                    "depth_of_field_m": field_m if math.isfinite(field_m) else None,
+                }
+            )
+    return found
 
 
-def ball_range_m(images: list[Image], focus: list[int], known: Calibration, radius_m: float) -> float | None:
-    """Camera to the ball's centre; None where the ball is not found or has no peak."""
-    height, width = images[0].shape[:2]
-    middle = ((width - 1) / 2, (height - 1) / 2), height / 12  # it is looked at
-    clearest = images[int(np.argmax([tenengrad_disc(image, *middle)[0] for image in images]))]
-    shrink = max(1, round(width / FOUND_PX))
-    small = cv2.resize(clearest, (width // shrink, height // shrink), interpolation=cv2.INTER_AREA).astype(np.uint8)
-    seen = find_ball(small, pinhole(width // shrink, height // shrink, known.camera.f_px / shrink))
-    if seen is None:
-        return None
-    u, v = (shrink * (k + 0.5) - 0.5 for k in seen.centre_px)
-    centre_px = u, v
-    curve = [tenengrad_disc(image, centre_px, INNER_DISC * shrink * seen.radius_px)[0] for image in images]
-    peak = fit_peak([float(p) for p in focus], curve)
-    z_m = h(known.focus, peak.position) if isinstance(peak, Peak) else None
-    if z_m is None:
-        return None
-    skin_m = z_m / ray(known.camera, centre_px)[2]
-    return skin_m + centre_behind_skin_m(skin_m, radius_m)
+def rms(values: list[float]) -> float | None:
+    return math.sqrt(sum(v * v for v in values) / len(values)) if values else None
 
 
 def missed(cases: list[dict[str, Any]]) -> list[str]:

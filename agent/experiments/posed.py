@@ -26,11 +26,11 @@ DIVE_NS = 10_000_000_000_000  # hours after the bench: the coil is warm
 
 
 class PosedRobot:
-    """Robot `name` of a fleet in the fleet's own world; `dive` takes it off the bench."""
+    """Robot `name` of a fleet in the fleet's own world, with this sensor; `dive` takes it off the bench."""
 
-    def __init__(self, fleet: Fleet, name: str) -> None:
+    def __init__(self, fleet: Fleet, name: str, sensor: str) -> None:
         self._fleet, self._name = fleet, name
-        self._scene = load_scene(fleet.twin.scene)
+        self._scene = msgspec.structs.replace(load_scene(fleet.twin.scene), camera=sensor)
         seed = fleet.twin.seed
         self._lens = draw_lens(self._scene.camera, generator(seed, name, "lens"))
         self._vcm = Vcm(self._lens, generator(seed, name, "vcm"))

@@ -8,7 +8,7 @@ import pytest
 from agent.config import ConfigError
 from agent.experiments import depth as experiment
 from agent.experiments.depth_figure import draw
-from agent.experiments.still import StillCamera, View
+from agent.experiments.still import StillCamera
 from agent.ranging.calibration import Calibration
 from agent.ranging.focus import lens_position
 from hw.camera import Roi
@@ -61,12 +61,6 @@ def test_one_view(camera, known, tmp_path):
     assert errors["matched"] < 10 and errors["matched"] < errors["argmax"]
     draw(maps["matched"][0], taken.truth_m, tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 50_000
-
-
-def test_a_ball(camera, known):
-    camera.view = View((0.76 - 0.45, 0.56, 0.07), 0.0)
-    images = experiment.frames(camera)
-    assert experiment.ball_range_m(images, experiment.positions(camera), known, 0.07) == pytest.approx(0.45, abs=0.008)
 
 
 def test_a_folder_with_a_result_is_left_alone(tmp_path):

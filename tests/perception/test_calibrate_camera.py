@@ -45,6 +45,7 @@ def test_known_intrinsics_come_back(folder: Path, tmp_path: Path) -> None:
     content = read_toml(out)
     assert content["camera"]["f_px"] == fit.f_px
     assert content["camera"]["pan_zero_deg"] == 0.5
+    assert content["camera"]["bend"] == fit.k1 and content["camera"]["breathing"] == 0.0
     assert content["focus"] == {"rho0": 3.0}
 
 
