@@ -1,8 +1,8 @@
 """What follows a box from frame to frame: NanoTrack where its two ONNX files are given, else OpenCV's MIL.
 
-NanoTrack is a small siamese network that OpenCV runs (cv2.TrackerNano). Version 2 of the network, as published in HonglinChu/SiamTrackers (NanoTrack/models/nanotrackv2, Apache-2.0). Version 3
-has another head: OpenCV 5.0 fails in its first update. MIL needs no file; it is
-slower, keeps the size of its box, and has no score of its own.
+NanoTrack is a small siamese network that OpenCV runs (cv2.TrackerNano). Version 2 of it, as published in
+HonglinChu/SiamTrackers (NanoTrack/models/nanotrackv2, Apache-2.0); version 3 has another head, on which OpenCV 5.0
+fails in its first update. MIL needs no file; it is slower, keeps the size of its box, and has no score of its own.
 """
 
 from __future__ import annotations

@@ -12,11 +12,11 @@ import math
 from typing import NamedTuple
 
 from agent.config import ConfigError
-from agent.perception.likeness import Box, Image, Looks, likeness, remember, renewed, search
 from agent.perception.engines import Engine
+from agent.perception.likeness import Box, Image, Looks, likeness, remember, renewed, search
 
 HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
-HOLD_LIKE, SURE_LIKE = 0.40, 0.60  # measured: 0.6 to 0.9 from frame to frame, below 0.3 when something else is there
+HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
 FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
 MAX_GROWTH = 1.5  # of the area, from frame to frame
 MAX_STEP = 1.0  # of the box's diagonal, from frame to frame
