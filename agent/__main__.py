@@ -130,6 +130,21 @@ def depth_map(
     terminal().print(run(source, out, block, calibration))
 
 
+@app.command("track", epilog="Example: aucamp track dive.mp4 --box 210,140,90,60 --out followed.mp4")
+def track(
+    source: Annotated[str, typer.Argument(help="Folder of pictures, video file, or a camera URL.")],
+    box: Annotated[str, typer.Option(help="Around the thing in the first picture: X,Y,W,H in pixels.")],
+    backbone: Annotated[Path | None, typer.Option(help="NanoTrack V2's backbone (ONNX).")] = None,
+    neck: Annotated[Path | None, typer.Option(help="NanoTrack V2's neck and head (ONNX).")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="How many; a camera needs it.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Pictures with the box: new folder, or .mp4, .avi.")] = None,
+) -> None:
+    """Follow what is in a box; a line per picture says where it is, how sure, and whether it is lost."""
+    from agent.track import run
+
+    raise typer.Exit(0 if run(source, box, backbone, neck, frames, out, typer.echo) else 1)
+
+
 @calibrate_app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
 def calibrate_run(
     fleet: FleetFile,

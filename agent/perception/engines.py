@@ -1,0 +1,97 @@
+"""What follows a box from frame to frame: NanoTrack where its two ONNX files are given, else OpenCV's MIL.
+
+NanoTrack is a small siamese network that OpenCV runs (cv2.TrackerNano). Version 2 of it, as published in
+HonglinChu/SiamTrackers (NanoTrack/models/nanotrackv2, Apache-2.0); version 3 has another head, on which OpenCV 5.0
+fails in its first update. MIL needs no file; it is slower, keeps the size of its box, and has no score of its own.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from agent.config import ConfigError
+from agent.perception.likeness import Box, Image
+
+BLANK = np.full((96, 96, 3), 127, np.uint8)  # enough of a picture to see whether the network runs at all
+
+
+class Engine(Protocol):
+    """Follows whatever it was started on, and never says that it is gone."""
+
+    def start(self, image: Image, box: Box) -> None: ...
+
+    def follow(self, image: Image) -> tuple[Box, float]:
+        """Where it is now, and how sure that is, 0 to 1. Call start() first."""
+
+
+class Nano:
+    """See load_nano."""
+
+    def __init__(self, tracker: cv2.TrackerNano) -> None:
+        self._tracker = tracker
+
+    def start(self, image: Image, box: Box) -> None:
+        self._tracker.init(image, whole_pixels(image, box))
+
+    def follow(self, image: Image) -> tuple[Box, float]:
+        _, box = self._tracker.update(image)  # its flag is always true
+        return Box(*(float(side) for side in box)), float(self._tracker.getTrackingScore())
+
+
+class Mil:
+    """cv2.TrackerMIL; every start is a new one."""
+
+    def __init__(self) -> None:
+        self._tracker: cv2.TrackerMIL | None = None
+
+    def start(self, image: Image, box: Box) -> None:
+        self._tracker = cv2.TrackerMIL.create()
+        self._tracker.init(image, whole_pixels(image, box))
+
+    def follow(self, image: Image) -> tuple[Box, float]:
+        assert self._tracker is not None  # start() comes first
+        _, box = self._tracker.update(image)
+        return Box(*(float(side) for side in box)), 1.0
+
+
+def whole_pixels(image: Image, box: Box) -> tuple[int, int, int, int]:
+    """What of a box lies in the picture, at least two pixels each way."""
+    height, width = image.shape[:2]
+    left, top = min(max(round(box.x), 0), width - 2), min(max(round(box.y), 0), height - 2)
+    right, bottom = min(round(box.x + box.width), width), min(round(box.y + box.height), height)
+    return left, top, max(right - left, 2), max(bottom - top, 2)
+
+
+def load_engine(backbone: Path | None, neckhead: Path | None) -> Engine:
+    """NanoTrack from two files, MIL from none. Raises ConfigError for one of two, and as load_nano does."""
+    if backbone is None and neckhead is None:
+        return Mil()
+    if backbone is None or neckhead is None:
+        raise ConfigError("NanoTrack consists of two files; give both --backbone and --neck, or neither")
+    return load_nano(backbone, neckhead)
+
+
+def load_nano(backbone: Path, neckhead: Path) -> Nano:
+    """Raises ConfigError for a file that is not there, or a pair that OpenCV cannot run as NanoTrack V2."""
+    for path in (backbone, neckhead):
+        if not path.is_file():
+            raise ConfigError(f"{path}: no such file; give the two ONNX files of NanoTrack V2 as backbone and neck")
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it warns of targets that nobody asked for
+    try:
+        parameters = cv2.TrackerNano.Params()
+        parameters.backbone, parameters.neckhead = str(backbone), str(neckhead)
+        tracker = cv2.TrackerNano.create(parameters)
+        tracker.init(BLANK, (32, 32, 32, 32))
+        tracker.update(BLANK)
+    except cv2.error:
+        raise ConfigError(
+            f"{backbone}, {neckhead}: OpenCV cannot run them; give NanoTrack V2, the backbone first (not V1 or V3)"
+        ) from None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    return Nano(tracker)

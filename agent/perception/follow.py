@@ -1,0 +1,91 @@
+"""Follow a thing that somebody has drawn a box around, say when it is lost, and find it again.
+
+Two witnesses have to agree: the tracker's own score, and the likeness of what is in its box to what was there before.
+Either alone is fooled: the score recovers on an empty wall, the likeness falls when a fish turns. A box that grew,
+shrank or jumped more than a thing can within one frame is not believed either. While it is lost the whole picture is
+searched for it, and the tracker starts anew where it is found.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from agent.config import ConfigError
+from agent.perception.engines import Engine
+from agent.perception.likeness import Box, Image, Looks, likeness, remember, renewed, search
+
+HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
+HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
+FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
+MAX_GROWTH = 1.5  # of the area, from frame to frame
+MAX_STEP = 1.0  # of the box's diagonal, from frame to frame
+MIN_SIDE_PX = 8  # of a box that can be followed
+
+
+class Followed(NamedTuple):
+    box: Box  # while it is lost: where it was last seen
+    score: float  # 0 to 1, the weaker witness; 0 while it is lost
+    lost: bool
+
+
+class Follower:
+    """Give it every frame of one size; it begins to follow at start()."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._looks: Looks | None = None
+        self._box = Box(0, 0, 0, 0)
+        self._lost = True
+
+    def start(self, image: Image, box: Box) -> None:
+        """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
+        check_box(box, (image.shape[1], image.shape[0]))
+        self._engine.start(image, box)
+        self._looks, self._box, self._lost = remember(image, box), box, False
+
+    def look(self, image: Image) -> Followed:
+        """Where it is in the next picture. Raises RuntimeError before start()."""
+        if self._looks is None:
+            raise RuntimeError("call start() before look()")
+        return self._search(image, self._looks) if self._lost else self._follow(image, self._looks)
+
+    def _follow(self, image: Image, looks: Looks) -> Followed:
+        box, score = self._engine.follow(image)
+        alike = likeness(looks, image, box) if usable(box) and steady(self._box, box) else -1.0
+        if score < HOLD_SCORE or alike < HOLD_LIKE:
+            self._lost = True
+            return self._search(image, looks)  # it may have jumped
+        self._box = box
+        if score >= SURE_SCORE and alike >= SURE_LIKE:
+            self._looks = renewed(looks, image, box)
+        return Followed(box, min(score, max(alike, 0.0)), lost=False)
+
+    def _search(self, image: Image, looks: Looks) -> Followed:
+        box, alike = search(looks, image, self._box)
+        if alike < FOUND_LIKE:
+            return Followed(self._box, 0.0, lost=True)
+        self._engine.start(image, box)
+        self._box, self._lost = box, False
+        return Followed(box, alike, lost=False)
+
+
+def usable(box: Box) -> bool:
+    return min(box.width, box.height) >= MIN_SIDE_PX
+
+
+def steady(before: Box, after: Box) -> bool:
+    """Whether one and the same thing can have had these boxes in two frames that follow each other."""
+    growth = after.width * after.height / (before.width * before.height)
+    step = math.dist(before.centre_px, after.centre_px) / math.hypot(before.width, before.height)
+    return 1.0 / MAX_GROWTH <= growth <= MAX_GROWTH and step <= MAX_STEP
+
+
+def check_box(box: Box, size: tuple[int, int]) -> None:
+    """Raises ConfigError for a box too small to follow or not inside a picture of size (width, height)."""
+    inside = box.x >= 0 and box.y >= 0 and box.x + box.width <= size[0] and box.y + box.height <= size[1]
+    if not inside or not usable(box):
+        raise ConfigError(
+            f"--box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
+            f"at least {MIN_SIDE_PX} pixels wide and high"
+        )

@@ -1,0 +1,143 @@
+"""`aucamp track SOURCE --box X,Y,W,H`: follow what is in the box through a folder, a video or a camera's frames.
+
+One line a frame on standard output; with --out also the pictures, with the box drawn in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rich.console import Console
+
+from agent.config import ConfigError
+from agent.launch import with_bar
+from agent.perception.engines import load_engine
+from agent.perception.follow import Followed, Follower
+from agent.perception.likeness import Box
+from agent.pictures import Picture, Pictures, pictures
+from hw.camera import Image
+
+VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
+RATE_HZ = 30.0  # of the annotated video
+HEADER = "picture,t_s,x_px,y_px,width_px,height_px,score,lost"
+GREEN, RED = (60, 220, 60), (60, 60, 230)
+
+Show = Callable[[Image, str], None]  # a picture and its name
+
+
+def run(
+    source: str,
+    box: str,
+    backbone: Path | None,
+    neck: Path | None,
+    frames: int | None,
+    out: Path | None,
+    say: Callable[[str], None],
+) -> bool:
+    """Say HEADER and a line for each picture; returns whether the thing is still there at the end.
+
+    Raises ConfigError and CameraError, one line each. Existing files are not overwritten.
+    """
+    drawn, follower = parse_box(box), Follower(load_engine(backbone, neck))
+    found = pictures(source, frames)
+    say(HEADER)
+    with writer(out) as show:
+        return with_bar(Console(stderr=True), "following", lambda bar: follow(found, drawn, follower, show, say, bar))
+
+
+def follow(
+    found: Pictures,
+    box: Box,
+    follower: Follower,
+    show: Show,
+    say: Callable[[str], None],
+    progress: Callable[[int, int], None],
+) -> bool:
+    now, size = Followed(box, 1.0, lost=False), None
+    for k, picture in enumerate(found.each):
+        if size is None:
+            size = picture.image.shape
+            follower.start(picture.image, box)
+        elif picture.image.shape != size:
+            raise ConfigError(f"{picture.name}: not of the size of the first picture; give pictures of one size")
+        else:
+            now = follower.look(picture.image)
+        say(line(picture, now))
+        show(annotated(picture.image, now), picture.name)
+        progress(k + 1, found.total or k + 2)
+    return not now.lost
+
+
+def parse_box(text: str) -> Box:
+    """X,Y,W,H in pixels. Raises ConfigError."""
+    try:
+        box = Box(*(float(side) for side in text.split(",")))
+    except (TypeError, ValueError):
+        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
+    if not all(math.isfinite(side) for side in box):
+        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
+    return box
+
+
+def line(picture: Picture, now: Followed) -> str:
+    t_s = "" if picture.t_s is None else f"{picture.t_s:.3f}"
+    return f"{picture.name},{t_s},{','.join(f'{side:.1f}' for side in now.box)},{now.score:.2f},{int(now.lost)}"
+
+
+def annotated(image: Image, now: Followed) -> Image:
+    """The picture with the box in it: green while it is followed, red where it was lost."""
+    drawn, colour = image.copy(), RED if now.lost else GREEN
+    corners = [(round(x), round(y)) for x, y in ((now.box.x, now.box.y), _far_corner(now.box))]
+    cv2.rectangle(drawn, corners[0], corners[1], colour, 2)
+    text = "lost" if now.lost else f"{now.score:.2f}"
+    cv2.putText(drawn, text, (corners[0][0], max(corners[0][1] - 6, 14)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
+    return drawn
+
+
+def _far_corner(box: Box) -> tuple[float, float]:
+    return box.x + box.width, box.y + box.height
+
+
+@contextmanager
+def writer(out: Path | None) -> Iterator[Show]:
+    """Where annotated pictures go: a video if `out` ends as one, else a new folder. Raises ConfigError."""
+    if out is None:
+        yield lambda image, name: None
+    elif out.exists():
+        raise ConfigError(f"{out}: exists; give --out another name, nothing is overwritten")
+    elif out.suffix.lower() in VIDEOS:
+        film: list[cv2.VideoWriter] = []
+
+        def add(image: Image, name: str) -> None:
+            if not film:
+                codec = cv2.VideoWriter.fourcc(*VIDEOS[out.suffix.lower()])
+                film.append(cv2.VideoWriter(str(out), codec, RATE_HZ, (image.shape[1], image.shape[0])))
+                if not film[0].isOpened():
+                    raise ConfigError(f"{out}: cannot be written; choose another place or give a folder")
+            film[0].write(np.ascontiguousarray(image))
+
+        try:
+            yield add
+        finally:
+            for one in film:
+                one.release()
+    elif out.suffix:
+        raise ConfigError(f"{out}: give --out a folder, or a video that ends in {' or '.join(VIDEOS)}")
+    else:
+        try:
+            out.mkdir(parents=True)
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another place") from None
+        yield lambda image, name: _save(out, image, name)
+
+
+def _save(folder: Path, image: Image, name: str) -> None:
+    stem = Path(name).stem
+    path = folder / f"{stem.zfill(6) if stem.isdigit() else stem}.png"
+    if not cv2.imwrite(str(path), image):
+        raise ConfigError(f"{path}: cannot be written; choose another folder")
