@@ -71,11 +71,12 @@ def _add(match: Array, templates: Array, sample: float) -> None:
 def _refine(x: Array, dy: Array, x0: float, w: float, tolerance: float) -> Any:
     """Gauss-Newton; a step that makes the fit worse is halved and tried again."""
     share = 1.0
-    sse, a, step_x0, step_w, spread = _at(x, dy, x0, w)
+    model = np.empty((3, x.size))
+    sse, a, step_x0, step_w, spread = _at(x, dy, x0, w, model)
     for _ in range(REFINEMENTS):
         new_x0 = min(max(x0 + share * min(max(step_x0, -0.5 * w), 0.5 * w), x[0]), x[-1])
         new_w = w * min(max(1.0 + share * step_w / w, 0.6), 1.6)
-        there = _at(x, dy, new_x0, new_w)
+        there = _at(x, dy, new_x0, new_w, model)
         last = max(abs(new_x0 - x0), abs(new_w - w)) < tolerance
         if there[0] < sse:
             x0, w = new_x0, new_w
@@ -89,19 +90,16 @@ def _refine(x: Array, dy: Array, x0: float, w: float, tolerance: float) -> Any:
 
 
 @kernel
-def _at(x: Array, dy: Array, x0: float, w: float) -> Any:
+def _at(x: Array, dy: Array, x0: float, w: float, model: Array) -> Any:
     """As focus._at for one curve: sum of squares, height, steps of x0 and w, variance of x0 for unit noise."""
     n = x.size
     t_sum = s_sum = q_sum = tt = ty = ss = qq = sq = st = qt = 0.0
+    _derivatives(x, x0, w, model)
     for i in range(n):
-        z = (x[i] - x0) / w
-        t_sum += 1.0 / (1.0 + z * z)
+        t_sum += model[0, i]
     mean = t_sum / n
     for i in range(n):
-        z = (x[i] - x0) / w
-        t = 1.0 / (1.0 + z * z)
-        dt, s = t - mean, z * t * t
-        q = s * z
+        dt, s, q = model[0, i] - mean, model[1, i], model[2, i]
         tt += dt * dt
         ty += dt * dy[i]
         st += s * dt
@@ -114,12 +112,10 @@ def _at(x: Array, dy: Array, x0: float, w: float) -> Any:
     a = ty / tt
     sse = sr = qr = 0.0
     for i in range(n):
-        z = (x[i] - x0) / w
-        t = 1.0 / (1.0 + z * z)
-        r = dy[i] - a * (t - mean)
+        r = dy[i] - a * (model[0, i] - mean)
         sse += r * r
-        sr += z * t * t * r
-        qr += z * z * t * t * r
+        sr += model[1, i] * r
+        qr += model[2, i] * r
     k = 2.0 * a / w
     ss = max(ss - s_sum * s_sum / n - st * st / tt, 0.0)
     qq = max(qq - q_sum * q_sum / n - qt * qt / tt, 0.0)
@@ -132,6 +128,17 @@ def _at(x: Array, dy: Array, x0: float, w: float) -> Any:
         _ratio(ss * qr - sq * sr, k * determinant),
         _ratio(qq, k * k * determinant),
     )
+
+
+@kernel
+def _derivatives(x: Array, x0: float, w: float, model: Array) -> None:
+    """model (3, n): T, dT/dx0 and dT/dw, the last two over 2 / w."""
+    for i in range(x.size):
+        z = (x[i] - x0) / w
+        t = 1.0 / (1.0 + z * z)
+        model[0, i] = t
+        model[1, i] = z * t * t
+        model[2, i] = z * z * t * t
 
 
 @kernel
