@@ -20,8 +20,9 @@ from rich.progress import Progress
 from agent.config import ConfigError
 from agent.perception.breathing import measure_growth
 from agent.perception.clarity import grid, luminance, tenengrad_grid
+from agent.perception.peaks import block_peaks
 from agent.ranging.calibration import Calibration, load_calibration
-from agent.ranging.focus import MIN_POSITIONS, Array, Method, fit_peaks, h
+from agent.ranging.focus import MIN_POSITIONS, Array, Method, h
 from hw.camera import Camera, CameraError, Image, nearest, open_camera
 from hw.camera_files import StackCamera
 
@@ -170,7 +171,7 @@ def measure(
 ) -> DepthMap:
     """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks."""
     count, rows, cols = taken.clarity.shape
-    peaks = fit_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T, method=method)
+    peaks = block_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T, method)
     shape = (rows, cols)
     textured = taken.clarity.max(axis=0) - np.median(taken.clarity, axis=0) >= MIN_RISE
     position = peaks.position.reshape(shape)

@@ -176,6 +176,10 @@ class V4l2Camera:
         kept = self._get(value) if self._query(value) is not None else None
         if self._query(automatic) is not None:
             self._set(automatic, off)
+            if self._get(automatic) != off:  # a driver may refuse and still report success
+                raise CameraError(
+                    f"{self._device}: control {automatic:#010x} cannot be switched off; use another camera"
+                )
         if kept is not None:
             self._set(value, kept)
 

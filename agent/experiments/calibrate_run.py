@@ -46,9 +46,11 @@ def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None
 def describe(calibration: Calibration) -> str:
     """What the fit is worth, in two lines."""
     focus, camera = calibration.focus, calibration.camera
+    nearer = "larger" if focus.b_m > 0.0 else "smaller"  # u = u_inf + b / (rho - rho0): 0 for infinity is custom only
     return (
         f"focus: R² {focus.r2:.4f}, rms {1e3 * focus.rmse_m:.1f} mm, held out {1e3 * focus.held_out_rmse_m:.1f} mm, "
-        f"one peak ± {focus.noise:.2f} lens positions\n"
+        f"one peak ± {focus.noise:.2f} lens positions, "
+        f"{nearer} ones are nearer\n"
         f"camera: f {camera.f_px:.1f} px, pan zero {camera.pan_zero_deg:+.2f}° gain {camera.pan_gain:.4f}, "
         f"tilt zero {camera.tilt_zero_deg:+.2f}° gain {camera.tilt_gain:.4f}, residual {camera.noise_px:.2f} px"
     )

@@ -8,7 +8,7 @@ class.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -56,6 +56,19 @@ class Peaks(NamedTuple):
     accepted: NDArray[np.bool_]
 
 
+class Solved(NamedTuple):
+    """The model fitted to each of many curves; every field has shape (curves,)."""
+
+    x0: Array
+    width: Array
+    sse: Array  # sum of squares of the residuals
+    height: Array
+    spread: Array  # variance of x0 for unit noise
+
+
+Solve = Callable[[Array, Array, float | None], Solved]  # positions (n,) rising, curves (m, n), width or free
+
+
 def fit_peak(
     focus: Sequence[float], clarity: Sequence[float], width: float | None = None, method: Method = "matched"
 ) -> Peak | Refused:
@@ -74,19 +87,25 @@ def fit_peak(
     return Refused(f"no single peak: the quality is {peaks.quality[0]:.2f}, at least {MIN_QUALITY:.2f} is needed")
 
 
-def fit_peaks(focus: Array, curves: Array, width: float | None = None, method: Method = "matched") -> Peaks:
+def fit_peaks(
+    focus: Array,
+    curves: Array,
+    width: float | None = None,
+    method: Method = "matched",
+    solve: Solve | None = None,
+) -> Peaks:
     """The peaks of many curves taken at the same lens positions: focus (n,), curves (m, n), n >= 5.
 
     What is accepted does not depend on the method, so that methods can be compared on the same curves; the baselines'
-    sigma is that of a peak anywhere within one step.
+    sigma is that of a peak anywhere within one step. `solve` takes the place of this file's own arithmetic.
     """
     order = np.argsort(focus, kind="stable")
     x, y = np.asarray(focus, float)[order], np.ascontiguousarray(np.asarray(curves, float)[:, order])
     top = y.max(axis=1)
     y = y / np.where(top > 0, top, 1.0)[:, None]  # unit height: one tolerance fits all, and a black curve stays finite
     contrast = 1.0 * (top > 0) - y.min(axis=1)
-    x0, w = _search(x, y, width)
-    x0, w, found = _refine(x, y, x0, w, free_width=width is None)
+    found = (solve or _solve)(x, y, width)
+    x0, w = found.x0, found.width
     deviation = y - y.mean(axis=1)[:, None]
     total = _dot(deviation, deviation)
     quality = np.sqrt(np.clip(1.0 - found.sse / np.where(total > 0, total, 1.0), 0.0, 1.0)) * (total > 0)
@@ -149,6 +168,12 @@ class _Point(NamedTuple):
 def _dot(a: Array, b: Array) -> Array:
     product: Array = np.einsum("mn,mn->m", a, b)  # plain einsum: not BLAS
     return product
+
+
+def _solve(x: Array, y: Array, width: float | None) -> Solved:
+    x0, w = _search(x, y, width)
+    x0, w, found = _refine(x, y, x0, w, free_width=width is None)
+    return Solved(x0, w, found.sse, found.height, found.spread)
 
 
 def _search(x: Array, y: Array, width: float | None) -> tuple[Array, Array]:

@@ -50,6 +50,13 @@ def test_exposure_is_locked_where_the_automatic_left_it(driver):
     assert driver.value(v4l2.SHARPNESS) == 1
 
 
+@pytest.mark.parametrize("control", [v4l2.EXPOSURE_AUTO, v4l2.WHITE_BALANCE_AUTO])
+def test_an_automatic_that_stays_on_is_refused(driver, control):
+    driver.controls[control] = [3, 3, 1, 3]  # takes any value, keeps its own
+    with pytest.raises(CameraError, match=f"{control:#010x} cannot be switched off"):
+        driver.camera()
+
+
 def test_format(driver):
     camera = driver.camera((1280, 960))
     assert driver.properties[cv2.CAP_PROP_FOURCC] == cv2.VideoWriter.fourcc(*"YUYV")
