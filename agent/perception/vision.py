@@ -175,7 +175,7 @@ class Vision:
             enhance(frame.image) if self._settings.enhance else frame.image,
             self._fit,
             (frame.roi.x, frame.roi.y),
-            colour=self._targets[target].colour,
+            self._targets[target].colour,
         )
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
         return ball, Sighting(
