@@ -176,7 +176,7 @@ class Vision:
         """
         image = enhance(frame.image) if self._settings.enhance else frame.image
         colour = self._targets[target].colour
-        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour=colour)
+        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour)
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
         return ball, Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,

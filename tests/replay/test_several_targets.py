@@ -1,0 +1,69 @@
+"""A run about two targets: each has its own story, explanation, viewer channels and sections of the report."""
+
+import math
+import re
+import shutil
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rewritten import GOLDEN
+
+from replay.backlog import Entry
+from replay.blackbox import open_boxes
+from replay.derive import Derive
+from replay.explain import explain
+from replay.log import read
+from replay.recover import STEP_OUT
+from replay.report import report
+from replay.story import stories
+
+TWO = GOLDEN / "two"
+WHERE_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}
+
+
+def test_a_story_is_about_one_target() -> None:
+    boxes = open_boxes([TWO])
+    for target, where_m in WHERE_M.items():
+        for story in stories(boxes, target):
+            assert {state.target for _, state in story.states} == {target}
+            assert math.dist(story.estimate[0], where_m) < 0.002
+            assert all(math.dist(x_m, where_m) < 0.05 for _, x_m in story.priors)
+            assert story.sweeps
+            assert all(line.text.startswith(f"{target}: ") for _, line in story.log)
+    assert [story.target for story in stories(boxes)] == ["ball"] * 3
+
+
+def test_an_explanation_names_both_and_mixes_neither() -> None:
+    ball, buoy = explain(TWO / "r2.mcap", "16s").split("\n\n")[1:]
+    assert (ball.splitlines()[0], buoy.splitlines()[0]) == ("target ball", "target buoy")
+    assert "Estimate: (549.9" in ball
+    assert "Estimate: (919." in buoy
+    assert "buoy:" not in ball
+
+
+def test_viewers_get_a_channel_for_each_target() -> None:
+    box = open_boxes([TWO / "r1.mcap"])[0]
+    derive = Derive(box.fleet, "r1")
+    channels = {
+        made.channel for record in read(box.path) if record.channel == STEP_OUT for made in derive(entry(record))
+    }
+    for target in WHERE_M:
+        for name in (f"/r1/target/{target}/estimate", f"/r1/plot/protocol/{target}", f"/r1/plot/hears/r2/{target}"):
+            assert name in channels
+    assert "/r1/target/estimate" not in channels
+
+
+def entry(record):
+    return Entry(
+        record.channel, record.log_time_ns, record.publish_time_ns, record.sequence, record.data, "msgpack", {}
+    )
+
+
+def test_the_report_has_sections_for_each_target(tmp_path: Path) -> None:
+    page = report(Path(shutil.copy(TWO / "r3.mcap", tmp_path))).read_text()
+    sections = re.findall(r'<section id="(\w+)">', page)
+    assert [s.removesuffix("_buoy") for s in sections if s.endswith("_buoy")] == [
+        s.removesuffix("_ball") for s in sections if s.endswith("_ball")
+    ]
+    assert sections[-3:] == ["calibration", "posture", "links"]
