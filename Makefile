@@ -33,7 +33,7 @@ format: .venv/ready-test
 	touch $@
 
 .venv/ready-test: .venv/bin/python pyproject.toml constraints.txt
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[test]'
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[test,enhance]'
 	touch .venv/ready $@
 
 clean:

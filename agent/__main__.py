@@ -37,20 +37,22 @@ OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and
 
 @app.command(epilog="Example: aucamp demo --robots 3 --seed 1")
 def demo(
-    robots: Annotated[int, typer.Option(help="How many of the tank's robots.")] = 3,
+    robots: Annotated[int, typer.Option(help="How many of the fleet's robots.")] = 3,
     protocol: Annotated[str, typer.Option(help="How robots agree: evidence, metropolis or paper.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
     enhance: Annotated[bool, typer.Option(help="Look for the ball in enhanced frames.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
+    fleet: Annotated[str, typer.Option(help="A fleet that ships (tank, two_balls), or a fleet file.")] = "tank",
 ) -> None:
     """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
     from agent.demo import demo as dive
+    from agent.sweep_depth import sweep_depth
     from replay.report import report
 
-    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal())
-    report(run)
+    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal(), fleet)
+    report(run, depth=sweep_depth)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 
@@ -208,6 +210,19 @@ def experiment_depth(seed: Seed = 0, out: OutFolder = None) -> None:
     run(seed, out, terminal())
 
 
+@experiment_app.command("detection", epilog="Example: aucamp experiment detection --count 200")
+def experiment_detection(
+    seed: Seed = 0,
+    count: Annotated[int, typer.Option(min=1, help="Places in each kind of water.")] = 200,
+    sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
+    out: OutFolder = None,
+) -> None:
+    """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced."""
+    from agent.experiments.detection import run
+
+    run(seed, count, sensor, out, terminal())
+
+
 @experiment_app.command("localization", epilog="Example: aucamp experiment localization --quick")
 def experiment_localization(
     seed: Seed = 0,
@@ -303,21 +318,23 @@ def replay_check(
     from agent.perception.again import see_again
     from replay.accept import accept
     from replay.check import check, text
+    from replay.leftovers import mended
     from replay.vision_check import check_vision
 
     bar = Console(stderr=True)
     if update:
         for accepted in accept(paths, reason):
             typer.echo(str(accepted))
-    elif vision:
+        return
+    paths = mended(paths, complain)
+    if vision:
         seen = check_vision(paths, see_again, bar)
         for one in seen:
             typer.echo(json.dumps(one.as_json()) if as_json else str(one))
         raise typer.Exit(2 if any(not one.frames for one in seen) else int(any(not one.passed for one in seen)))
-    else:
-        checked = check(paths, ignore, bar)
-        typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
-        raise typer.Exit(checked.exit_code)
+    checked = check(paths, ignore, bar)
+    typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
+    raise typer.Exit(checked.exit_code)
 
 
 @replay_app.command("explain", epilog="Example: aucamp replay explain r1.mcap --at 16")
@@ -327,16 +344,26 @@ def replay_explain(
 ) -> None:
     """Why a robot believed what it believed: whom it heard, with which weights."""
     from replay.explain import explain
+    from replay.leftovers import mended
 
-    typer.echo(explain(file, at))
+    (there,) = mended([file], complain)
+    typer.echo(explain(there, at))
 
 
 @replay_app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
 def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
     """One page with the run's figures: report.html in its folder."""
+    from agent.sweep_depth import sweep_depth
+    from replay.leftovers import mended
     from replay.report import report
 
-    terminal().print(f"written to {report(run)}")
+    (there,) = mended([run], complain)
+    terminal().print(f"written to {report(there, depth=sweep_depth)}")
+
+
+def complain(line: str) -> None:
+    """What a person should know but a program that reads our output should not."""
+    typer.echo(line, err=True)
 
 
 def terminal() -> Console:

@@ -15,6 +15,8 @@ Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
+Colour = Literal["red", "yellow", "green"]
+Cues = Literal["both", "focus", "size"]
 
 T = TypeVar("T")
 
@@ -42,8 +44,16 @@ class Water(Struct, frozen=True, kw_only=True):
 
 
 class Target(Struct, frozen=True, kw_only=True):
+    """What the robots look for. Targets are told apart by their colours."""
+
     detector: Literal["ball"] = "ball"
+    colour: Colour = "red"
     radius_m: Positive
+    radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
+
+
+class Ranging(Struct, frozen=True, kw_only=True):
+    cues: Cues = "both"  # range from the focus, from the apparent size of a known target, or from both
 
 
 class Estimation(Struct, frozen=True, kw_only=True):
@@ -115,6 +125,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     tank: Tank = Tank()
     water: Water = Water()
     target: dict[Name, Target]
+    ranging: Ranging = Ranging()
     estimation: Estimation = Estimation()
     link: Link = Link()
     camera: Camera = Camera()
@@ -182,10 +193,16 @@ def _check(fleet: Fleet, path: Path) -> None:
     """What a type cannot say: the graph is symmetric and the endpoints are distinct and usable."""
     if not fleet.robot:
         raise ConfigError(f"{path}: key 'robot': the fleet has no robot; add a table [robot.r1]")
-    if len(fleet.target) != 1:
-        raise ConfigError(
-            f"{path}: key 'target': {len(fleet.target)} targets; agents follow one, keep one [target.NAME]"
-        )
+    if not fleet.target:
+        raise ConfigError(f"{path}: key 'target': nothing to look for; add a table [target.ball]")
+    wearer: dict[str, str] = {}
+    for name, target in fleet.target.items():
+        if target.colour in wearer:
+            raise ConfigError(
+                f"{path}: key 'target.{name}.colour': '{wearer[target.colour]}' is {target.colour} too and nobody "
+                f"could tell them apart; give each target its own colour"
+            )
+        wearer[target.colour] = name
     owner: dict[str, str] = {}
     for name, robot in fleet.robot.items():
         key = f"robot.{name}"

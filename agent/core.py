@@ -9,13 +9,14 @@ from agent.config import Fleet
 from agent.control.attitude import AttitudeLog
 from agent.control.seek import Seek
 from agent.control.sweep import Measurement, Rejected
-from agent.estimation.choice import estimator
-from agent.estimation.face import Estimator, Prior, Update
-from agent.estimation.mailbox import Mailbox
+from agent.control.turns import Turns
+from agent.estimation.face import Prior
 from agent.hearing import Hearing
-from agent.messages import Estimate, Inputs, Outputs, SetPoint, State, SweepPlan
+from agent.messages import Estimate, Inputs, Level, Outputs, SetPoint, State, SweepPlan
+from agent.pursuit import Pursuit
 from agent.ranging.calibration import Calibration
-from agent.ranging.camera_model import locate
+from agent.ranging.fix import locate
+from agent.ranging.focus import Refused
 from agent.status import Status, inside
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
@@ -27,25 +28,25 @@ class Agent:
 
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
         robot = fleet.robot[name]
-        (self._target, target), *_ = fleet.target.items()
-        self._fleet, self._name, self._robot, self._radius_m = fleet, name, robot, target.radius_m
-        self._calibration, self._incarnation = calibration, incarnation
-        self._validity_ns = round(fleet.estimation.validity_s * 1e9)
+        self._fleet, self._robot, self._calibration = fleet, robot, calibration
         self._iteration_ns = round(fleet.estimation.iteration_s * 1e9)
         self._say_ns = round(1e9 / fleet.link.send_hz)
+        self._show_ns = STATE_NS // len(fleet.target)
 
-        self.mailbox = Mailbox(fleet.fleet, name, self._target, robot.neighbours)
-        self.estimator: Estimator = estimator(fleet, name, self._target, incarnation)
+        self.pursuits = {target: Pursuit(fleet, name, target, incarnation) for target in fleet.target}
+        self.turns = Turns(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
         self.attitude = AttitudeLog()
-        self.hearing = Hearing(self.mailbox, self.estimator, fleet.tank)
-        self.status = Status(fleet.fleet, name, self._target, incarnation)
+        self.hearing = Hearing(self.pursuits, fleet.tank)
+        self.status = Status(fleet.fleet, name, incarnation)
 
-        self.prior: Prior | None = None  # measured since the last iteration
-        self.update: Update | None = None
-        self.last_state: State | None = None
-        self._iterated_ns = self._say_due_ns = self._state_due_ns = 0
-        self._said = 0
+        self._iterated_ns = self._say_due_ns = self._show_due_ns = 0
+        self._said = self._shown = 0
+
+    @property
+    def pursuit(self) -> Pursuit:
+        """Of the target that the camera is at."""
+        return self.pursuits[self.turns.target]
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         """Take in all that arrived since the last step, decide, and say what to do and to send.
@@ -58,7 +59,7 @@ class Agent:
         self.hearing.take(inputs.heard, inputs.refused, self.status, now_ns)
         for telemetry in inputs.telemetry:
             self.attitude.add(telemetry)
-            self.seek.sweep.telemetry(telemetry)
+            self.seek.feel(telemetry)
         for sighting in inputs.sightings:
             self.seek.watch(sighting)
         self.status.devices(inputs, self.attitude, now_ns)
@@ -67,89 +68,83 @@ class Agent:
         sweep = self._act(now_ns)
         says = self._say(now_ns)
         state = self._state(now_ns)
-        return Outputs(set_point=self._set_point(now_ns), sweep=sweep, says=says, state=state, log=self.status.lines())
+        log = self.status.log.fetch(now_ns)
+        return Outputs(set_point=self._set_point(now_ns), sweep=sweep, says=says, state=state, log=log)
 
     def _measure(self, now_ns: int) -> None:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
         result = self.seek.finish(now_ns)
         if isinstance(result, Rejected):
-            self.status.note("info", f"sweep rejected: {result.reason}", now_ns)
+            self._note("info", f"sweep rejected: {result.reason}", now_ns)
         if not isinstance(result, Measurement):
             return
         level = self.attitude.at(result.t_ns)
         if level is None:
-            self.status.note("warning", "sweep rejected: no telemetry at the time of its sharpest frame", now_ns)
+            self._note("warning", "sweep rejected: no telemetry at the time of its sharpest frame", now_ns)
             return
-        fix = locate(
-            self._calibration.camera,
-            self._calibration.focus,
-            self.seek.eye(level),
-            result.centre_px,
-            result.focus,
-            result.sigma,
-            self._radius_m,
-        )
-        if fix is None or not inside(fix.position_m, self._fleet.tank):
-            self.status.note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
+        eye, cues = self.seek.eye(level), self._fleet.ranging.cues
+        fix = locate(self._calibration, eye, result.outline, result.focus, result.sigma, self.pursuit.ball, cues)
+        if isinstance(fix, Refused):
+            self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
             return
-        self.prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2)
-        self.status.measured(self.prior)
+        if not inside(fix.position_m, self._fleet.tank):
+            self._note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
+            return
+        self.pursuit.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
 
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
-        elapsed_ns = now_ns - self._iterated_ns
-        waiting = self.prior is None and self.seek.sweep.running and elapsed_ns < LATEST_ITERATION * self._iteration_ns
+        pursuit, elapsed_ns = self.pursuit, now_ns - self._iterated_ns
+        waiting = pursuit.prior is None and self.seek.measuring and elapsed_ns < LATEST_ITERATION * self._iteration_ns
         if elapsed_ns < self._iteration_ns or waiting:
             return
         self._iterated_ns = now_ns
-        self.estimator.adopt(self.mailbox.newest_t(now_ns, self._validity_ns))
-        self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
-        self.status.iterated(self.estimator, self.update, now_ns)
-        self.prior = None
+        for each in self.pursuits.values():
+            each.catch_up(now_ns)
+        if pursuit.iterate(now_ns):
+            self._note("info", f"{pursuit.knows} at iteration {pursuit.estimator.t}", now_ns)
 
     def _act(self, now_ns: int) -> SweepPlan | None:
-        """Gimbal and lens."""
+        """Whose turn it is, gimbal and lens."""
+        before = self.turns.target
+        if not self.seek.measuring and self.pursuit.prior is None:
+            self.turns.next({target: pursuit.estimator.t for target, pursuit in self.pursuits.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
-        believed = self.estimator.posterior
-        return self.seek.act(now_ns, level, believed.x_m if believed else None, wanted=self.prior is None)
+        believed = self.pursuit.estimator.posterior
+        told_m, wanted = believed.x_m if believed else None, self.pursuit.prior is None
+        plan = self.seek.act(now_ns, self.turns.target, level, told_m, wanted)
+        if self.turns.target != before:  # the first iteration of a turn begins when the camera has arrived
+            self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)
+        return plan
 
     def _say(self, now_ns: int) -> tuple[Estimate, ...]:
-        """What the protocol has for each neighbour; without news it is still the heartbeat."""
+        """To each neighbour about each target."""
         if now_ns < self._say_due_ns:
             return ()
         self._say_due_ns = next_due_ns(self._say_due_ns, self._say_ns, now_ns)
         self._said += 1
         return tuple(
-            Estimate(
-                fleet=self._fleet.fleet,
-                src=self._name,
-                dst=neighbour,
-                incarnation=self._incarnation,
-                seq=self._said,
-                sent_ns=now_ns,
-                target=self._target,
-                t=self.estimator.t,
-                valid=self.estimator.valid,
-                **self.estimator.say(neighbour, now_ns)._asdict(),
-            )
+            pursuit.say(neighbour, self._said, now_ns)
+            for pursuit in self.pursuits.values()
             for neighbour in self._robot.neighbours
         )
 
     def _state(self, now_ns: int) -> State | None:
-        if now_ns < self._state_due_ns:
+        """One target after the other, so that each is shown at the same rate, however many there are."""
+        if now_ns < self._show_due_ns:
             return None
-        self._state_due_ns = next_due_ns(self._state_due_ns, STATE_NS, now_ns)
-        self.last_state = self.status.state(
-            self.estimator,
-            self.update,
-            self.mailbox,
-            self.hearing.refused,
-            self.attitude,
-            self.seek.gimbal_deg(),
-            now_ns,
-        )
-        return self.last_state
+        self._show_due_ns = next_due_ns(self._show_due_ns, self._show_ns, now_ns)
+        pursuit = tuple(self.pursuits.values())[self._shown % len(self.pursuits)]
+        self._shown += 1
+        gimbal_deg = self.seek.gimbal_deg()
+        pursuit.last_state = self.status.state(pursuit, self.hearing.refused, self.attitude, gimbal_deg, now_ns)
+        return pursuit.last_state
+
+    def _note(self, level: Level, text: str, now_ns: int) -> None:
+        """A line of the log about the target that the camera is at; its name is needless where it is the only one."""
+        about = f"{self.turns.target}: " if len(self.pursuits) > 1 else ""
+        self.status.log.note(level, about + text, now_ns)
 
     def _set_point(self, now_ns: int) -> SetPoint:
         pan_us, tilt_us = self.seek.pointing.servos_us(now_ns)

@@ -17,9 +17,9 @@ from rich.live import Live
 from rich.table import Table
 
 from agent.config import ConfigError, Fleet, Protocol, dump, load_fleet
-from agent.launch import Crew, crew, free_ports, run_folder, shipped_fleet, temporary_folder, wait_for
+from agent.launch import Crew, crew, fleet_file, free_ports, run_folder, shipped_fleet, temporary_folder, wait_for
 from agent.messages import Refusal, State, decode
-from agent.summary import History, control, reasons, score, settled
+from agent.summary import Histories, History, settled, summarize
 from agent.topics import STATE
 from agent.transport import Observer
 from hw.twin.place import twin_dir
@@ -40,12 +40,16 @@ def demo(
     enhance: bool,
     out: Path | None,
     console: Console,
+    fleet_name: str = "tank",
 ) -> tuple[Path, dict[str, Any]]:
-    """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed."""
+    """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
+
+    `fleet_name`: a fleet file, or the name of one that comes with the package.
+    """
     started_s = time.monotonic()
     run = run_folder(out)
     with temporary_folder() as folder:
-        fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder)
+        fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, fleet_file(fleet_name))
         path = run / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")
         with crew(run / "logs") as processes:
@@ -53,17 +57,26 @@ def demo(
             histories, truth = dive(fleet, path, run, duration_s, processes, console)
     summary = summarize(fleet, histories, truth, time.monotonic() - started_s)
     (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    console.print(result_table(summary))
+    for target in summary["targets"]:
+        console.print(result_table(summary, target))
     console.print(f"{summary['verdict']}: {'; '.join(summary['reasons']) or 'all below 0.4 %'}. Written to {run}")
     return run, summary
 
 
-def demo_fleet(robots: int, protocol: Protocol, loss: float, seed: int, enhance: bool, folder: Path) -> Fleet:
-    """The tank's fleet file with its first robots only, on ports that are free now."""
-    shipped = shipped_fleet()
-    fleet = load_fleet(shipped)
+def demo_fleet(
+    robots: int,
+    protocol: Protocol,
+    loss: float,
+    seed: int,
+    enhance: bool,
+    folder: Path,
+    path: Path | None = None,
+) -> Fleet:
+    """A fleet file, that of the tank if not given, with its first robots only, on ports that are free now."""
+    path = path or shipped_fleet()
+    fleet = load_fleet(path)
     if not 1 <= robots <= len(fleet.robot):
-        raise ConfigError(f"--robots {robots}: {shipped.name} has {len(fleet.robot)}; choose 1 to {len(fleet.robot)}")
+        raise ConfigError(f"--robots {robots}: {path.name} has {len(fleet.robot)}; choose 1 to {len(fleet.robot)}")
     names = list(fleet.robot)[:robots]
     ports = free_ports(robots)
     kept = {
@@ -99,7 +112,7 @@ def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> No
 
 def dive(
     fleet: Fleet, path: Path, run: Path, duration_s: float, processes: Crew, console: Console
-) -> tuple[dict[str, History], dict[str, Any]]:
+) -> tuple[Histories, dict[str, Any]]:
     """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
     folder = twin_dir(fleet)
     with console.status("starting the twin"):
@@ -110,17 +123,19 @@ def dive(
     processes.start("recorder", "record", str(path), "--out", str(run / "fleet.mcap"))
     for name in fleet.robot:
         processes.start(name, "agent", str(path), "--robot", name, "--out", str(run), "--arm")
-    histories = {name: History([]) for name in fleet.robot}
+    histories: Histories = {target: {name: History([]) for name in fleet.robot} for target in fleet.target}
+    shown = [history for of_target in histories.values() for history in of_target.values()]
     until_s = time.monotonic() + duration_s
     with Observer(fleet, time.monotonic_ns, (STATE,)) as observer, Live(console=console, refresh_per_second=2) as live:
         while time.monotonic() < until_s:
             for seen in observer.drain():
                 try:
-                    histories[seen.chunks["robot"]].states.append(decode(seen.payload, State))
+                    state = decode(seen.payload, State)
+                    histories[state.target][seen.chunks["robot"]].states.append(state)
                 except (Refusal, KeyError):
                     continue  # a stranger's sample: the recorder has it
             live.update(progress_table(histories, until_s - time.monotonic()))
-            if settled(histories.values(), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
+            if settled(shown, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
                 break
             processes.check()
             time.sleep(0.1)
@@ -130,53 +145,37 @@ def dive(
     return histories, truth
 
 
-def summarize(fleet: Fleet, histories: dict[str, History], truth: dict[str, Any], wall_s: float) -> dict[str, Any]:
-    """The content of summary.json, schema 1."""
-    target_m = tuple(truth["target_m"][next(iter(fleet.target))])
-    rows = {name: score(history, target_m) for name, history in histories.items()}
-    why = reasons(rows)
-    return {
-        "schema": 1,
-        "protocol": fleet.estimation.protocol,
-        "seed": fleet.twin.seed,
-        "loss": fleet.link.loss,
-        "wall_s": round(wall_s, 1),
-        "truth_m": list(target_m),
-        "agents": rows,
-        "control": control(histories.values(), next(iter(fleet.robot.values())).depth_m),
-        "verdict": "fail" if why else "pass",
-        "reasons": why,
-    }
-
-
-def progress_table(histories: dict[str, History], left_s: float) -> Table:
-    """What each robot says of itself now."""
+def progress_table(histories: Histories, left_s: float) -> Table:
+    """What each robot says of itself and of each target now."""
     table = Table(title=f"at most {left_s:.0f} s to go", title_justify="left")
-    for column in ("robot", "target", "iteration", "first view", "estimate mm", "sigma mm", "hears", "faults"):
+    for column in ("target", "robot", "", "iteration", "first view", "estimate mm", "sigma mm", "hears", "faults"):
         table.add_column(column)
-    for name, history in histories.items():
-        state = history.newest
-        if state is None:
-            table.add_row(name, "…")
-            continue
-        where = " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "-"
-        table.add_row(
-            name,
-            state.knows,
-            str(state.t),
-            "-" if state.acquired_t is None else str(state.acquired_t),
-            where,
-            f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
-            " ".join(n.robot for n in state.neighbours if n.used) or "-",
-            ", ".join(state.faults) or ("" if state.armed else "motors off"),
-        )
+    for target, of_target in histories.items():
+        for name, history in of_target.items():
+            table.add_row(target, name, *progress_row(history.newest))
     return table
 
 
-def result_table(summary: dict[str, Any]) -> Table:
-    """Prior and posterior against the truth."""
+def progress_row(state: State | None) -> tuple[str, ...]:
+    """The cells behind target and robot."""
+    if state is None:
+        return ("…",)
+    return (
+        state.knows,
+        str(state.t),
+        "-" if state.acquired_t is None else str(state.acquired_t),
+        " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "-",
+        f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
+        " ".join(n.robot for n in state.neighbours if n.used) or "-",
+        ", ".join(state.faults) or ("" if state.armed else "motors off"),
+    )
+
+
+def result_table(summary: dict[str, Any], target: str) -> Table:
+    """Prior and posterior of one target against the truth."""
+    about = summary["targets"][target]
     table = Table(
-        title=f"target at {summary['truth_m']} m, protocol {summary['protocol']}, twin seed {summary['seed']}"
+        title=f"{target} at {about['truth_m']} m, protocol {summary['protocol']}, twin seed {summary['seed']}"
     )
     for column in (
         "robot",
@@ -188,7 +187,7 @@ def result_table(summary: dict[str, Any]) -> Table:
         "%",
     ):
         table.add_column(column, justify="right")
-    for name, row in summary["agents"].items():
+    for name, row in about["agents"].items():
         table.add_row(
             name,
             str(row["acquired_iteration"] or "never"),

@@ -10,12 +10,10 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.progress import Progress
 
@@ -26,6 +24,9 @@ from agent.ranging.calibration import Calibration, load_calibration
 from agent.ranging.focus import MIN_POSITIONS, Array, Method, fit_peaks, h
 from hw.camera import Camera, CameraError, Image, nearest, open_camera
 from hw.camera_files import StackCamera
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SWEEP_STEPS = 30  # lens positions of a camera; of a stack every photograph is used
 HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small steps ring less
@@ -211,6 +212,8 @@ def write_csv(result: DepthMap, path: Path) -> None:
 
 def draw(result: DepthMap, path: Path) -> None:
     """The picture, everywhere sharp, and beside it the map with its colour bar; hatched: no distance."""
+    from matplotlib.figure import Figure  # a second and 30 MB that an agent, which draws nothing, does without
+
     height, width = result.sharp.shape[:2]
     figure = Figure(figsize=(12.0, 0.6 + 5.4 * height / width), layout="constrained")
     left, right = figure.subplots(1, 2)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from agent.config import Tank
-from agent.estimation.face import Estimator
-from agent.estimation.mailbox import Mailbox
 from agent.messages import Estimate, Heard, Refusal, Refused, decode
+from agent.pursuit import Pursuit
 from agent.status import Status, inside
 
 
 class Hearing:
     """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
 
-    def __init__(self, mailbox: Mailbox, estimator: Estimator, tank: Tank) -> None:
-        self._mailbox, self._estimator, self._tank = mailbox, estimator, tank
+    def __init__(self, pursuits: Mapping[str, Pursuit], tank: Tank) -> None:
+        self._pursuits, self._tank = pursuits, tank
         self.refused: dict[str, int] = {}
 
     def take(self, heard: tuple[Heard, ...], refused: tuple[Refused, ...], status: Status, now_ns: int) -> None:
-        """Give what can be believed to the mailbox and to the protocol."""
+        """Give what can be believed to the mailbox and to the protocol of the target that it is about."""
         for turned_away in refused:
             self._count(turned_away.reason, turned_away.count, "transport", "turned away unread", status, now_ns)
         for item in heard:
@@ -25,12 +26,17 @@ class Hearing:
                 estimate = decode(item.payload, Estimate)
                 if estimate.x_m is not None and not inside(estimate.x_m, self._tank):
                     raise Refusal("place", "estimate outside the tank")
-                letter = self._mailbox.put(item.src, estimate, item.arrived_ns)
-                for kind in self._estimator.hear(letter):
+                pursuit = self._pursuits.get(estimate.target)
+                if pursuit is None:
+                    known = ", ".join(self._pursuits)
+                    raise Refusal("target", f"target '{estimate.target}' is not in our fleet file, which has {known}")
+                letter = pursuit.mailbox.put(item.src, estimate, item.arrived_ns)
+                for kind in pursuit.estimator.hear(letter):
                     self._count(kind, 1, item.src, "part of a message", status, now_ns)
             except Refusal as refusal:
                 self._count(refusal.kind, 1, item.src, str(refusal), status, now_ns)
 
     def _count(self, kind: str, count: int, src: str, why: str, status: Status, now_ns: int) -> None:
         self.refused[kind] = self.refused.get(kind, 0) + count
-        status.note_seldom("warning", kind, f"refused from {src} ({kind}): {why}; {self.refused[kind]} so far", now_ns)
+        text = f"refused from {src} ({kind}): {why}; {self.refused[kind]} so far"
+        status.log.note_seldom("warning", kind, text, now_ns)

@@ -28,7 +28,7 @@ Level = Literal["info", "warning", "error"]
 M = TypeVar("M", bound="Message")
 
 
-RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place"]
+RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place", "target"]
 
 
 class Refusal(ValueError):
@@ -144,7 +144,7 @@ class Explain(Message, frozen=True, kw_only=True):
 
 
 class State(Message, frozen=True, kw_only=True):
-    """What a robot knows, does and suffers from."""
+    """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
 
     schema: int = SCHEMA
     fleet: Id
@@ -250,11 +250,12 @@ class Inputs(Message, frozen=True, kw_only=True):
 # --- to the robot's own devices, outputs of Agent.step --------------------------------------------------------
 
 
-class SweepPlan(Message, frozen=True, kw_only=True):
+class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Lens positions to visit in this order; the first only brings the lens to its starting side."""
 
     sweep: Count
     focus: tuple[int, ...]
+    target: Id | None = None  # whose clarity to take; left out where the fleet has one target
 
 
 class SetPoint(Message, frozen=True, kw_only=True):

@@ -35,6 +35,7 @@ from agent.messages import (
 )
 from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
+from agent.sweep_depth import sweep_depth
 from agent.transport import Transport
 from hw.camera import open_camera
 from hw.firmware import wire
@@ -43,6 +44,7 @@ from hw.stm32 import Stm32, open_port_path
 from hw.twin.place import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.environment import environment
+from replay.leftovers import leftovers, mending
 
 STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 
@@ -86,8 +88,11 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     agent = Agent(fleet, name, calibration, incarnation)
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
+        stack.enter_context(mending(leftovers((out or Path()) / f"{name}.mcap")))
         log = stack.enter_context(
-            black_box_log(out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views)
+            black_box_log(
+                out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views, sweep_depth
+            )
         )
         box = BlackBoxWriter(log, clock, lossless)
         network = stack.enter_context(Transport(fleet, name, clock))
@@ -96,10 +101,9 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
         eyes = Vision(
             lambda: open_camera(robot.camera, sockets, size),
             fleet,
-            next(iter(fleet.target)),
             calibration.camera,
             epoch_offset_ns=offset_ns,
-            on_frame=lambda frame, sighting: box.frame(frame.image, frame.roi, sighting),
+            on_frame=lambda frame, sightings: box.frame(frame.image, frame.roi, *sightings),
         )
         eyes.start()
         stack.callback(eyes.close)
@@ -162,9 +166,10 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
 
 
 def goodbye(agent: Agent, network: Network, clock: Callable[[], int]) -> None:
-    """The last state tells a planned end from a crash."""
-    if (state := agent.last_state) is not None:
-        network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock()))
+    """The last state, of each target, tells a planned end from a crash."""
+    for pursuit in agent.pursuits.values():
+        if (state := pursuit.last_state) is not None:
+            network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock()))
 
 
 def act(outputs: Outputs, eyes: Eyes, board: Board, network: Network, now_ns: int) -> None:

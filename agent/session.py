@@ -17,16 +17,17 @@ ROUTER_LISTEN = "tcp/127.0.0.1:17447"
 
 
 def peer_config(fleet: Fleet, robot: str) -> str:
-    """Configuration of `robot`: listens on its own endpoint and dials its neighbours, nobody else.
+    """Configuration of `robot`: listens on its own endpoint and dials neighbours, nobody else.
 
-    Neighbours dial each other. One link results, and the order of starting does not matter.
+    Of two neighbours the one whose name comes later dials; it goes on trying, so the order of starting does not
+    matter. Two that dial each other after an outage turn down each other's link, for seconds or for good.
     """
     own = fleet.robot[robot]
     return _over(
         "peer.json5",
         {
             "listen": {"endpoints": [own.listen]},
-            "connect": {"endpoints": [fleet.robot[name].listen for name in own.neighbours]},
+            "connect": {"endpoints": [fleet.robot[name].listen for name in own.neighbours if name < robot]},
             "metadata": {"fleet": fleet.fleet, "name": robot},
         },
     )

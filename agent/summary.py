@@ -1,4 +1,7 @@
-"""What a run was worth: errors of priors and posteriors against the truth, which only the twin knows."""
+"""What a run was worth: errors of priors and posteriors against the truth, which only the twin knows.
+
+A run has a history for each target and robot. The verdict is over all of them.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,14 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+from agent.config import Fleet
 from agent.messages import State, Vector
 
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 
 
 class History(NamedTuple):
-    """What one robot showed, newest last."""
+    """What one robot showed about one target, newest last."""
 
     states: list[State]
 
@@ -29,6 +33,36 @@ class History(NamedTuple):
         """Each measurement once."""
         by_number = {s.measurements: s.prior_m for s in self.states if s.prior_m is not None}
         return [by_number[n] for n in sorted(by_number)]
+
+
+Histories = dict[str, dict[str, History]]  # by target, then by robot
+
+
+def summarize(fleet: Fleet, histories: Histories, truth: dict[str, Any], wall_s: float) -> dict[str, Any]:
+    """The content of summary.json, schema 1. `truth`: as the twin wrote it.
+
+    `targets` has every target; `truth_m` and `agents` are those of the first.
+    """
+    targets: dict[str, Any] = {}
+    why = []
+    for target, of_target in histories.items():
+        truth_m: Vector = tuple(truth["target_m"][target])
+        rows = {name: score(history, truth_m) for name, history in of_target.items()}
+        targets[target] = {"truth_m": list(truth_m), "agents": rows}
+        why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in reasons(rows)]
+    first, depth_m = next(iter(targets)), next(iter(fleet.robot.values())).depth_m
+    return {
+        "schema": 1,
+        "protocol": fleet.estimation.protocol,
+        "seed": fleet.twin.seed,
+        "loss": fleet.link.loss,
+        "wall_s": round(wall_s, 1),
+        **targets[first],
+        "targets": targets,
+        "control": control(histories[first].values(), depth_m),
+        "verdict": "fail" if why else "pass",
+        "reasons": why,
+    }
 
 
 def settled(histories: Iterable[History], after_views: int, window: int, within_m: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Literal, NamedTuple
 
 from agent.messages import Estimate, LogLine, Message, State
@@ -15,7 +16,7 @@ class QoS(NamedTuple):
 
 class Topic(NamedTuple):
     name: str
-    key: str  # {fleet}, {src}, {dst}, {robot} are filled in
+    key: str  # {fleet}, {src}, {dst}, {robot} are filled in; [..] is left off where there is nothing to fill in
     message: type[Message]
     hz: float  # nominal; 0: on events
     qos: QoS
@@ -23,8 +24,13 @@ class Topic(NamedTuple):
 
 
 # Congestion control is DROP on every row: a put never blocks a control loop, the next message replaces a lost one.
-LINK = Topic("link", "aucamp/{fleet}/link/{src}/{dst}", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 64), "src")
-STATE = Topic("state", "aucamp/{fleet}/robot/{robot}/state", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot")
+# The target stands in the key of a fleet that has several, and is left off where there is only one.
+LINK = Topic(
+    "link", "aucamp/{fleet}/link/{src}/{dst}[/{target}]", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 64), "src"
+)
+STATE = Topic(
+    "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
+)
 LOG = Topic("log", "aucamp/{fleet}/robot/{robot}/log", LogLine, 0.0, QoS("DATA", "RELIABLE", 256), "robot")
 
 TOPICS = (LINK, STATE, LOG)
@@ -35,23 +41,35 @@ EVERY_FLEET = "aucamp/**"
 
 
 def key(topic: Topic, **chunks: str) -> str:
-    """The key of one stream; '*' is allowed as a chunk."""
-    return topic.key.format(**chunks)
+    """The key of one stream. '*' is allowed as a chunk, and '**' as the target: any target, or none in the key."""
+    required, _, optional = topic.key.rstrip("]").partition("[")
+    return (required + optional if "target" in chunks else required).format(**chunks)
 
 
 def match(key_text: str) -> tuple[Topic, dict[str, str]] | None:
     """Which row a key belongs to and the values of its chunks; None for a key of nobody."""
     parts = key_text.split("/")
     for topic in TOPICS:
-        pattern = topic.key.split("/")
-        if len(pattern) != len(parts):
-            continue
-        chunks: dict[str, str] = {}
-        for want, got in zip(pattern, parts, strict=True):
-            if want.startswith("{"):
-                chunks[want[1:-1]] = got
-            elif want != got:
-                break
-        else:
-            return topic, chunks
+        required, _, optional = topic.key.rstrip("]").partition("[")
+        for pattern in (required, required + optional) if optional else (required,):
+            chunks = _match(pattern.split("/"), parts)
+            if chunks is not None:
+                return topic, chunks
     return None
+
+
+def _match(pattern: list[str], parts: list[str]) -> dict[str, str] | None:
+    if len(pattern) != len(parts):
+        return None
+    chunks: dict[str, str] = {}
+    for want, got in zip(pattern, parts, strict=True):
+        if want.startswith("{"):
+            chunks[want[1:-1]] = got
+        elif want != got:
+            return None
+    return chunks
+
+
+def target_chunk(targets: Collection[str], target: str) -> dict[str, str]:
+    """The chunk that tells the targets of a fleet apart, for `key`; none where there is one target."""
+    return {"target": target} if len(targets) > 1 else {}

@@ -43,21 +43,27 @@ class Transport:
         self._inbox: dict[str, deque[tuple[int, bytes]]] = {
             name: deque(maxlen=LINK.qos.buffer) for name in fleet.robot[robot].neighbours
         }
-        self._sender = {self._link_key(name, robot): name for name in self._inbox}
         self._refused: Counter[str] = Counter()
         self._lock = threading.Lock()  # guards the inboxes and the counts: zenoh's threads against the loop's
-        self._links: dict[str, Any] = {}
-        self._shows: dict[type[Message], Any] = {}
+        self._links: dict[tuple[str, str], Any] = {}  # neighbour, target -> publisher
+        self._shows: dict[tuple[type[Message], str], Any] = {}  # kind, target -> publisher
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         where = f"robot '{self._robot}': {self._fleet.robot[self._robot].listen}"
         names = {"fleet": self._fleet.fleet, "robot": self._robot}
+        targets = self._fleet.target
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(open_session(peer_config(self._fleet, self._robot), where))
-            self._links = {name: _publisher(session, LINK, self._link_key(self._robot, name)) for name in self._inbox}
-            self._shows = {row.message: _publisher(session, row, topics.key(row, **names)) for row in (STATE, LOG)}
-            _subscribe(session, self._link_key("*", self._robot), self._arrived)
+            for target in targets:
+                chunk = topics.target_chunk(targets, target)
+                for name in self._inbox:
+                    key = topics.key(LINK, fleet=self._fleet.fleet, src=self._robot, dst=name, **chunk)
+                    self._links[name, target] = _publisher(session, LINK, key)
+                self._shows[State, target] = _publisher(session, STATE, topics.key(STATE, **names, **chunk))
+            self._shows[LogLine, ""] = _publisher(session, LOG, topics.key(LOG, **names))
+            heard = topics.key(LINK, fleet=self._fleet.fleet, src="*", dst=self._robot, target="**")
+            _subscribe(session, heard, self._arrived)
             stack.enter_context(session.liveliness().declare_token(topics.ALIVE.format(**names)))
             self._open = stack.pop_all()
         return self
@@ -84,16 +90,17 @@ class Transport:
         if self._random.random() < self._fleet.link.loss:
             self.lost += 1
             return
-        self._links[estimate.dst].put(encode(estimate))
+        self._links[estimate.dst, estimate.target].put(encode(estimate))
 
     def show(self, message: State | LogLine) -> None:
         """Publish to whoever looks. Never blocks."""
-        self._shows[type(message)].put(encode(message))
+        self._shows[type(message), message.target if isinstance(message, State) else ""].put(encode(message))
 
     def _arrived(self, sample: zenoh.Sample) -> None:
         at_ns = self._clock()
-        name = self._sender.get(str(sample.key_expr), "")
-        reason = unusable(sample, LINK) if name else "unknown sender"
+        row = topics.match(str(sample.key_expr))
+        name = row[1].get("src", "") if row else ""
+        reason = unusable(sample, LINK) if name in self._inbox else "unknown sender"
         payload = b"" if reason else sample.payload.to_bytes()
         with self._lock:
             if reason:
@@ -104,13 +111,10 @@ class Transport:
                 self._refused["inbox full"] += 1  # the oldest makes room
             inbox.append((at_ns, payload))
 
-    def _link_key(self, src: str, dst: str) -> str:
-        return topics.key(LINK, fleet=self._fleet.fleet, src=src, dst=dst)
-
 
 class Seen(NamedTuple):
     topic: Topic
-    chunks: dict[str, str]  # what the key says: fleet, and robot or src and dst
+    chunks: dict[str, str]  # what the key says: fleet, and robot or src and dst; target where there are several
     payload: bytes  # not yet decoded
     arrived_ns: int
 
@@ -126,7 +130,7 @@ class Observer:
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(open_session(observer_config(self._fleet), f"fleet '{self._fleet.fleet}'"))
-            anyone = {"fleet": self._fleet.fleet, "src": "*", "dst": "*", "robot": "*"}
+            anyone = {"fleet": self._fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
             for row in self._rows:
                 _subscribe(session, topics.key(row, **anyone), self._arrived)
             self._open = stack.pop_all()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agent.config import Fleet, dump
 from agent.messages import Sighting, encode
 from agent.ranging.calibration import Calibration
+from replay.depth import MeasureDepth
 from replay.derive import Derive
 from replay.frames import FRAME, VISION, picture
 from replay.log import LogWriter
@@ -22,15 +23,24 @@ FROM_BOARD, TO_BOARD = "/raw/serial/from_board", "/raw/serial/to_board"  # the b
 
 
 def black_box_log(
-    folder: Path, fleet: Fleet, robot: str, calibration: Calibration, run: Mapping[str, object], views: bool
+    folder: Path,
+    fleet: Fleet,
+    robot: str,
+    calibration: Calibration,
+    run: Mapping[str, object],
+    views: bool,
+    depth: MeasureDepth | None = None,
 ) -> LogWriter:
-    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart; `views`: with channels for viewers."""
+    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart.
+
+    `views`: with channels for viewers; `depth`: what makes depth maps for them.
+    """
     return LogWriter(
         unused(folder / f"{robot}.mcap"),
         run,
         attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
         splits_at=STEP_IN,
-        derive=Derive(fleet, robot, calibration.camera) if views else None,
+        derive=Derive(fleet, robot, calibration, depth) if views else None,
     )
 
 
@@ -48,14 +58,15 @@ class BlackBoxWriter:
         if outputs is not None:
             self._log.write(STEP_OUT, now_ns, now_ns, step, outputs, metadata={"schema": "aucamp.Outputs"})
 
-    def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], sighting: Sighting) -> None:
-        """A frame and what vision found in it; called on vision's thread."""
+    def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
+        """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""
         number, now_ns = next(self._frames), self._clock()
-        data = picture(image, roi, sighting, self._lossless)
+        data = picture(image, roi, sightings[0], self._lossless)
         about = {"schema": "aucamp.Picture"}
-        self._log.write(FRAME, now_ns, sighting.t_ns, number, data, metadata=about, expendable=True)
+        self._log.write(FRAME, now_ns, sightings[0].t_ns, number, data, metadata=about, expendable=True)
         about = {"schema": "aucamp.Sighting"}
-        self._log.write(VISION, now_ns, sighting.t_ns, number, encode(sighting), metadata=about)
+        for sighting in sightings:
+            self._log.write(VISION, now_ns, sighting.t_ns, number, encode(sighting), metadata=about)
 
     def serial(self, from_board: bool, data: bytes) -> None:
         """Bytes of the tether; called on the port's thread."""

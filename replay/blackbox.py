@@ -82,15 +82,20 @@ def open_boxes(paths: Iterable[Path]) -> list[BlackBox]:
 
 def black_boxes(folder: Path) -> list[Path]:
     """The black boxes in a folder by their first part, whether finished, mended or torn."""
+    return recordings(folder, "black box")
+
+
+def recordings(folder: Path, kind: str) -> list[Path]:
+    """The recordings of a kind in a folder, "black box" or "fleet", as `black_boxes` does."""
     ending = re.compile(r"(\.part\d{3,})?(\.recovered)?\.mcap(\.active)?$")
     firsts = {folder / ending.sub(".mcap", file.name) for file in folder.iterdir() if ending.search(file.name)}
     there = [first for first in firsts if standing(first) is not None]
-    return sorted(first for first in there if _head(parts(first)[0]).run.get("kind") == "black box")
+    return sorted(first for first in there if head(parts(first)[0]).run.get("kind") == kind)
 
 
 def open_box(path: Path) -> BlackBox:
     """Read the header of a black box. Raises ConfigError as `open_boxes` does."""
-    heads = [_head(file) for file in parts(path)]
+    heads = [head(file) for file in parts(path)]
     run, attachments = heads[0].run, heads[0].attachments
     if run.get("kind") != "black box":
         raise ConfigError(f"{path}: is no black box; give a <robot>.mcap of an agent")
@@ -101,7 +106,7 @@ def open_box(path: Path) -> BlackBox:
     if needs:
         raise ConfigError(f"{path}: has no {needs[0]}, so its agent cannot be built again; record with this version")
     if run.get("part", "1") != "1":
-        raise ConfigError(f"{path}: is part {run['part']} and needs those before it; give the first")
+        raise ConfigError(f"{path}: is part {run['part']}, and its steps build on those before; give the first part")
     return BlackBox(
         path=path,
         robot=run["robot"],
@@ -109,13 +114,13 @@ def open_box(path: Path) -> BlackBox:
         fleet=convert(tomllib.loads(attachments["fleet.toml"]), Fleet, path / "fleet.toml"),
         calibration=convert(tomllib.loads(attachments["calibration.toml"]), Calibration, path / "calibration.toml"),
         run=run,
-        recorded=sum(head.steps for head in heads),
-        complete=all(head.complete for head in heads),
+        recorded=sum(each.steps for each in heads),
+        complete=all(each.complete for each in heads),
     )
 
 
-class _Head(NamedTuple):
-    """What is needed of one part before its steps are read."""
+class Head(NamedTuple):
+    """What is needed of one file before its messages are read."""
 
     run: dict[str, str]
     attachments: dict[str, str]
@@ -123,11 +128,11 @@ class _Head(NamedTuple):
     complete: bool
 
 
-def _head(file: Path) -> _Head:
-    """From the end of a finished file, which is quick; else from a walk through all of it."""
+def head(file: Path) -> Head:
+    """What a file says of itself: read from the end of a finished one, which is quick; else by a walk through it."""
     about = summary(file)
     if about is not None and "aucamp.end" in about.notes:
-        return _Head(about.notes.get("aucamp.run", {}), about.attachments, about.messages.get(STEP_IN, 0), True)
+        return Head(about.notes.get("aucamp.run", {}), about.attachments, about.messages.get(STEP_IN, 0), True)
     torn = info(file)
     steps = torn.channels[STEP_IN].messages if STEP_IN in torn.channels else 0
-    return _Head(torn.run, torn.attachments, steps, False)
+    return Head(torn.run, torn.attachments, steps, False)

@@ -11,10 +11,11 @@ from typing import Any, TypeVar
 from agent import topics
 from agent.config import Fleet
 from agent.messages import Inputs, LogLine, Message, Outputs, Refusal, Sighting, State, Telemetry, decode
-from agent.ranging.calibration import CameraFit
+from agent.ranging.calibration import Calibration
 from replay import foxglove
 from replay.backlog import Entry
-from replay.frames import FRAME, MAX_FRAME, Picture
+from replay.depth import MeasureDepth, Sweeps, points
+from replay.frames import FRAME, MAX_FRAME, VISION, Picture
 from replay.plots import plot
 
 M = TypeVar("M", bound=Message)
@@ -26,13 +27,24 @@ Made = tuple[str, int, Any]  # channel, time it is true for in ns, protobuf mess
 class Derive:
     """From an entry of a black box or of a fleet file to those for viewers: `LogWriter(derive=Derive(...))`."""
 
-    def __init__(self, fleet: Fleet, robot: str = "", camera: CameraFit | None = None) -> None:
-        """`robot` and its `camera` for a black box; a fleet file needs neither."""
-        self._fleet, self._robot, self._camera = fleet, robot, camera
+    def __init__(
+        self,
+        fleet: Fleet,
+        robot: str = "",
+        calibration: Calibration | None = None,
+        depth: MeasureDepth | None = None,
+    ) -> None:
+        """`robot` and its `calibration` for a black box; a fleet file needs neither.
+
+        `depth` makes a map of each whole sweep of the lens; None: there are no maps.
+        """
+        self._fleet, self._robot, self._calibration, self._depth = fleet, robot, calibration, depth
+        self._sweeps = Sweeps(fleet.camera.sweep_steps)
         self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
             "/raw/step_in": self._inputs,
             "/raw/step_out": self._outputs,
             FRAME: self._frame,
+            VISION: self._vision,
         }
 
     def __call__(self, entry: Entry) -> Iterator[Entry]:
@@ -59,7 +71,8 @@ class Derive:
             yield f"/{self._robot}/plot/attitude", telemetry.t_ns, attitude(telemetry)
             yield f"/{self._robot}/plot/thrusters", telemetry.t_ns, thrusters(telemetry)
         for sighting in inputs.sightings:
-            yield f"/{self._robot}/plot/focus", sighting.t_ns, focus(sighting)
+            which = f"/{sighting.target}" if len(self._fleet.target) > 1 else ""
+            yield f"/{self._robot}/plot/focus{which}", sighting.t_ns, focus(sighting)
 
     def _outputs(self, entry: Entry) -> Iterator[Made]:
         outputs = _own(entry, Outputs)
@@ -73,9 +86,22 @@ class Derive:
         # Those of a sweep show a part only, each another one: a channel of their own keeps the picture still.
         name = f"/{self._robot}/{'sweep' if picture.sweep else 'camera'}"
         yield f"{name}/image", picture.t_ns, foxglove.image(self._robot, picture.data, picture.format, picture.t_ns)
-        if self._camera is not None:
-            about = foxglove.calibration(self._robot, self._camera, picture.roi, picture.t_ns)
+        if self._calibration is not None:
+            about = foxglove.calibration(self._robot, self._calibration.camera, picture.roi, picture.t_ns)
             yield f"{name}/calibration", picture.t_ns, about
+        self._sweeps.picture(entry.sequence, picture)
+
+    def _vision(self, entry: Entry) -> Iterator[Made]:
+        """Of a whole sweep's last frame: the depth map of all of them."""
+        if self._depth is None or self._calibration is None:
+            return
+        frames = self._sweeps.sighting(entry.sequence, _own(entry, Sighting))
+        if not frames:
+            return
+        found = self._depth(frames, self._calibration)
+        if found is not None:
+            places_m, colours = points(found, self._calibration.camera)
+            yield f"/{self._robot}/depth/points", found.t_ns, foxglove.cloud(self._robot, places_m, colours, found.t_ns)
 
     def _heard(self, entry: Entry) -> Iterator[Made]:
         """Of a fleet file: what robots show to whoever looks."""
@@ -90,20 +116,21 @@ class Derive:
 
     def _state(self, state: State) -> Iterator[Made]:
         robot, t_ns = state.robot, state.sent_ns
+        which = f"/{state.target}" if len(self._fleet.target) > 1 else ""
         own = self._fleet.robot.get(robot)
         if own is not None:
             tree = foxglove.transforms(state, own.pose, self._fleet.body, self._fleet.tank.surface_m)
             if tree is not None:
                 yield f"/{robot}/tf", t_ns, tree
         if state.prior_m is not None:
-            yield f"/{robot}/target/prior", t_ns, foxglove.position(state.prior_m, t_ns)
+            yield f"/{robot}/target{which}/prior", t_ns, foxglove.position(state.prior_m, t_ns)
         if state.posterior_m is not None:
-            yield f"/{robot}/target/estimate", t_ns, foxglove.position(state.posterior_m, t_ns)
-        yield f"/{robot}/plot/protocol", t_ns, protocol(state)
+            yield f"/{robot}/target{which}/estimate", t_ns, foxglove.position(state.posterior_m, t_ns)
+        yield f"/{robot}/plot/protocol{which}", t_ns, protocol(state)
         weights = state.explain.weights if state.explain is not None else {}
         for other in state.neighbours:
             yield (
-                f"/{robot}/plot/hears/{other.robot}",
+                f"/{robot}/plot/hears/{other.robot}{which}",
                 t_ns,
                 plot(
                     "Neighbour",

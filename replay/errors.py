@@ -17,7 +17,7 @@ AXES = ("x", "y", "z")
 
 
 class ErrorRow(NamedTuple):
-    """Errors of one robot along one axis, or in space ("3-D", without a sign), in mm."""
+    """Errors of one robot and target along one axis, or in space ("3-D", without a sign), in mm."""
 
     robot: str
     what: str  # prior, or posterior
@@ -36,13 +36,13 @@ def error_table(stories: Sequence[Story], truth_m: Vector) -> list[ErrorRow]:
     for story in stories:
         priors = np.array([x for _, x in story.priors]).reshape(-1, 3) - truth_m
         if len(priors):
-            rows += _rows(story.robot, "prior", 1e3 * priors, None)
+            rows += _rows(story.label, "prior", 1e3 * priors, None)
         late = [belief for belief in story.beliefs if belief.state.posterior_m is not None][-LATE:]
         if late:
             errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
             covariances = [belief.cov_m2 for belief in late]
             sigmas = np.array([[math.sqrt(c[k]) for k in VARIANCES] if c else [math.nan] * 3 for c in covariances])
-            rows += _rows(story.robot, "posterior", 1e3 * errors, 1e3 * sigmas)
+            rows += _rows(story.label, "posterior", 1e3 * errors, 1e3 * sigmas)
     return rows
 
 

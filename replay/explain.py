@@ -30,21 +30,32 @@ class Moment(NamedTuple):
 
 
 def explain(path: Path, at: str | None = None) -> str:
-    """The iteration that holds a moment of a black box, in sentences. Raises ConfigError.
+    """The iteration that holds a moment of a black box, in sentences, for each target. Raises ConfigError.
 
     `at`: "16" is an iteration, "12.5s" a time since the first step, "step:812" a step; None: the last iteration.
     """
     box = open_box(path)
-    moment = find(path, at)
-    if moment is None:
+    lines, found = [f"{box.robot}, protocol {box.fleet.estimation.protocol}"], False
+    for target in box.fleet.target:
+        if len(box.fleet.target) > 1:
+            lines += ["", f"target {target}"]
+        moment = find(path, at, target)
+        found |= moment is not None
+        lines += ["no iteration yet"] if moment is None else sentences(moment)
+    if not found:
         raise ConfigError(f"{path}: no iteration at {at or 'its end'}; give --at 16, --at 12.5s or --at step:812")
-    return "\n".join([f"{box.robot}, protocol {box.fleet.estimation.protocol}", *sentences(moment)])
+    return "\n".join(lines)
 
 
-def find(path: Path, at: str | None) -> Moment | None:
-    """The moment that `at` names; the last iteration shown before it, where it falls between two."""
+def find(path: Path, at: str | None, target: str | None = None) -> Moment | None:
+    """The moment that `at` names; the last iteration shown before it, where it falls between two.
+
+    `target`: whose iterations; those of the fleet's first one if not given.
+    """
     wanted = _parse(at)
     box, start_ns = open_box(path), 0
+    target = target or next(iter(box.fleet.target))
+    others = tuple(f"{name}: " for name in box.fleet.target if name != target)
     found: Moment | None = None
     log: list[LogLine] = []
     for step in box.steps():
@@ -55,9 +66,9 @@ def find(path: Path, at: str | None) -> Moment | None:
         if step.outputs is None:
             continue
         outputs = decode(step.outputs, Outputs, limit=STEP_BYTES)
-        log += outputs.log
+        log += [line for line in outputs.log if not line.text.startswith(others)]
         state = outputs.state
-        if state is None or state.t == 0 or (found is not None and state.t == found.state.t):
+        if state is None or state.target != target or state.t == 0 or (found is not None and state.t == found.state.t):
             continue
         if wanted.over(state.t, step.number, seconds):
             break

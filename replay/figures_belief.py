@@ -40,7 +40,7 @@ def iterations(story: Story, truth_m: Vector | None) -> Figure:
         ticks = story.beliefs[:: max(1, len(story.beliefs) // 5)]
         above = panels[0].secondary_xaxis("top")
         above.set_xticks([belief.t for belief in ticks], [f"{belief.t_s:.0f}" for belief in ticks])
-        above.set_xlabel(f"{story.robot}: time, s")
+        above.set_xlabel(f"{story.label}: time, s")
     return figure
 
 
@@ -64,7 +64,7 @@ def valid_set(story: Story) -> Figure:
             panel.barh(row, end - begin, left=begin, height=0.7, color=colour, linewidth=0)
     panel.set_yticks(range(1 + len(names)), ["itself", *names])
     panel.invert_yaxis()
-    panel.set(xlabel="time, s", title=f"S as {story.robot} sees it")
+    panel.set(xlabel="time, s", title=f"S as {story.robot} sees it" + story.label.removeprefix(story.robot))
     # One key for both kinds of rows: green is in S, orange has an estimate without a view.
     keys = {"in S, counted": "C2", "in S, not counted": "C9", "told": "C1", "not in S": "0.85", "unheard": "white"}
     handles = [Patch(facecolor=colour, edgecolor="0.6", label=label) for label, colour in keys.items()]
@@ -93,7 +93,8 @@ def _seen(state: State, name: str) -> str:
 
 
 def disagreement(stories: Sequence[Story], truth_m: Vector | None) -> Figure:
-    """Largest distance between two posteriors at a time; with a truth also that of each robot from it."""
+    """Of the stories about one target: the largest distance between two posteriors at a time; with a truth also that
+    of each robot from it."""
     figure = Figure(figsize=(4.6, 3.3), layout="constrained")
     panel = figure.subplots()
     if truth_m is not None:
@@ -106,7 +107,8 @@ def disagreement(stories: Sequence[Story], truth_m: Vector | None) -> Figure:
         panel.axhline(limit_mm, color="0.5", linestyle=":", linewidth=1.0, label="0.4 % of |x*|")
     times, apart = _apart(stories)
     panel.plot(times, apart, color="black", linewidth=1.2, label="disagreement")
-    panel.set(xlabel="time, s", ylabel="mm", title="posteriors: error and largest distance", yscale="log")
+    about = stories[0].label.removeprefix(stories[0].robot)  # the target, where there are several
+    panel.set(xlabel="time, s", ylabel="mm", title=f"posteriors{about}: error and largest distance", yscale="log")
     panel.legend(fontsize="small", ncols=2)
     return figure
 

@@ -27,7 +27,7 @@ def clarity_curves(story: Story) -> Figure:
             low, high = (sweep.peak.position + side * sweep.peak.sigma for side in (-1, 1))
             panel.axvspan(low, high, color=f"C{k}", alpha=0.25, linewidth=0)
     peaks = sum(isinstance(sweep.peak, Peak) for sweep in story.sweeps)
-    panel.set_title(f"{story.robot}: {len(story.sweeps)} sweeps, {peaks} with a peak")
+    panel.set_title(f"{story.label}: {len(story.sweeps)} sweeps, {peaks} with a peak")
     panel.set(xlabel="lens position", ylabel="clarity T (Tenengrad), grey levels²")
     if story.sweeps:
         panel.legend(fontsize="small", title="begun at", title_fontsize="small")
@@ -45,7 +45,7 @@ def calibration_fit(story: Story) -> Figure:
     seen = [(peak.position, u) for peak in peaks if (u := h(fit, peak.position)) is not None]
     panel.plot([p for p, _ in seen], [u for _, u in seen], ".", color="C3", markersize=4, label="peaks of this run")
     errors = f"RMSE {1e3 * fit.rmse_m:.1f} mm, held out {1e3 * fit.held_out_rmse_m:.1f} mm"
-    panel.set_title(f"{story.robot}: R² {fit.r2:.5f}, {errors}", fontsize="medium")
+    panel.set_title(f"{story.label}: R² {fit.r2:.5f}, {errors}", fontsize="medium")
     panel.set_ylabel("z-depth u from the gimbal, m")
     panel.legend(fontsize="small")
     below.plot(rho, 2e3 * deviation_m(fit, rho), color="black", linewidth=1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,24 +15,23 @@ from agent.messages import Symmetric, Vector
 from replay.story import Story
 
 
-def above(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Figure:
-    """World axes: walls, robots and where they point, estimates, and the truth where it is known."""
+def above(fleet: Fleet, stories: Sequence[Story], truths_m: Mapping[str, Vector]) -> Figure:
+    """World axes: walls, robots and where they point, estimates, and by target the truth where it is known."""
     figure = Figure(figsize=(4.6, 4.2), layout="constrained")
     panel = figure.subplots()
     length_m, width_m, _ = fleet.tank.size_m
     panel.add_patch(Rectangle((0, 0), length_m, width_m, fill=False))
-    if truth_m is not None:
-        radius_m = next(iter(fleet.target.values())).radius_m
-        panel.add_patch(Circle(truth_m[:2], radius_m, color="C3", alpha=0.2))
-        panel.plot(*truth_m[:2], "+", color="black", markersize=12, label="truth")
+    for k, (target, truth_m) in enumerate(truths_m.items()):
+        panel.add_patch(Circle(truth_m[:2], fleet.target[target].radius_m, color="C3", alpha=0.2))
+        panel.plot(*truth_m[:2], "+", color="black", markersize=12, label="truth" if k == 0 else None)
     for index, (name, robot) in enumerate(fleet.robot.items()):
         pose, yaw = robot.pose, math.radians(robot.pose.yaw_deg)
         panel.arrow(pose.x_m, pose.y_m, 0.1 * math.cos(yaw), 0.1 * math.sin(yaw), color=f"C{index}", width=0.01)
         behind = (-12 * math.cos(yaw), -12 * math.sin(yaw))
         panel.annotate(name, (pose.x_m, pose.y_m), behind, textcoords="offset points", ha="center", va="center")
-        estimate = next((story.estimate for story in stories if story.robot == name), None)
-        if estimate is not None:
-            panel.plot(*estimate[0][:2], "x", color=f"C{index}", label=name)
+        estimates = [story.estimate[0][:2] for story in stories if story.robot == name and story.estimate is not None]
+        if estimates:
+            panel.plot(*zip(*estimates, strict=True), "x", color=f"C{index}", label=name)
     panel.set_aspect("equal")
     panel.set(xlabel="x, m", ylabel="y, m", xlim=(-0.05, length_m + 0.05), ylim=(-0.05, width_m + 0.05))
     if panel.get_legend_handles_labels()[0]:
@@ -41,7 +40,9 @@ def above(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Fig
 
 
 def near_target(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Figure:
-    """Priors as dots, last posteriors with their 2σ ellipse, in mm from the truth or from the posteriors' mean."""
+    """Of the stories about one target: priors as dots, last posteriors with their 2σ ellipse, in mm from the truth or
+    from the posteriors' mean.
+    """
     figure = Figure(figsize=(4.6, 4.2), layout="constrained")
     panel = figure.subplots()
     names = list(fleet.robot)
@@ -64,8 +65,10 @@ def near_target(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) 
     if truth_m is not None:
         panel.plot(0, 0, "+", color="black", markersize=14, label="truth")
     panel.set_aspect("equal", adjustable="datalim")
+    about = "" if len(fleet.target) == 1 else f"{stories[0].target}: "
+    title = about + r"x̂ as dots, x with its $2\sigma$ ellipse"
     where = "the truth" if truth_m is not None else "the mean of the estimates"
-    panel.set(xlabel=f"x from {where}, mm", ylabel="y, mm", title=r"x̂ as dots, x with its $2\sigma$ ellipse")
+    panel.set(xlabel=f"x from {where}, mm", ylabel="y, mm", title=title)
     panel.legend(loc="best", fontsize="small")
     return figure
 

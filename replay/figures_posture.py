@@ -13,26 +13,31 @@ POINTS = 600  # of a line; more cannot be told apart on a screen
 
 
 def posture(story: Story) -> Figure:
-    """Four panels over time, all from the robot's own telemetry."""
-    figure = Figure(figsize=(4.6, 7.4), layout="constrained")
-    pressures, pulses, depth, tilt = figure.subplots(4, 1, sharex=True)
+    """Panels over time, all by the robot's own sensors; without a black box depth and tilt alone."""
     p = story.posture
     every = thin(p.t_s)
-    for k in range(4):
-        pressures.plot(p.t_s[every], 1e3 * p.sensors_m[every, k], linewidth=0.8, label=f"ζ{k + 1}")
-        pulses.plot(p.t_s[every], p.pulses_us[every, k] - NEUTRAL_US, linewidth=0.8, label=f"T{k + 1}")
+    inside = bool(np.isfinite(p.sensors_m).any())
+    figure = Figure(figsize=(4.6, 7.4 if inside else 4.0), layout="constrained")
+    *upper, depth, tilt = panels = list(figure.subplots(4 if inside else 2, 1, sharex=True))
+    if upper:
+        pressures, pulses = upper
+        for k in range(4):
+            pressures.plot(p.t_s[every], 1e3 * p.sensors_m[every, k], linewidth=0.8, label=f"ζ{k + 1}")
+        for k in range(CENTRAL):
+            pulses.plot(p.t_s[every], p.pulses_us[every, k] - NEUTRAL_US, linewidth=0.8, label=f"T{k + 1}")
+        pressures.set_ylabel("pressure, mm of water")
+        pressures.invert_yaxis()
+        pulses.set_ylabel("Δ PWM, µs")
     depth.plot(p.t_s[every], 1e3 * p.depth_m[every], color="black", linewidth=0.9, label="depth")
     steps = [*story.set_depth_m, (story.ends_s, story.set_depth_m[-1][1])] if story.set_depth_m else []
     depth.step([t for t, _ in steps], [1e3 * d for _, d in steps], where="post", color="C3", label="set-point")
     tilt.plot(p.t_s[every], p.roll_deg[every], linewidth=0.9, label="roll")
     tilt.plot(p.t_s[every], p.pitch_deg[every], linewidth=0.9, label="pitch")
-    pressures.set(ylabel="pressure, mm of water", title=story.robot)
-    pulses.set_ylabel("Δ PWM, µs")
     depth.set_ylabel("depth, mm")
     tilt.set(ylabel="tilt, deg", xlabel="time, s")
     depth.invert_yaxis()
-    pressures.invert_yaxis()
-    for panel in (pressures, pulses, depth, tilt):
+    panels[0].set_title(story.robot)
+    for panel in panels:
         panel.legend(fontsize="x-small", ncols=4, loc="best")
     return figure
 

@@ -11,17 +11,21 @@ import math
 from functools import cache
 from typing import Any
 
+import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
 
 from agent.config import Body
 from agent.config import Pose as Place
@@ -74,6 +78,30 @@ def calibration(robot: str, fit: CameraFit, roi: tuple[int, int, int, int], t_ns
     r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     return CameraCalibration(
         timestamp=_stamp(t_ns), frame_id=f"{robot}/camera", width=roi[2], height=roi[3], K=k, R=r, P=p
+    )
+
+
+NUMBERS = {"<f4": PackedElementField.FLOAT32, "u1": PackedElementField.UINT8}
+POINT = {**dict.fromkeys(("x", "y", "z"), "<f4"), **dict.fromkeys(("red", "green", "blue", "alpha"), "u1")}
+POINT_DTYPE = np.dtype(list(POINT.items()))
+OFFSETS = (0, 4, 8, 12, 13, 14, 15)  # of these fields in a point of 16 bytes
+
+
+def cloud(robot: str, places_m: NDArray[np.float32], colours: NDArray[np.uint8], t_ns: int) -> Any:
+    """foxglove.PointCloud: places (n, 3) in the camera frame, colours (n, 3) red green blue."""
+    packed = np.zeros(len(places_m), POINT_DTYPE)
+    for name, column in zip(POINT, [*places_m.T, *colours.T, 255], strict=True):
+        packed[name] = column
+    return PointCloud(
+        timestamp=_stamp(t_ns),
+        frame_id=f"{robot}/camera",
+        pose=Pose(orientation=Quaternion(w=1.0)),
+        point_stride=POINT_DTYPE.itemsize,
+        fields=[
+            PackedElementField(name=name, offset=offset, type=NUMBERS[kind])
+            for (name, kind), offset in zip(POINT.items(), OFFSETS, strict=True)
+        ],
+        data=packed.tobytes(),
     )
 
 

@@ -22,7 +22,8 @@ from agent.session import observer_config
 from replay.backlog import Backlog, Entry
 from replay.derive import Derive
 from replay.environment import environment
-from replay.log import Limits, LogWriter, drop_note
+from replay.leftovers import leftovers, mending
+from replay.log import Limits, LogWriter, drop_note, unused
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +43,7 @@ def record(
 ) -> dict[str, int]:
     """Record into `out` until `stop` is set; returns messages per row of the table, and what was not recorded.
 
+    Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap.
     Log times are Unix time that never steps back: sampled once, then monotonic. `warn` takes one line for a person,
     `views` adds channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
     has become full, and if no session can be opened.
@@ -55,8 +57,12 @@ def record(
     started_ns = clock()
     ear = Ear(clock)
     warned = False
+    torn = leftovers(out)
+    if torn and not out.exists():
+        out = unused(out)  # a recorder that was killed goes on; what was finished on purpose is not added to
+        warn(f"its last recording was not finished, so this one is {out}")
     log = LogWriter(out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=Derive(fleet) if views else None)
-    with log, listening(fleet, ear, "recorder"):
+    with log, mending(torn, warn), listening(fleet, ear, "recorder"):
         while not stop.wait(PERIOD_S):
             for entry in taken(ear, counts):
                 log.put(entry)
@@ -130,7 +136,7 @@ def listening(fleet: Fleet, ear: Ear, name: str) -> Iterator[None]:
         session = zenoh.open(zenoh.Config.from_json5(observer_config(fleet, name)))
     except zenoh.ZError as error:
         raise ConfigError(f"fleet '{fleet.fleet}': zenoh cannot open a session: {error}") from None
-    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*"}
+    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
     with session:
         for row in topics.TOPICS:
             session.declare_subscriber(topics.key(row, **anyone), handler(ear.message))

@@ -18,8 +18,8 @@ from agent.config import ConfigError
 from replay.backlog import Entry
 from replay.backlog import Schema as ChannelSchema
 from replay.info import info
-from replay.mcap_file import Channel, Message, Part, Schema, Tear, records
-from replay.names import SUFFIX, recovered, standing
+from replay.mcap_file import Channel, Message, Part, Schema, Tear, records, summary
+from replay.names import SUFFIX, active, recovered, standing
 
 STEP_IN, STEP_OUT = "/raw/step_in", "/raw/step_out"
 CUT = "/raw/step_in_cut"  # inputs of a step whose outputs are missing
@@ -72,6 +72,9 @@ def recover(path: Path, force: bool = False) -> Recovered:
         return Recovered(path, None, counts, size, 0, 0, None, None, None)
     if not force and being_written(path):
         raise ConfigError(f"{path}: still being written; end its writer first, or give --force")
+    half_done = active(recovered(path))
+    if half_done.exists() and (force or not being_written(half_done)):
+        half_done.unlink()  # of a mending that was broken off; the torn file itself is as it was
     part = Part(recovered(path))
     walk = _Walk(path)
     try:
@@ -103,6 +106,9 @@ def sound(path: Path, say: Callable[[str], None]) -> Path:
     as it is: reading ends at the tear. Raises ConfigError as `info` does.
     """
     there = path if path.exists() else standing(path) or path
+    ends = summary(there)
+    if ends is not None and "aucamp.end" in ends.notes:  # finished: no need to walk through it
+        return there
     about = info(there)
     if about.complete or about.recovered or being_written(there):
         if about.recovered:

@@ -1,128 +1,111 @@
 """`aucamp replay report`: a run as one page, from the recordings of its robots.
 
-The paper's figures, drawn from the black boxes; the truth, where a twin knows it, comes from summary.json. All of it is
-inline, so that the page can be mailed.
+The paper's figures, drawn from the black boxes, or as far as it goes from the fleet file; the truth, where a twin knows
+it, comes from summary.json. All of it is inline, so that the page can be mailed.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jinja2
 import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from agent.config import ConfigError, Fleet, load_fleet
-from agent.messages import Vector
-from replay import figures_belief, figures_focus, figures_map, figures_posture
-from replay.blackbox import BlackBox, black_boxes, open_boxes
-from replay.errors import LATE, error_table, relative_percent
-from replay.links import Link, links
+from replay import figures_belief, figures_depth, figures_focus, figures_map, figures_posture, report_tables
+from replay.depth import MeasureDepth, whole_sweeps
+from replay.log import read
 from replay.report_page import PAGE
-from replay.story import Story, stories
-
-Row = list[str]
+from replay.run import Run, open_run
+from replay.story import first_ns
 
 
 class Section(NamedTuple):
     id: str
     title: str
     note: str
-    tables: list[list[Row]]  # each with its head first
+    tables: list[list[report_tables.Row]]  # each with its head first
     figures: list[Markup]
 
 
-def report(run: Path, out: Path | None = None) -> Path:
-    """Write the page of a run's folder, or of one black box, and return its path.
+def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = None) -> Path:
+    """Write the page of a run's folder, or of one recording, and return its path.
 
     `out` is report.html in the folder, or NAME.html beside the file, if not given. A robot without a recording is left
-    out of the figures. Raises ConfigError if there is nothing to show.
+    out of the figures. `depth` makes the map of a whole sweep; None: there are no maps. Raises ConfigError if there is
+    nothing to show.
     """
-    summary = _summary(run)
-    boxes = _boxes(run)
-    if not boxes and summary is None:
-        raise ConfigError(f"{run}: no black box and no summary.json; give the folder of a run or a <robot>.mcap")
-    fleet = boxes[0].fleet if boxes else load_fleet(run / "fleet.toml")
-    truth_m: Vector | None = tuple(summary["truth_m"]) if summary else None
-    told = stories(boxes)
+    run = open_run(path)
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
-    out = out or (run / "report.html" if run.is_dir() else run.with_name(f"{run.name.split('.mcap')[0]}.html"))
+    out = out or (path / "report.html" if path.is_dir() else path.with_name(f"{path.name.split('.mcap')[0]}.html"))
     out.write_text(
         page.render(
-            title=f"Fleet {fleet.fleet}",
-            verdict=summary["verdict"] if summary else "",
-            reasons=summary["reasons"] if summary else [],
-            about=_about(fleet, boxes, told, summary),
-            sections=_sections(fleet, boxes, told, summary, truth_m),
+            title=f"Fleet {run.fleet.fleet}",
+            verdict=run.summary["verdict"] if run.summary else "",
+            reasons=run.summary["reasons"] if run.summary else [],
+            about=_about(run),
+            sections=_sections(run, depth),
         ),
         encoding="utf-8",
     )
     return out
 
 
-def _summary(run: Path) -> dict[str, Any] | None:
-    """What the demo found; None for a run without one."""
-    path = run / "summary.json"
-    if not path.exists():
-        return None
-    try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
-    return summary
-
-
-def _boxes(run: Path) -> list[BlackBox]:
-    return open_boxes(black_boxes(run) if run.is_dir() else [run])
-
-
-def _about(fleet: Fleet, boxes: Sequence[BlackBox], told: Sequence[Story], summary: dict[str, Any] | None) -> str:
-    parts_ = [f"Protocol {fleet.estimation.protocol}, {len(told)} recordings of {len(fleet.robot)} robots."]
-    if told:
-        parts_.append(f"{max(story.ends_s for story in told):.0f} s, {sum(box.recorded for box in boxes)} steps.")
-        run = boxes[0].run
-        dirty = " with uncommitted changes" if run.get("dirty") == "yes" else ""
-        parts_.append(f"aucamp {run.get('version.aucamp', '?')}, commit {run.get('commit', '?')[:10]}{dirty}.")
-    if summary:
-        truth = ", ".join(f"{1e3 * x:.1f}" for x in summary["truth_m"])
-        parts_.append(f"Twin seed {summary['seed']}; by the twin the target is at ({truth}) mm.")
-    torn = [box.path.name for box in boxes if not box.complete]
+def _about(run: Run) -> str:
+    robots = run.robots
+    left = len({box.robot for box in run.boxes})
+    lines = [f"Protocol {run.fleet.estimation.protocol}, black boxes of {left} of {len(run.fleet.robot)} robots."]
+    if robots:
+        steps = f", {sum(box.recorded for box in run.boxes)} steps" if run.boxes else ""
+        lines.append(f"{max(story.ends_s for story in robots):.0f} s{steps}.")
+    header = run.boxes[0].run if run.boxes else run.fleet_file.run if run.fleet_file else None
+    if header is not None:
+        dirty = " with uncommitted changes" if header.get("dirty") == "yes" else ""
+        lines.append(f"aucamp {header.get('version.aucamp', '?')}, commit {header.get('commit', '?')[:10]}{dirty}.")
+    if run.summary:
+        seed = f"Twin seed {run.summary['seed']}"
+        places = [f"{name} is at ({', '.join(f'{1e3 * x:.1f}' for x in x_m)}) mm" for name, x_m in run.truths_m.items()]
+        lines.append(f"{seed}; by the twin {', '.join(places)}.")
+    torn = [box.path.name for box in run.boxes if not box.complete]
+    torn += [run.fleet_file.path.name] if run.fleet_file and not run.fleet_file.complete else []
     if torn:
-        parts_.append(f"Not finished by their writer: {', '.join(torn)}.")
-    return " ".join(parts_)
+        lines.append(f"Not finished by their writer: {', '.join(torn)}.")
+    if poor := [story.robot for story in robots if not story.boxes]:
+        lines.append(
+            f"From the fleet file alone: {', '.join(poor)}. What robots show on the network has no frames, lens "
+            "sweeps, depth maps, pressures, thrusters and set-points, and does not prove what a robot heard: only "
+            "their own black boxes do."
+        )
+    return " ".join(lines)
 
 
-def _sections(
-    fleet: Fleet,
-    boxes: Sequence[BlackBox],
-    told: Sequence[Story],
-    summary: dict[str, Any] | None,
-    truth_m: Vector | None,
-) -> list[Section]:
-    heard = links(boxes)
-    against = "" if truth_m is None else " Dashed: the truth, by the twin."
-    lower = "" if truth_m is None else " Coloured: each robot's distance from the truth."
+def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
+    """In the order of the paper; those for which nothing was recorded are left out."""
+    told, robots = run.stories, run.robots
+    inside = [story for story in told if story.boxes]
+    against = "" if not run.truths_m else " Dashed: the truth, by the twin."
+    lower = "" if not run.truths_m else " Coloured: each robot's distance from the truth."
+    targets = [(target, stories) for target in run.fleet.target if (stories := run.about(target))]
     sections = [
-        Section("errors", "Errors", _error_note(truth_m), _error_tables(fleet, told, summary, truth_m), []),
+        Section("errors", "Errors", report_tables.error_note(run), report_tables.error_tables(run), []),
         Section(
             "iterations",
             "Prior and posterior",
             "Dots: the robot's own measurement x̂. Line: its estimate x after hearing its neighbours, with twice the "
             f"standard deviation it states. Green: its first view of the target.{against}",
             [],
-            [_svg(figures_belief.iterations(story, truth_m)) for story in told],
+            [_svg(figures_belief.iterations(story, run.truths_m.get(story.target))) for story in told],
         ),
         Section(
             "valid",
             "Valid set",
             "S is the set of robots that see the target. Nobody knows it; each row is what the observer could know.",
-            [_events(told)],
+            [report_tables.events(run)] if told else [],
             [_svg(figures_belief.valid_set(story)) for story in told],
         ),
         Section(
@@ -130,21 +113,32 @@ def _sections(
             "Agreement",
             f"Black: the largest distance between what two robots believe at a time.{lower}",
             [],
-            [_svg(figures_belief.disagreement(told, truth_m))] if told else [],
+            [_svg(figures_belief.disagreement(stories, run.truths_m.get(target))) for target, stories in targets],
         ),
         Section(
             "above",
             "From above",
             "Robots where they were surveyed, and where they place the target; then the surroundings of the target.",
             [],
-            [_svg(figures_map.above(fleet, told, truth_m)), _svg(figures_map.near_target(fleet, told, truth_m))],
+            [
+                _svg(figures_map.above(run.fleet, told, run.truths_m)),
+                *(_svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets),
+            ],
         ),
         Section(
             "clarity",
             "Clarity",
             "Clarity over the lens position in some of the sweeps. Vertical: the peak, ± its standard deviation.",
             [],
-            [_svg(figures_focus.clarity_curves(story)) for story in told],
+            [_svg(figures_focus.clarity_curves(story)) for story in inside],
+        ),
+        Section(
+            "depth",
+            "Depth map",
+            "Of each robot's first whole sweep of the lens, around the target: the picture with each block from its "
+            "sharpest frame, and how far each block is. Hatched: no clear peak, so no range.",
+            [],
+            [_svg(figure) for figure in _depth_maps(run, depth)] if depth else [],
         ),
         Section(
             "calibration",
@@ -152,109 +146,42 @@ def _sections(
             "The range h at which the lens is sharp, as calibrated before the run, and the peaks of this run on it. "
             "RMSE is that of the range over the calibrated distances, once of the fit and once of distances left out.",
             [],
-            [_svg(figures_focus.calibration_fit(story)) for story in told],
+            [_svg(figures_focus.calibration_fit(story)) for story in inside],
         ),
         Section(
             "posture",
             "Depth and attitude",
             "What the control module reports: its four pressure sensors below their tare, the pulses of the four "
-            "central thrusters from neutral, depth against its set-point, roll and pitch.",
-            [_hover(told)],
-            [_svg(figures_posture.posture(story)) for story in told],
+            "central thrusters from neutral, depth against its set-point, roll and pitch."
+            if inside
+            else "Depth, roll and pitch, as the robots show them.",
+            [report_tables.hover(run)] if inside else [],
+            [_svg(figures_posture.posture(story)) for story in robots],
         ),
-        Section("links", "Who heard whom", _link_note(heard), [_matrix(fleet, heard)], []),
+        Section(
+            "links",
+            "Who heard whom",
+            report_tables.link_note(run),
+            [report_tables.matrix(run)] if run.links else [],
+            [],
+        ),
     ]
-    return [section for section in sections if told or section.id in ("errors", "above")]
+    return [section for section in sections if section.tables or section.figures]
 
 
-# --- tables ---------------------------------------------------------------------------------------------------
-
-
-def _error_note(truth_m: Vector | None) -> str:
-    if truth_m is None:
-        return "Nobody knows the truth of this run: the last estimate of each robot, as it states it."
-    return (
-        "Relative error: the distance to the target over the target's distance from the tank's corner, as in the "
-        "paper, and over its distance from the robot. Below: priors over the whole run, posteriors over the last "
-        f"{LATE} iterations; the last column is the share of errors within twice the standard deviation that the "
-        "robot stated."
-    )
-
-
-def _error_tables(
-    fleet: Fleet, told: Sequence[Story], summary: dict[str, Any] | None, truth_m: Vector | None
-) -> list[list[Row]]:
-    head = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
-    if truth_m is None:
-        return [[head, *(_stated(story) for story in told)]]
-    assert summary is not None
-    ends = [[*head, "error mm", "% of |x*|", "% of range"]]
-    by_name = {story.robot: story for story in told}
-    for name, row in summary["agents"].items():
-        estimate = row.get("estimate_m")
-        line = _stated(by_name[name]) if name in by_name else [name, *(_mm(x) for x in estimate or [None] * 3)]
-        line += [""] * (len(head) - len(line))
-        if estimate:
-            robot = fleet.robot[name]
-            eye_m = (robot.pose.x_m, robot.pose.y_m, fleet.tank.surface_m - robot.depth_m)
-            relative = relative_percent(estimate, truth_m), relative_percent(estimate, truth_m, eye_m)
-            line += [f"{row['error_mm']:.2f}", *(f"{percent:.3f}" for percent in relative)]
-        ends.append(line)
-    rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
-    for e in error_table(told, truth_m):
-        shown = [_number(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
-        rows.append([e.robot, e.what, e.axis, str(e.n), *shown, _number(e.within_2_sigma, ".0%")])
-    return [ends, rows] if len(rows) > 1 else [ends]
-
-
-def _stated(story: Story) -> Row:
-    """The last belief of a robot."""
-    if not story.beliefs:
-        return [story.robot]
-    state = story.beliefs[-1].state
-    place = [_mm(x) for x in state.posterior_m or [None] * 3]
-    first = "never" if state.acquired_t is None else str(state.acquired_t)
-    return [story.robot, *place, _mm(state.posterior_sigma_m), first, str(state.t)]
-
-
-def _events(told: Sequence[Story]) -> list[Row]:
-    """What the robots wrote to their logs, without the sweeps: why somebody entered S or left it."""
-    lines = sorted(
-        (t_s, line.robot, line.text) for story in told for t_s, line in story.log if "sweep" not in line.text
-    )
-    starts = [(t_s, story.robot, "starts again") for story in told for t_s in story.starts_s[1:]]
-    return [["robot", "s", "event"], *([robot, f"{t_s:.1f}", text] for t_s, robot, text in sorted([*lines, *starts]))]
-
-
-def _hover(told: Sequence[Story]) -> list[Row]:
-    rows = [["robot", "depth error, rms mm", "tilt, rms deg"]]
-    for story in told:
-        hover = figures_posture.hover(story)
-        rows.append([story.robot, *([f"{value:.2f}" for value in hover.values()] if hover else ["never at depth", ""])])
-    return rows
-
-
-def _link_note(heard: Sequence[Link]) -> str:
-    unknown = sum(link.unknown - link.after_end for link in heard)
-    proof = (
-        f"{unknown} messages were heard that nobody said" if unknown else "All that was heard was said, byte for byte"
-    )
-    return f"Rows speak, columns hear: messages taken in of those given out. {proof}."
-
-
-def _matrix(fleet: Fleet, heard: Sequence[Link]) -> list[Row]:
-    """A dash: not neighbours, or one of them left no recording."""
-    cells = {(link.src, link.dst): f"{link.heard} / {'?' if link.said is None else link.said}" for link in heard}
-    names = list(fleet.robot)
-    return [["says", *names], *([src, *(cells.get((src, dst), "-") for dst in names)] for src in names)]
-
-
-def _mm(x_m: float | None) -> str:
-    return "" if x_m is None else f"{1e3 * x_m:.2f}"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "" if value is None else format(value, form)
+def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
+    """Of the first whole sweep in each robot's recordings that gives one."""
+    start_ns = first_ns(run.boxes) or 0
+    for story in run.robots:
+        sweeps = (
+            (box, frames)
+            for box in story.boxes
+            for frames in whole_sweeps(read(box.path), box.fleet.camera.sweep_steps)
+        )
+        maps = (depth(frames, box.calibration) for box, frames in sweeps)
+        found = next((each for each in maps if each is not None), None)
+        if found is not None:
+            yield figures_depth.depth_map(story.robot, (found.t_ns - start_ns) * 1e-9, found)
 
 
 def _svg(figure: Figure) -> Markup:

@@ -15,7 +15,9 @@ OUT = Path(__file__).parent / "layouts" / "rerun.rbl"
 def channels() -> dict[str, list[str]]:
     """What each view shows, by the view's name."""
     return {
-        "tank": [f"/{robot}/{what}" for robot in ROBOTS for what in ("tf", "target/prior", "target/estimate")],
+        "tank": [
+            f"/{robot}/{what}" for robot in ROBOTS for what in ("tf", "target/prior", "target/estimate", "depth/points")
+        ],
         "camera": ["/r1/camera/image", "/r1/camera/calibration"],
         "sweep": ["/r1/sweep/image", "/r1/sweep/calibration"],
         "log": [f"/{robot}/log" for robot in ROBOTS],

@@ -1,19 +1,23 @@
-"""What a run's black boxes tell, in the shape in which figures need it: series over time, one story for each robot.
+"""What a run's black boxes tell, in the shape in which figures need it: series over time, one story for each robot
+and target.
 
 Times are seconds since the first step of any robot of the run, by the robots' own clocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections import defaultdict
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.config import Fleet
 from agent.messages import Estimate, Inputs, LogLine, Outputs, Sighting, State, Symmetric, Vector, decode
 from agent.ranging.focus import Peak, Refused, fit_peak
-from replay.blackbox import STEP_BYTES, BlackBox, Step
+from replay.blackbox import STEP_BYTES, BlackBox
 
 Array = NDArray[np.float64]
 
@@ -22,6 +26,7 @@ class Sweep(NamedTuple):
     """One sweep of the lens: clarity at each position, and the peak if there is one."""
 
     number: int
+    target: str
     t_s: float
     focus: list[float]
     clarity: list[float]
@@ -49,10 +54,12 @@ class Posture(NamedTuple):
 
 
 class Story(NamedTuple):
-    """One robot over all of its starts in the run."""
+    """One robot and one of its targets, over all of the robot's starts in the run."""
 
     robot: str
-    boxes: tuple[BlackBox, ...]
+    target: str
+    label: str  # what figures call it
+    boxes: tuple[BlackBox, ...]  # none: told by what the robot showed on the network
     starts_s: tuple[float, ...]
     ends_s: float
     states: tuple[tuple[float, State], ...]  # every one that was shown
@@ -86,19 +93,19 @@ class Story(NamedTuple):
         return found
 
 
+def first_ns(boxes: Sequence[BlackBox]) -> int | None:
+    """Time of the first step of any robot; None without a step."""
+    return min((step.now_ns for box in boxes for step in itertools.islice(box.steps(), 1)), default=None)
+
+
 def stories(boxes: Sequence[BlackBox]) -> list[Story]:
-    """The robots of one run, by name. Raises Refusal for steps of another version."""
-    firsts = [step.now_ns for box in boxes for step in _first(box.steps())]
-    start_ns = min(firsts, default=0)
+    """The robots of one run, by name; of each its targets. Raises Refusal for steps of another version."""
+    start_ns = first_ns(boxes) or 0
     robots = sorted({box.robot for box in boxes})
-    return [_story([box for box in boxes if box.robot == robot], start_ns) for robot in robots]
+    return [story for name in robots for story in _stories([box for box in boxes if box.robot == name], start_ns)]
 
 
-def _first(steps: Iterable[Step]) -> list[Step]:
-    return [step for _, step in zip(range(1), steps, strict=False)]
-
-
-def _story(boxes: Sequence[BlackBox], start_ns: int) -> Story:
+def _stories(boxes: Sequence[BlackBox], start_ns: int) -> list[Story]:
     collected = _Collected()
     starts = []
     t_s = 0.0
@@ -112,33 +119,67 @@ def _story(boxes: Sequence[BlackBox], start_ns: int) -> Story:
             if step.outputs is not None:
                 collected.take_out(decode(step.outputs, Outputs, limit=STEP_BYTES), t_s)
         collected.end_sweep(box)
-    return Story(
-        robot=boxes[0].robot,
-        boxes=tuple(boxes),
-        starts_s=tuple(starts),
-        ends_s=t_s,
-        states=tuple(collected.states),
-        beliefs=tuple(collected.beliefs),
-        sweeps=tuple(collected.sweeps),
-        posture=collected.posture(),
-        set_depth_m=tuple(collected.set_depth_m),
-        log=tuple(collected.log),
-    )
+    posture = collected.posture()
+    return [
+        Story(
+            robot=boxes[0].robot,
+            target=target,
+            label=label(boxes[0].robot, target, boxes[0].fleet),
+            boxes=tuple(boxes),
+            starts_s=tuple(starts),
+            ends_s=t_s,
+            states=tuple(account.states),
+            beliefs=tuple(account.beliefs),
+            sweeps=tuple(sweep for sweep in collected.sweeps if sweep.target == target),
+            posture=posture,
+            set_depth_m=tuple(collected.set_depth_m),
+            log=tuple(collected.log),
+        )
+        for target, account in collected.accounts(boxes[0].fleet).items()
+    ]
+
+
+def label(robot: str, target: str, fleet: Fleet) -> str:
+    """The robot's name, and the target's where there are several."""
+    return robot if len(fleet.target) == 1 else f"{robot}, {target}"
+
+
+class Account:
+    """What a robot shows of one target, as it comes."""
+
+    def __init__(self) -> None:
+        self.states: list[tuple[float, State]] = []
+        self.beliefs: list[Belief] = []
+        self._said: Estimate | None = None
+
+    def say(self, estimate: Estimate) -> None:
+        self._said = estimate
+
+    def show(self, state: State, t_s: float) -> None:
+        self.states.append((t_s, state))
+        cov_m2 = self._said.cov_m2 if self._said is not None and self._said.x_m == state.posterior_m else None
+        if self.beliefs and self.beliefs[-1].t == state.t:
+            cov_m2 = cov_m2 or self.beliefs[-1].cov_m2
+            self.beliefs[-1] = Belief(state.t, self.beliefs[-1].t_s, state, cov_m2)
+        else:
+            self.beliefs.append(Belief(state.t, t_s, state, cov_m2))
 
 
 class _Collected:
     """What one pass over a robot's steps leaves."""
 
     def __init__(self) -> None:
-        self.states: list[tuple[float, State]] = []
-        self.beliefs: list[Belief] = []
         self.sweeps: list[Sweep] = []
         self.set_depth_m: list[tuple[float, float]] = []
         self.log: list[tuple[float, LogLine]] = []
         self._telemetry: list[tuple[float, ...]] = []
         self._frames: list[tuple[float, Sighting]] = []  # of the sweep that is under way
         self._ended: list[list[tuple[float, Sighting]]] = []
-        self._said: Estimate | None = None
+        self._accounts: defaultdict[str, Account] = defaultdict(Account)
+
+    def accounts(self, fleet: Fleet) -> dict[str, Account]:
+        """By target, in the order of the fleet file; one that says nothing where nothing was shown."""
+        return {target: self._accounts[target] for target in fleet.target}
 
     def take_in(self, inputs: Inputs, start_ns: int) -> None:
         for t in inputs.telemetry:
@@ -156,16 +197,9 @@ class _Collected:
         if not self.set_depth_m or self.set_depth_m[-1][1] != outputs.set_point.depth_m:
             self.set_depth_m.append((t_s, outputs.set_point.depth_m))
         for estimate in outputs.says:
-            self._said = estimate
-        if (state := outputs.state) is None:
-            return
-        self.states.append((t_s, state))
-        cov_m2 = self._said.cov_m2 if self._said is not None and self._said.x_m == state.posterior_m else None
-        if self.beliefs and self.beliefs[-1].t == state.t:
-            cov_m2 = cov_m2 or self.beliefs[-1].cov_m2
-            self.beliefs[-1] = Belief(state.t, self.beliefs[-1].t_s, state, cov_m2)
-        else:
-            self.beliefs.append(Belief(state.t, t_s, state, cov_m2))
+            self._accounts[estimate.target].say(estimate)
+        if outputs.state is not None:
+            self._accounts[outputs.state.target].show(outputs.state, t_s)
 
     def end_sweep(self, box: BlackBox) -> None:
         """At the end of a recording: fit the peaks of its sweeps, with the width that its calibration found."""
@@ -176,7 +210,8 @@ class _Collected:
                 focus, clarity = [float(rho) for _, rho, _ in good], [float(value) for _, _, value in good]
                 width = None if len(frames) >= full else fit.width
                 peak = fit_peak(focus, clarity, width)
-                self.sweeps.append(Sweep(frames[0][1].sweep, good[0][0], focus, clarity, peak))
+                first = frames[0][1]
+                self.sweeps.append(Sweep(first.sweep, first.target, good[0][0], focus, clarity, peak))
         self._ended, self._frames = [], []
 
     def posture(self) -> Posture:

@@ -111,14 +111,14 @@ def seen_twice(box: BlackBox, make_see: MakeSee) -> Iterator[Twice]:
     """Every frame of a recording in the order in which vision saw them."""
     see = make_see(box.fleet, box.calibration.camera)
     picture: tuple[int, Picture] | None = None
-    sweep, radius_px = 0, None
+    sweep, radius_px = ("", 0), None
     for record in read(box.path):
         if record.channel == FRAME:
             picture = record.sequence, decode(record.data, Picture, limit=MAX_FRAME)
         elif record.channel == VISION:
             then = decode(record.data, Sighting)
-            if then.sweep != sweep:
-                sweep, radius_px = then.sweep, None
+            if (then.target, then.sweep) != sweep:
+                sweep, radius_px = (then.target, then.sweep), None
             if picture is None or picture[0] != record.sequence:
                 yield Twice(then, None, lossless=False)
             else:
@@ -133,7 +133,7 @@ def compare(box: BlackBox, seen: Iterable[Twice]) -> VisionCheck:
     apart: dict[str, list[float]] = {"centre, px": [], "radius, px": [], "clarity, relative": [], "peak, positions": []}
     frames = lost = missing = extra = 0
     lossless = True
-    sweeps: dict[int, list[tuple[Sighting, Sighting]]] = {}
+    sweeps: dict[tuple[str, int], list[tuple[Sighting, Sighting]]] = {}
     for then, now, exact in seen:
         if now is None:
             lost += 1
@@ -150,7 +150,7 @@ def compare(box: BlackBox, seen: Iterable[Twice]) -> VisionCheck:
         if then.clarity and now.clarity:
             apart["clarity, relative"].append(abs(now.clarity / then.clarity - 1.0))
             if then.sweep:
-                sweeps.setdefault(then.sweep, []).append((then, now))
+                sweeps.setdefault((then.target, then.sweep), []).append((then, now))
     for pairs in sweeps.values():
         peaks = [_peak([pair[k] for pair in pairs], box.calibration.focus.width) for k in (0, 1)]
         if peaks[0] is not None and peaks[1] is not None:

@@ -22,8 +22,14 @@ def test_shipped_file_loads_and_survives_a_round_trip(tmp_path) -> None:
     assert load(tmp_path, dump(fleet)) == fleet
 
 
+def test_a_fleet_may_look_for_several_things(tmp_path) -> None:
+    fleet = load(tmp_path, (Path(agent.__file__).parent / "fleets" / "two_balls.toml").read_text())
+    assert {name: target.colour for name, target in fleet.target.items()} == {"ball": "red", "buoy": "green"}
+    assert load(tmp_path, dump(fleet)) == fleet
+
+
 MISTAKES = {
-    "unknown key": (("radius_m = 0.07", "radius_m = 0.07\ncolour = 'red'"), "target", "colour", "remove"),
+    "unknown key": (("radius_m = 0.07", "radius_m = 0.07\nshape = 'round'"), "target", "shape", "remove"),
     "wrong type": (("radius_m = 0.07", "radius_m = 'big'"), "target", "float", "correct"),
     "missing key": (("radius_m = 0.07", ""), "target", "radius_m", "add"),
     "out of range": (("radius_m = 0.07", "radius_m = -1.0"), "target", "> 0", "correct"),
@@ -41,12 +47,13 @@ MISTAKES = {
     "high port": (("127.0.0.1:17402", "127.0.0.1:40000"), "r2.listen", "40000", "32767"),
     "no endpoint": (("tcp/127.0.0.1:17402", "localhost"), "r2.listen", "localhost", "tcp/HOST:PORT"),
     "below the floor": (('serial = "twin:r1"', 'serial = "twin:r1"\ndepth_m = 0.9'), "r1.depth_m", "floor", "0.5"),
-    "two targets": (
+    "two of one colour": (
         ("[estimation]", "[target.fish]\nradius_m = 0.1\n[estimation]"),
-        "key 'target'",
-        "2 targets",
-        "keep one",
+        "key 'target.fish.colour'",
+        "'ball' is red too",
+        "own colour",
     ),
+    "no target": (('[target.ball]\ndetector = "ball"\nradius_m = 0.07', "[target]"), "key 'target'", "add a table"),
     "bad name": (('fleet = "tank"', 'fleet = "Tank 3"'), "fleet", "regex", "correct"),
     "not TOML": (('fleet = "tank"', "fleet = tank"), "fleet.toml", "not valid TOML", "line 4"),
 }

@@ -4,8 +4,10 @@ import math
 
 import pytest
 
+from agent.config import load_fleet
+from agent.launch import fleet_file
 from agent.messages import State
-from agent.summary import History, first_below, reasons, score, settled
+from agent.summary import History, first_below, reasons, score, settled, summarize
 
 TRUTH = (0.76, 0.56, 0.07)
 
@@ -56,3 +58,16 @@ def test_settled_needs_views_patience_and_rest() -> None:
     assert not settled(histories(15, 0.0), after_views=30, window=10, within_m=0.0015)
     assert not settled(histories(5, 0.001), after_views=30, window=10, within_m=0.0015)
     assert not settled([*histories(5, 0.0), History([])], after_views=30, window=10, within_m=0.0015)
+
+
+def test_the_verdict_is_over_all_targets() -> None:
+    fleet = load_fleet(fleet_file("two_balls"))
+    good = {"r1": History([state(5, 0.001, acquired_t=1)])}
+    bad = {"r1": History([state(5, 0.02, acquired_t=1, target="buoy")])}
+    truth = {"target_m": {"ball": TRUTH, "buoy": TRUTH}}
+    summary = summarize(fleet, {"ball": good, "buoy": good}, truth, 1.0)
+    assert summary["verdict"] == "pass"
+    assert summary["agents"] == summary["targets"]["ball"]["agents"]
+    summary = summarize(fleet, {"ball": good, "buoy": bad}, truth, 1.0)
+    assert summary["verdict"] == "fail"
+    assert summary["reasons"][0].startswith("buoy: r1: relative error 2.1")

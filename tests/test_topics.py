@@ -7,17 +7,27 @@ import pytest
 
 import agent.topics
 from agent.messages import Message
-from agent.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, Topic, key, match
+from agent.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, Topic, key, match, target_chunk
 
 ROOT = Path(agent.topics.__file__).parents[1]
 CHUNKS = {"fleet": "tank", "robot": "r1", "src": "r1", "dst": "r2"}
+TARGET = {"target": "buoy"}
 
 
 @pytest.mark.parametrize("row", TOPICS, ids=lambda row: row.name)
 def test_a_key_leads_back_to_its_row_and_chunks(row: Topic) -> None:
-    used = {name: CHUNKS[name] for name in re.findall(r"{(\w+)}", row.key)}
+    used = {name: CHUNKS[name] for name in re.findall(r"{(\w+)}", row.key) if name != "target"}
     assert match(key(row, **used)) == (row, used)
     assert row.writer in used
+    with_target = {**used, **(TARGET if "target" in row.key else {})}
+    assert match(key(row, **used, **TARGET)) == (row, with_target)
+
+
+def test_one_target_leaves_the_key_as_it_is_and_two_have_a_key_each() -> None:
+    assert target_chunk({"ball"}, "ball") == {}
+    keys = [key(LINK, **CHUNKS, **target_chunk(("ball", "buoy"), target)) for target in ("ball", "buoy")]
+    assert keys == ["aucamp/tank/link/r1/r2/ball", "aucamp/tank/link/r1/r2/buoy"]
+    assert key(STATE, fleet="tank", robot="*", target="**") == "aucamp/tank/robot/*/state/**"
 
 
 @pytest.mark.parametrize(
@@ -26,7 +36,7 @@ def test_a_key_leads_back_to_its_row_and_chunks(row: Topic) -> None:
         "",
         "aucamp",
         "aucamp/tank/link/r1",
-        "aucamp/tank/link/r1/r2/r3",
+        "aucamp/tank/link/r1/r2/ball/now",
         "aucamp/tank/robot/r1/opinion",
         "other/tank/link/r1/r2",
         ALIVE.format(**CHUNKS),

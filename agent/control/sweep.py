@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from agent.messages import Sighting, SweepPlan, Telemetry
 from agent.ranging.calibration import FocusFit
+from agent.ranging.cues import Outline
 from agent.ranging.focus import Peak, fit_peak
 
 TRACK_STEPS = 7
@@ -34,8 +35,7 @@ class Measurement(NamedTuple):
     focus: float  # lens position of the peak
     sigma: float  # its standard deviation, lens positions
     width: float  # half width of the peak, lens positions
-    centre_px: tuple[float, float]
-    radius_px: float
+    outline: Outline  # in the frame nearest to the peak: blur moves an edge
     score: float
 
 
@@ -108,10 +108,6 @@ class Sweep:
             self._failures += 1
         return result
 
-    def abandon(self) -> None:
-        """Forget the running sweep: its frames no longer belong together."""
-        self._plan = None
-
     def forget(self) -> None:
         """The target is lost: the next sweep is a full one."""
         self._plan, self._last, self._failures = None, None, 0
@@ -137,8 +133,7 @@ class Sweep:
             focus=peak.position,
             sigma=peak.sigma,
             width=peak.width,
-            centre_px=sharpest.centre_px,
-            radius_px=sharpest.radius_px,
+            outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus),
             score=peak.quality,
         )
 

@@ -39,11 +39,13 @@ def train(
 
     Raises ConfigError for pairs, weights or a checkpoint that cannot be used.
     """
+    real = _real(folders, everything, console) if folders else None  # complain before a folder is made
+    net = lu2net.load(start) if start else None
     out = run_folder(None) / "lu2net.safetensors" if out is None else out
     out.parent.mkdir(parents=True, exist_ok=True)
     checkpoint = out.with_suffix(".checkpoint")
-    state = Run.resume(checkpoint, plan) if resume else Run(plan, lu2net.load(start) if start else None)
-    training, validation = _real(folders, everything, console) if folders else _made(out, plan.seed, console)
+    state = Run.resume(checkpoint, plan) if resume else Run(plan, net)
+    training, validation = real or _made(out, plan.seed, console)
     console.print(
         f"{len(training.raw)} pairs of {len(set(training.scene))} scenes to train on, "
         f"{len(validation.raw)} of {len(set(validation.scene))} others to validate"

@@ -78,13 +78,13 @@ def landscape(side: int, rng: np.random.Generator) -> tuple[Picture, Plane]:
         z = np.asarray(1 + bumps * relief + tilt * (0.5 - y), np.float32)
     else:  # the floor to the horizon, open water above it
         horizon = np.float32(rng.uniform(-0.2, 0.55)) + np.float32(rng.normal(0, 0.2)) * x + np.float32(0.04) * relief
-        below = y - horizon
-        away = np.where(below > 0, np.minimum(0.5 / np.maximum(below, 1e-3), FAR), FAR)
+        slant = y - horizon
+        away = np.where(slant > 0, np.minimum(0.5 / np.maximum(slant, 1e-3), FAR), FAR)
         z = np.asarray(away + 0.1 * relief, np.float32)
     for _ in range(int(rng.integers(0, 7))):
         mask, bulge = _boulder(side, rng)
         distance = np.float32(rng.uniform(0.35, 1.5))
-        front = mask * (z > distance)
+        front = np.asarray(mask * (z > distance), np.float32)
         thing = paint(side, rng, 0.25) * (np.float32(0.45) + np.float32(0.55) * bulge)[:, :, None]
         picture = picture + front[:, :, None] * (thing - picture)
         z = np.asarray(z + front * (distance * (np.float32(1.1) - np.float32(0.2) * bulge) - z), np.float32)

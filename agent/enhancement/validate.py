@@ -15,10 +15,12 @@ from agent.enhancement.degrade import Image
 from agent.enhancement.folders import folds
 from agent.enhancement.metrics import Quality, judge
 from agent.enhancement.train import Plan, Run, advance
-from agent.perception.enhance import CLIP_LIMIT, TILES, white_balance
+from agent.perception.enhance import white_balance
 from agent.perception.lu2net import LU2Net, run
 
 Method = Callable[[Image], Image]
+
+CLIP_LIMIT, TILES = 2.0, (8, 8)  # of CLAHE, as the literature's comparisons have it
 
 
 class Fold(NamedTuple):

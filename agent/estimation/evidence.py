@@ -6,6 +6,9 @@ one by one while it moves (chase.py, window.py). Any robot passes them on, with 
 the neighbour shows that it holds them (post.py). The posterior is a function of what is held (fuse.py, track.py):
 equal tables give equal posteriors, on every robot, to the last bit.
 
+The posterior is concluded when it is read, and again only after news: what arrived since the last iteration counts as
+soon as somebody asks. `Update.explain` tells of the conclusion at the iteration itself.
+
 A target that starts or stops moving opens a new epoch. The larger epoch wins and empties the table: nothing measured
 before the change is mixed with what came after, except the newest samples of each robot, which it brings along.
 """
@@ -47,7 +50,9 @@ class Evidence:
         self._validity_ns = validity_ns
         self.t = 0
         self.valid = False
-        self.posterior: Posterior | None = None
+        self._believed: Posterior | None = None
+        self._now_ns = 0  # the latest moment that we were told of
+        self._stale = False  # something came in since `_believed` was concluded
         self._measured = 0  # own samples since the start
         self._recent: deque[tuple[int, Prior]] = deque(maxlen=CARRIED)
         self._starts: dict[str, int] = {}  # the incarnation of each neighbour
@@ -55,9 +60,17 @@ class Evidence:
         self._motion = Motion()
         self._mode: Mode = Rest(self._me, self.epoch)
 
+    @property
+    def posterior(self) -> Posterior | None:
+        """x by all that is held now; of a target that moves, where it is at the latest moment we were told of."""
+        if self._stale:
+            self._believed = self._mode.conclude(self.valid, self._believed, self._now_ns).posterior
+            self._stale = False
+        return self._believed
+
     def adopt(self, t: int) -> None:
         if t > self.t + 1:  # see Paper.adopt
-            self.t = t
+            self.t = t - 1
 
     def hear(self, letter: Letter) -> tuple[str, ...]:
         said, src = letter.estimate, letter.estimate.src
@@ -73,10 +86,13 @@ class Evidence:
             self.begin(epoch, letter.arrived_ns)
         if epoch < self.epoch:
             return ()  # our next message tells the sender of the newer epoch
+        self._pass(letter.arrived_ns)
+        self._stale |= bool(said.gossip.entries or said.gossip.samples)
         return tuple(self._mode.hear(src, said.gossip, letter.arrived_ns - letter.late_ns))
 
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
         self.valid = prior is not None
+        self._pass(now_ns)
         if prior is not None:
             self._measured += 1
             nis = self._mode.add(self._measured, prior, now_ns)
@@ -85,9 +101,10 @@ class Evidence:
                 self._motion.sample(nis)
             if self._motion.moves and not self.epoch.moving:
                 self.begin(Epoch(self.epoch.counter + 1, True, self._me.key[0]), now_ns)
-        self.posterior, rule, alpha, explain = self._mode.conclude(self.valid, self.posterior, now_ns)
-        if self.epoch.moving and self.posterior is not None:
-            self._motion.place(now_ns, self.posterior.x_m)
+        self._believed, rule, alpha, explain = self._mode.conclude(self.valid, self._believed, now_ns)
+        self._stale = False
+        if self.epoch.moving and self._believed is not None:
+            self._motion.place(now_ns, self._believed.x_m)
             if self._motion.rests(now_ns):
                 self.begin(Epoch(self.epoch.counter + 1, False, self._me.key[0]), now_ns)
         self.t += 1
@@ -95,8 +112,15 @@ class Evidence:
         return Update(self.t, rule, alpha, used, replace(explain, ages_s=mailbox.ages_s(now_ns)))
 
     def say(self, to: str, now_ns: int) -> Word:
+        self._pass(now_ns)
         x_m, cov_m2 = self.posterior or (None, None)
         return Word(x_m, cov_m2, gossip=self._mode.say(to, now_ns))
+
+    def _pass(self, now_ns: int) -> None:
+        """Time goes on: a target that moves is elsewhere by now."""
+        if now_ns > self._now_ns:
+            self._now_ns = now_ns
+            self._stale |= self.epoch.moving
 
     def begin(self, epoch: Epoch, now_ns: int) -> None:
         """A new epoch begins, with the newest own samples."""

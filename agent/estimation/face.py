@@ -57,7 +57,10 @@ class Word(NamedTuple):
 class Estimator(Protocol):
     t: int
     valid: bool  # in S^t: the last iteration had a prior
-    posterior: Posterior | None
+
+    @property
+    def posterior(self) -> Posterior | None:
+        """x by all that was heard and measured so far, or since the last iteration where the protocol says so."""
 
     def adopt(self, t: int) -> None:
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""

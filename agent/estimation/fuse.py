@@ -34,6 +34,14 @@ class Opinion(NamedTuple):
     precision: Symmetric  # the inverse of that, 1/m^2
 
 
+class Ballot(NamedTuple):
+    """Outcome of a vote."""
+
+    group: frozenset[str]  # the leader and its friends
+    verdict: Verdict
+    votes: dict[str, int]  # friends of each origin, itself included
+
+
 class Fused(NamedTuple):
     """The agreed place, and how it came about."""
 
@@ -52,11 +60,8 @@ def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO) -> Fused | No
     """
     if not opinions:
         return None
-    friends = _friends(opinions)
-    votes = {opinion.origin: len(each) for opinion, each in zip(opinions, friends, strict=True)}
-    leader = max(range(len(opinions)), key=lambda j: (_score([opinions[i] for i in friends[j]]), -j))
-    group = friends[leader]
-    agreeing = [opinions[j] for j in group]
+    ballot = vote(opinions)
+    agreeing = [opinion for opinion in opinions if opinion.origin in ballot.group]
     x, weights, information = _huber(agreeing)
     factors = {opinion.origin: w for opinion, w in zip(agreeing, weights, strict=True)}
     sizes = {opinion.origin: w * trace(opinion.precision) for opinion, w in zip(agreeing, weights, strict=True)}
@@ -64,10 +69,21 @@ def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO) -> Fused | No
     return Fused(
         x,
         plus(invert(information), common_m2),
-        _verdict(len(group), len(opinions)),
-        votes,
+        ballot.verdict,
+        ballot.votes,
         {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
         {name: size / total for name, size in sizes.items()},
+    )
+
+
+def vote(opinions: Sequence[Opinion]) -> Ballot:
+    """Who agrees with whom, of opinions given in the order of their names; at least one."""
+    friends = _friends(opinions)
+    leader = max(range(len(opinions)), key=lambda j: (_score([opinions[i] for i in friends[j]]), -j))
+    return Ballot(
+        frozenset(opinions[j].origin for j in friends[leader]),
+        _verdict(len(friends[leader]), len(opinions)),
+        {opinion.origin: len(each) for opinion, each in zip(opinions, friends, strict=True)},
     )
 
 

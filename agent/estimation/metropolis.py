@@ -28,7 +28,7 @@ class Metropolis:
 
     def adopt(self, t: int) -> None:
         if t > self.t + 1:  # see Paper.adopt
-            self.t = t
+            self.t = t - 1
 
     def hear(self, letter: Letter) -> tuple[str, ...]:
         return ()

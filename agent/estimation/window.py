@@ -1,8 +1,7 @@
-"""The newest samples of every robot, for a target that moves, and the track through them.
+"""The newest samples of every robot, for a target that moves: what is passed on, and what a track is made of.
 
-A sample may arrive late and out of order, over other robots. So the filter is frozen at the start of a window, and on
-every tick it runs again from there over all samples known now: what comes out is the central Kalman filter, delayed
-by the way of the news. Old samples are forgotten by freezing, and their worth fades with the acceleration noise.
+A sample may arrive late and out of order, over other robots. One that comes after its moment has left the window
+(lagged.py) is of no use any more, neither here nor to a neighbour.
 
 Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
 mailbox adds the time it lay in a queue. The copy that says "longest ago" is the one with least of its way unaccounted.
@@ -10,23 +9,14 @@ mailbox adds the time it lay in a queue. The copy that says "longest ago" is the
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from agent.estimation.matrix import trace
-from agent.estimation.track import Track, begin, correct, predict, summed
+from agent.estimation.lagged import Held
 from agent.estimation.validate import Bounds, sample_fault
-from agent.messages import Holding, Sample, Symmetric, Vector
+from agent.messages import Holding, Sample
 
 Key = tuple[str, int, int]  # origin, incarnation, number
 
 WINDOW = 24  # length in iterations: the way across a swarm of some ten hops when a third of all messages is lost
 MASK = 32  # samples before the newest that one line of a digest can tell of; more than a window holds
-
-
-class Held(NamedTuple):
-    t_ns: int  # of exposure, on this robot's clock
-    information: Symmetric
-    vector: Vector
 
 
 class Window:
@@ -36,8 +26,7 @@ class Window:
         self._bounds = bounds
         self._span_ns = WINDOW * bounds.iteration_ns
         self.samples: dict[Key, Held] = {}
-        self._frozen: Track | None = None
-        self._frozen_ns = -(10**30)  # samples up to this moment are in the frozen track, or too late
+        self._frozen_ns = -(10**30)  # samples up to this moment are in the frozen tracks, or too late
 
     def measure(self, key: Key, held: Held) -> None:
         """Add a sample of our own."""
@@ -60,28 +49,28 @@ class Window:
         self.samples[key] = Held(t_ns, sample.information, sample.vector)
         return True, None
 
-    def track(self, now_ns: int) -> Track | None:
-        """The filter over all that is known, at this moment; None before the first sample."""
-        horizon_ns = now_ns - self._span_ns
-        moments: dict[int, list[tuple[Symmetric, Vector]]] = {}
+    def fresh(self) -> dict[str, list[Held]]:
+        """Samples of each origin since the horizon, in the order of their names and numbers."""
+        found: dict[str, list[Held]] = {}
         for key in sorted(self.samples):
-            held = self.samples[key]
-            if held.t_ns > self._frozen_ns:
-                moments.setdefault(held.t_ns, []).append((held.information, held.vector))
-        track = self._frozen
-        for t_ns in sorted(moments):
-            if t_ns > horizon_ns:
-                break
-            track = self._frozen = _step(track, t_ns, moments.pop(t_ns))
+            if self.samples[key].t_ns > self._frozen_ns:
+                found.setdefault(key[0], []).append(self.samples[key])
+        return found
+
+    def horizon_ns(self, now_ns: int) -> int:
+        """Where the window begins."""
+        return now_ns - self._span_ns
+
+    def freeze(self, horizon_ns: int) -> None:
+        """The window begins here from now on; what is older has its place in the tracks."""
         self._frozen_ns = max(self._frozen_ns, horizon_ns)
-        for t_ns in sorted(moments):
-            track = _step(track, t_ns, moments[t_ns])
-        self._prune(horizon_ns)
-        return None if track is None else predict(track, now_ns)
+        # Frozen samples stay listed for another window: neighbours that still hold them must not send them again.
+        oldest_ns = horizon_ns - self._span_ns
+        self.samples = {key: held for key, held in self.samples.items() if held.t_ns > oldest_ns}
 
     def sendable(self, now_ns: int) -> dict[Key, int]:
         """Samples that a neighbour may still use, newest first."""
-        fresh = [key for key, held in self.samples.items() if held.t_ns > now_ns - self._span_ns]
+        fresh = [key for key, held in self.samples.items() if held.t_ns > self.horizon_ns(now_ns)]
         return {key: 1 for key in sorted(fresh, key=lambda key: (-self.samples[key].t_ns, key))}
 
     def sample(self, key: Key, now_ns: int) -> Sample:
@@ -98,23 +87,3 @@ class Window:
             Holding(*who, held[-1], sum(1 << (held[-1] - 1 - k) for k in held[:-1] if held[-1] - 1 - k < MASK))
             for who, held in numbers.items()
         ]
-
-    def shares(self) -> dict[str, float]:
-        """Share of each origin in the information of the window; sum 1."""
-        sizes: dict[str, float] = {}
-        for key in sorted(self.samples):
-            sizes[key[0]] = sizes.get(key[0], 0.0) + trace(self.samples[key].information)
-        total = sum(sizes.values())
-        return {name: size / total for name, size in sizes.items()}
-
-    def _prune(self, horizon_ns: int) -> None:
-        # Frozen samples stay listed for another window: neighbours that still hold them must not send them again.
-        oldest_ns = horizon_ns - self._span_ns
-        self.samples = {key: held for key, held in self.samples.items() if held.t_ns > oldest_ns}
-
-
-def _step(track: Track | None, t_ns: int, samples: list[tuple[Symmetric, Vector]]) -> Track:
-    information, vector = summed(samples)
-    if track is None:
-        return begin(t_ns, information, vector)
-    return correct(predict(track, t_ns), information, vector)

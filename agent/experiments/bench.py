@@ -36,6 +36,7 @@ HOMING_S = 0.2  # the lens across its whole range
 COLUMNS, ROWS, SQUARE_M = 14, 9, 0.020  # inner corners of a board of 15 x 10 squares
 BOARD_AT_M = (0.68, 0.85)  # the whole board within 31 degrees, with room for a gimbal that is a degree off
 VIEWS_DEG = ((0.0, 0.0), (-24.0, 0.0), (24.0, 0.0), (0.0, -8.0), (0.0, 8.0), (-16.0, -6.0), (16.0, 6.0))
+BLURS = (-1.5, 0.0, 1.5)  # peak half-widths by which the lens is set off, looking straight: to see the picture grow
 BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 
@@ -123,9 +124,13 @@ def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterat
                 round(body.servo_centre_us + body.servo_us_per_deg * tilt_deg),
             )
             approach(place, board_m, us)
-            camera.set_focus(round(lens_position(focus, math.hypot(*board_m))))
-            grey = luminance(camera.read(settle_s=HOMING_S).image)
-            yield [Corner(us, point, px) for point, px in zip(board_points(board_m), find_corners(grey), strict=False)]
+            sharp, found = lens_position(focus, math.hypot(*board_m)), []
+            for blur in BLURS if pan_deg == tilt_deg == 0.0 else (0.0,):
+                lens = camera.set_focus(round(sharp + blur * focus.width))
+                grey = luminance(camera.read(settle_s=HOMING_S).image)
+                pairs = zip(board_points(board_m), find_corners(grey), strict=False)
+                found += [Corner(us, point, px, float(lens)) for point, px in pairs]
+            yield found
 
 
 def approach(place: Place, board_m: Vector, us: tuple[int, int]) -> None:

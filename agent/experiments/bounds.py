@@ -47,25 +47,27 @@ def closed_form_m(W: Matrix, random_m2: Array, iterations: int) -> float:
     return math.sqrt(total.mean()) / iterations
 
 
-def central_track_m(world: Scene, dive: Draw, density: float) -> Array:
+def central_track_m(world: Scene, dive: Draw, density: float, honest: slice = slice(None)) -> Array:
     """Kalman filter of somebody who has every sample at once: place and velocity after each round of samples, (T, 6).
 
     The line for a target that moves. Constant velocity, driven by white acceleration of spectral `density` in m^2/s^3;
-    samples come once a second, the first from all robots. Systematic errors are taken for random ones: a track forgets.
+    samples come once a second, the first from all robots that count. Systematic errors are taken for random ones: a
+    track forgets.
     """
     weight = np.linalg.inv(world.random_m2 + world.systematic_m2)
     F = np.block([[np.eye(3), np.eye(3)], [np.zeros((3, 3)), np.eye(3)]])
     Q = density * np.kron([[1.0 / 3.0, 1.0 / 2.0], [1.0 / 2.0, 1.0]], np.eye(3))
     x, P = np.zeros(6), np.diag([1.0] * 3 + [0.1**2] * 3)  # anywhere, at up to 10 cm/s
-    x[:3] = dive.sample_m[0].mean(axis=0)
+    counted = _mask(len(world.camera_m), honest)
+    x[:3] = dive.sample_m[0, counted].mean(axis=0)
     track = np.empty((len(dive.sees), 6))
     for k, (samples, sees) in enumerate(zip(dive.sample_m, dive.sees, strict=True)):
         if k > 0:
             x, P = F @ x, F @ P @ F.T + Q
         information = np.linalg.inv(P)
-        vector = information @ x
-        information[:3, :3] += weight[sees].sum(axis=0)
-        vector[:3] += np.einsum("nij,nj->i", weight[sees], samples[sees])
+        vector, used = information @ x, sees & counted
+        information[:3, :3] += weight[used].sum(axis=0)
+        vector[:3] += np.einsum("nij,nj->i", weight[used], samples[used])
         P = np.linalg.inv(information)
         x = P @ vector
         track[k] = x

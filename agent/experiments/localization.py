@@ -109,10 +109,11 @@ def dive(case: Case, seed: int, number: int) -> list[Score]:
     if case.speed_mm_s:
         return [chase(case, world, rng, random)]
     samples = draw(world, case.views, case.outlier_mm * 1e-3, case.at[-1], rng)
+    rounds = case.ticks * case.says
     return [
         score(swarm, TARGET_M, central_m(world, samples, t, case.honest), case.honest)
-        for t, _, swarm in swim(case, world, samples, random)
-        if t in case.at
+        for turn, (t, _, swarm) in enumerate(swim(case, world, samples, random), 1)
+        if turn % rounds == 0 and t in case.at
     ]
 
 
@@ -121,7 +122,7 @@ def chase(case: Case, world: Scene, rng: np.random.Generator, random: Random) ->
     speed_m_s, seconds = case.speed_mm_s * 1e-3, case.at[-1]
     path_m = lap_m(speed_m_s, np.arange(seconds, dtype=np.float64))
     samples = draw(world, case.views, case.outlier_mm * 1e-3, seconds, rng, path_m)
-    track = central_track_m(world, samples, DENSITY)
+    track = central_track_m(world, samples, DENSITY, case.honest)
     moments = []
     for t, late_s, swarm in swim(case, world, samples, random):
         if 2 * t > seconds:
@@ -131,7 +132,7 @@ def chase(case: Case, world: Scene, rng: np.random.Generator, random: Random) ->
 
 
 def swim(case: Case, world: Scene, samples: Draw, random: Random) -> Iterator[tuple[int, float, Swarm]]:
-    """The swarm after each iteration: samples so far, seconds since the newest of them, and the swarm."""
+    """The swarm after each round of messages: samples so far, seconds since the newest of them, and the swarm."""
     swarm = Swarm(case.protocol, graph(case.topology, case.robots), case.loss, random, 1.0 / case.ticks, case.says)
     own, fixed = symmetric(world.random_m2), symmetric(world.systematic_m2)
     blind = [None] * case.robots
@@ -139,8 +140,11 @@ def swim(case: Case, world: Scene, samples: Draw, random: Random) -> Iterator[tu
         now_ns = swarm.now_ns
         priors = [prior(measured[i], own[i], fixed[i], now_ns) if sees[i] else None for i in range(case.robots)]
         for tick in range(case.ticks):
-            swarm.iterate(blind if tick else priors)
-            yield k + 1, tick / case.ticks, swarm
+            swarm.tick(blind if tick else priors)
+            for _ in range(case.says):
+                late_s = (swarm.now_ns - now_ns) * 1e-9
+                swarm.speak()
+                yield k + 1, late_s, swarm
 
 
 def world_of(case: Case) -> Scene:

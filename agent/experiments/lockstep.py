@@ -1,7 +1,7 @@
 """A swarm in virtual time: the agents' own estimators and mailboxes, a list instead of a network.
 
-All tick, then all speak; what is not lost arrives before the next iteration. Nothing is encoded: what the bytes do is
-the business of other tests, and this makes a thousand robots affordable.
+All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it.
+Nothing is encoded: what the bytes do is the business of other tests, and this makes a thousand robots affordable.
 """
 
 from __future__ import annotations
@@ -43,13 +43,17 @@ class Swarm:
 
     def iterate(self, priors: Sequence[Prior | None]) -> list[Update]:
         """One iteration with what each robot measured in it. Afterwards all speak to their neighbours."""
+        updates = self.tick(priors)
+        for _ in range(self._says):
+            self.speak()
+        return updates
+
+    def tick(self, priors: Sequence[Prior | None]) -> list[Update]:
+        """What each robot measured, and its conclusion."""
         updates = []
         for robot, box, prior in zip(self.robots, self._boxes, priors, strict=True):
             robot.adopt(box.newest_t(self.now_ns, self._validity_ns))
             updates.append(robot.tick(prior, box, self.now_ns))
-        for turn in range(self._says):
-            self._speak(self.now_ns + turn * self._iteration_ns // self._says)
-        self.now_ns += self._iteration_ns
         return updates
 
     def restart(self, i: int) -> None:
@@ -57,7 +61,9 @@ class Swarm:
         self._restarts[i] += 1
         self.robots[i], self._boxes[i] = self._fresh(i), self._mailbox(i)
 
-    def _speak(self, now_ns: int) -> None:
+    def speak(self) -> None:
+        """All speak once to their neighbours; then time goes on to when the next one is due."""
+        now_ns = self.now_ns
         self._seq += 1
         letters = []
         for i, near in enumerate(self.graph):
@@ -80,6 +86,7 @@ class Swarm:
                 letters.append((j, estimate))
         for j, estimate in letters:
             self.robots[j].hear(self._boxes[j].put(estimate.src, estimate, now_ns))
+        self.now_ns += self._iteration_ns // self._says
 
     def _fresh(self, i: int) -> Estimator:
         return estimator(self._fleet, self._names[i], TARGET, self._restarts[i])

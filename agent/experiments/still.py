@@ -18,7 +18,7 @@ from hw.twin.bench import BOARD_SIZE_M
 from hw.twin.lens import Vcm, draw_lens
 from hw.twin.painter import Painter
 from hw.twin.raycast import Floats
-from hw.twin.scene import generator, load_scene
+from hw.twin.scene import Scene, generator, load_scene
 from hw.twin.view import Board, Eye
 
 FRAME_NS = 1_000_000_000 // 30
@@ -34,11 +34,14 @@ class View(msgspec.Struct, frozen=True):
 
 
 class StillCamera:
-    """The camera that robot `robot` has in world `seed`; set `view` and `board_m`, then use it as a camera."""
+    """The camera that robot `robot` has in world `seed`; set `view` and `board_m`, then use it as a camera.
 
-    def __init__(self, sensor: str, seed: int, robot: str = "r1") -> None:
+    It stands in the tank's scene, or in another one if `scene` is given.
+    """
+
+    def __init__(self, sensor: str, seed: int, robot: str = "r1", scene: Scene | None = None) -> None:
         fleet = load_fleet(shipped_fleet())
-        scene = msgspec.structs.replace(load_scene("tank"), camera=sensor)
+        scene = msgspec.structs.replace(scene or load_scene("tank"), camera=sensor)
         self.lens = draw_lens(sensor, generator(seed, robot, "lens"))
         self.size = (self.lens.width, self.lens.height)
         self.solids = scene.solid

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.config import Fleet
@@ -23,12 +22,11 @@ def see_again(fleet: Fleet, camera: CameraFit) -> See:
 
     What the devices said, time, number and lens position, is taken from then; what the image says is new.
     """
-    vision = Vision(_no_camera, fleet, next(iter(fleet.target)), camera, epoch_offset_ns=0)
+    vision = Vision(_no_camera, fleet, camera, epoch_offset_ns=0)
 
     def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, radius_px: float | None) -> Sighting:
         frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))
-        _, now = vision.sight(frame, then.sweep, then.index, radius_px)
-        return replace(now, focus=then.focus)
+        return vision.sight(frame, then.target, then.focus, then.sweep, then.index, radius_px)[1]
 
     return see
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import Condition, Thread
 
 import cv2
@@ -21,7 +21,7 @@ from agent.messages import Sighting, SweepPlan
 from agent.perception.clarity import luminance, tenengrad_disc
 from agent.perception.detect import Ball, find_ball
 from agent.perception.enhance import enhance
-from agent.ranging.calibration import CameraFit
+from agent.ranging.calibration import CameraFit, at_lens
 from agent.ranging.camera_model import INNER_DISC
 from hw.camera import Camera, CameraError, Frame, Roi
 
@@ -38,21 +38,20 @@ class Vision:
     """Frames in, Sightings out. Start it once, close it once; the other methods may be called from any thread.
 
     `open_camera` raises CameraError while there is no camera. `epoch_offset_ns` is added to the monotonic time of a
-    frame. `on_frame(frame, sighting)` runs on this thread after each frame; it must not block.
+    frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must not block.
     """
 
     def __init__(
         self,
         open_camera: Callable[[], Camera],
         fleet: Fleet,
-        target: str,
         camera: CameraFit,
         epoch_offset_ns: int,
-        on_frame: Callable[[Frame, Sighting], None] | None = None,
+        on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
     ) -> None:
         self._open_camera = open_camera
         self._settings = fleet.camera
-        self._target = target
+        self._targets = fleet.target
         self._fit = camera
         self._epoch_offset_ns = epoch_offset_ns
         self._on_frame = on_frame
@@ -61,7 +60,7 @@ class Vision:
         self._closing = False
         self._out: deque[Sighting] = deque(maxlen=QUEUE)
         self._thread = Thread(target=self._run, name="vision", daemon=True)
-        self._ball: Ball | None = None  # in the last frame
+        self._balls: dict[str, Ball | None] = {}  # in the last frame in which each was looked for
         self._focus: int | None = None  # as the device reported it
         self.frames = 0
         self.errors = 0  # cameras lost or not to be opened
@@ -119,7 +118,7 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
-            self._look(camera)
+            self._look(camera, tuple(self._targets))
             self._wait(IDLE_PERIOD_S, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
@@ -127,6 +126,7 @@ class Vision:
             self._sweep(camera, plan)
 
     def _sweep(self, camera: Camera, plan: SweepPlan) -> None:
+        target = plan.target or next(iter(self._targets))
         self._focus = camera.set_focus(plan.focus[0])
         self._wait(HOMING_S, until_plan=True)
         radius_px: float | None = None  # of this sweep's first ball: areas stay comparable while the blur changes
@@ -134,37 +134,57 @@ class Vision:
             if self._closing or self._plan is not None:
                 return
             self._focus = camera.set_focus(position)
-            ball = self._look(camera, plan.sweep, index, radius_px)
+            ball = self._look(camera, (target,), plan.sweep, index, radius_px)
             if radius_px is None and ball is not None:
                 radius_px = ball.radius_px
 
-    def _look(self, camera: Camera, sweep: int = 0, index: int = -1, radius_px: float | None = None) -> Ball | None:
-        """Read a frame, find the target in it and say so. In a sweep only the part around the last ball is read."""
-        roi = around(self._ball, camera.size) if sweep and self._ball else None
+    def _look(
+        self,
+        camera: Camera,
+        targets: Sequence[str],
+        sweep: int = 0,
+        index: int = -1,
+        radius_px: float | None = None,
+    ) -> Ball | None:
+        """Read a frame, find the targets in it and say so; returns the first target's ball.
+
+        A sweep looks for one target, in the part around its last ball. Between sweeps each frame is searched for all
+        of them: who comes into view is noticed, whoever is being measured.
+        """
+        last = self._balls.get(targets[0])
+        roi = around(last, camera.size) if sweep and last else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
-        ball, sighting = self.sight(frame, sweep, index, radius_px)
-        self._ball = ball
+        sightings = []
+        for target in targets:
+            self._balls[target], sighting = self.sight(frame, target, self._focus, sweep, index, radius_px)
+            sightings.append(sighting)
         self.frames += 1
         with self._changed:
-            self.dropped += len(self._out) == QUEUE
-            self._out.append(sighting)
+            for sighting in sightings:
+                self.dropped += len(self._out) == QUEUE
+                self._out.append(sighting)
         if self._on_frame is not None:
-            self._on_frame(frame, sighting)
-        return ball
+            self._on_frame(frame, sightings)
+        return self._balls[targets[0]]
 
-    def sight(self, frame: Frame, sweep: int, index: int, radius_px: float | None) -> tuple[Ball | None, Sighting]:
-        """What one frame shows; `radius_px`: of the sweep's first ball. Replay calls it as well."""
-        ball = find_ball(
-            enhance(frame.image) if self._settings.enhance else frame.image, self._fit, (frame.roi.x, frame.roi.y)
-        )
+    def sight(
+        self, frame: Frame, target: str, focus: int | None, sweep: int, index: int, radius_px: float | None
+    ) -> tuple[Ball | None, Sighting]:
+        """What one frame taken at lens position `focus` shows of a target; `radius_px`: of the sweep's first ball.
+
+        Replay calls it as well.
+        """
+        image = enhance(frame.image) if self._settings.enhance else frame.image
+        colour = self._targets[target].colour
+        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour=colour)
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
         return ball, Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,
             frame=frame.seq,
             sweep=sweep,
             index=index,
-            focus=self._focus,
-            target=self._target,
+            focus=focus,
+            target=target,
             found=ball is not None,
             centre_px=ball.centre_px if ball else None,
             radius_px=ball.radius_px if ball else None,

@@ -27,6 +27,8 @@ MAX_NOISE_PX = 2.0  # lens distortion that a pinhole leaves is a third of a pixe
 HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
 HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
+AHEAD_M, BREATHING = 0.005, 0.05  # what to expect, give or take: a small port; growth of the picture from far to near
+PRIOR_PX = 0.1  # noise of one corner, to weigh that against the corners
 NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
 
 
@@ -44,6 +46,7 @@ class Corner(NamedTuple):
     servos_us: tuple[float, float]
     point_m: Vector
     px: tuple[float, float]
+    lens: float = 0.0  # lens position
 
 
 class CalibrationRefused(ValueError):
@@ -100,9 +103,11 @@ def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
 
 
 def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> CameraFit:
-    """Focal length, and zero and gain of pan and tilt, from a board at known places. Raises CalibrationRefused.
+    """The picture's scale, and zero and gain of pan and tilt, from a board at known places. Raises CalibrationRefused.
 
-    The principal point stays at the image's centre: a shift of it and a turn of the gimbal look the same.
+    The principal point stays at the image's centre: a shift of it and a turn of the gimbal look the same. Where rays
+    meet shows in boards at different distances, breathing in different lens positions; what the corners do not tell
+    of the two stays near nothing (a prior of a millimetre's order, and of a few percent over the lens's travel).
     """
     settings = {corner.servos_us for corner in corners}
     if len(corners) < MIN_CORNERS or len(settings) < MIN_SETTINGS:
@@ -117,33 +122,45 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         if float(np.ptp(nominal[:, axis])) < math.radians(5.0):
             raise CalibrationRefused(f"{name} moved by less than 5 degrees; use settings further apart")
 
+    lens = np.array([c.lens for c in corners])
+    middle, travel = float(lens.mean()), max(float(np.ptp(lens)), 1.0)
+
     def residual(p: Array) -> Array:
-        """Pixels; p = f_px, pan zero, tilt zero (rad), pan gain, tilt gain."""
+        """Pixels; p = f_px, pan zero, tilt zero (rad), pan gain, tilt gain, bend, ahead (m), growth over the travel."""
         pan, tilt = p[1] + p[3] * nominal[:, 0], p[2] + p[4] * nominal[:, 1]
         ahead = np.cos(pan) * points[:, 0] + np.sin(pan) * points[:, 1]
         left = np.cos(pan) * points[:, 1] - np.sin(pan) * points[:, 0]
-        z = np.cos(tilt) * ahead + np.sin(tilt) * points[:, 2]
+        z = np.cos(tilt) * ahead + np.sin(tilt) * points[:, 2] - p[6]
         up = np.cos(tilt) * points[:, 2] - np.sin(tilt) * ahead
-        return np.concatenate([cx - p[0] * left / z - px[:, 0], cy - p[0] * up / z - px[:, 1]])
+        scale = p[0] * (1.0 + p[7] * (lens - middle) / travel) * (1.0 + p[5] * (left**2 + up**2) / z**2)
+        seen = [cx - scale * left / z - px[:, 0], cy - scale * up / z - px[:, 1]]
+        return np.concatenate([*seen, PRIOR_PX * p[6:] / (AHEAD_M, BREATHING)])
 
     def jacobian(p: Array) -> Array:
-        steps = np.array([1e-2, 1e-6, 1e-6, 1e-6, 1e-6])
+        steps = np.array([1e-2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-5, 1e-6, 1e-6])
         both = [(residual(p + e), residual(p - e)) for e in np.diag(steps)]
         return np.stack([(plus - minus) / (2.0 * s) for (plus, minus), s in zip(both, steps, strict=True)])
 
-    p, _, weights = _gauss_newton(np.array([1.5 * size[0], 0.0, 0.0, 1.0, 1.0]), residual, jacobian)
-    r = residual(p)
-    noise_px = _scale(weights * r, 5)
+    start = np.array([1.5 * size[0], 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    p, normal, weights = _gauss_newton(start, residual, jacobian)
+    r, weights = residual(p)[:-2], weights[:-2]
+    noise_px = _scale(weights * r, 8)
     if noise_px > MAX_NOISE_PX:
         raise CalibrationRefused(f"corners miss by {noise_px:.1f} px; check the board's squares and where it stood")
     # A whole view that is off by the same shift is a servo that did not come back to the same angle.
     shift = np.array([r.reshape(2, -1)[:, [c.servos_us == s for c in corners]].mean(axis=1) for s in sorted(settings)])
+    C = max(noise_px, PRIOR_PX) ** 2 * solve(normal, np.eye(len(p)))
     return CameraFit(
         width_px=size[0],
         height_px=size[1],
         f_px=float(p[0]),
         cx_px=cx,
         cy_px=cy,
+        bend=float(p[5]),
+        ahead_m=float(p[6]),
+        lens=middle,
+        breathing=float(p[7]) / travel,
+        scale_covariance=(float(C[0, 0] / p[0] ** 2), float(C[0, 6] / p[0]), float(C[6, 6])),
         pan_zero_deg=math.degrees(p[1]),
         tilt_zero_deg=math.degrees(p[2]),
         pan_gain=float(p[3]),

@@ -12,36 +12,22 @@ import math
 from typing import NamedTuple
 
 from agent.config import Body, Pose
-from agent.messages import Symmetric, Vector
-from agent.ranging.calibration import CameraFit, FocusFit
-from agent.ranging.focus import h, range_variance
+from agent.messages import Vector
+from agent.ranging.calibration import CameraFit
 
 Rotation = tuple[Vector, Vector, Vector]  # rows
 
 INNER_DISC = 0.5  # share of the ball's apparent radius inside which clarity is taken: texture, no silhouette
+UNBEND = 8  # passes that take the bend out of a slope; each contracts by more than five inside the picture
 RINGS = 8  # of equal area, to average the depth of that disc; 4 already agree to 0.01 mm
-
-SURVEY_SIGMA_M = 0.002  # where the robot was placed: tape measure and water column
-ATTITUDE_SIGMA_DEG = 0.1  # roll and pitch from pressure: 2 mm over the sensors' base is 0.4 deg, averaged
 
 
 class Eye(NamedTuple):
-    """Where a camera is: optical centre in the world, and rotation camera -> world."""
+    """Where a camera is: optical centre in the world, rotation camera -> world, and the centre of what carries it."""
 
     position_m: Vector
     rotation: Rotation
-
-
-class Fix(NamedTuple):
-    """One measurement of the target's centre in the world."""
-
-    position_m: Vector
-    random_m2: Symmetric  # averages out over measurements
-    systematic_m2: Symmetric  # does not: calibration and survey, the same in every measurement of this robot
-
-    @property
-    def covariance_m2(self) -> Symmetric:
-        return _plus(self.random_m2, self.systematic_m2)
+    body_m: Vector
 
 
 def gimbal_deg(camera: CameraFit, body: Body, servos_us: tuple[float, float]) -> tuple[float, float]:
@@ -73,7 +59,7 @@ def camera_pose(
     """Where the camera is and how it is turned, from the surveyed pose, the pressure sensors and the gimbal."""
     position, world_body = _pivot(pose, body, depth_m, roll_deg, pitch_deg, surface_m)
     body_camera = _times(_times(_rz(pan_deg), _ry(-tilt_deg)), ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)))
-    return Eye(position, _times(world_body, body_camera))
+    return Eye(position, _times(world_body, body_camera), (pose.x_m, pose.y_m, surface_m - depth_m))
 
 
 def look_at(
@@ -87,69 +73,49 @@ def look_at(
 ) -> tuple[float, float]:
     """(pan, tilt) that bring a point of the world onto the optical axis."""
     pivot, world_body = _pivot(pose, body, depth_m, roll_deg, pitch_deg, surface_m)
-    x, y, z = _apply(_transpose(world_body), _minus(point_m, pivot))
+    x, y, z = apply(_transpose(world_body), _minus(point_m, pivot))
     return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
 def ray(camera: CameraFit, px: tuple[float, float]) -> Vector:
-    """Unit vector in the camera frame through a pixel."""
-    x, y = (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
+    """Unit vector in the camera frame along which a pixel looks, from `ahead_m` before the pivot on."""
+    seen_x, seen_y = (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
+    x, y = seen_x, seen_y
+    for _ in range(UNBEND):
+        bend = 1.0 + camera.bend * (x * x + y * y)
+        x, y = seen_x / bend, seen_y / bend
     length = math.sqrt(x * x + y * y + 1.0)
     return x / length, y / length, 1.0 / length
 
 
 def pixel(camera: CameraFit, point_m: Vector) -> tuple[float, float] | None:
     """Where a point of the camera frame meets the image; None behind the camera."""
-    x, y, z = point_m
+    x, y, z = point_m[0], point_m[1], point_m[2] - camera.ahead_m
     if z <= 0.0:
         return None
-    return camera.cx_px + camera.f_px * x / z, camera.cy_px + camera.f_px * y / z
+    scale = camera.f_px / z * (1.0 + camera.bend * (x * x + y * y) / (z * z))
+    return camera.cx_px + scale * x, camera.cy_px + scale * y
+
+
+def slopes_per_px(camera: CameraFit, m: Vector) -> tuple[tuple[float, float], tuple[float, float]]:
+    """How far the slope (x, y) of a ray m moves with one pixel to the right, and with one pixel down."""
+    x, y = m[0] / m[2], m[1] / m[2]
+    # The inverse of f [(1 + bend s^2) I + 2 bend s s^T], s = (x, y).
+    straight = 1.0 + camera.bend * (x * x + y * y)
+    k = 2.0 * camera.bend / (straight + 2.0 * camera.bend * (x * x + y * y))
+    scale = 1.0 / (camera.f_px * straight)
+    return (scale * (1.0 - k * x * x), -scale * k * x * y), (-scale * k * x * y, scale * (1.0 - k * y * y))
 
 
 def to_camera(eye: Eye, point_m: Vector) -> Vector:
     """A point of the world in the camera frame."""
-    return _apply(_transpose(eye.rotation), _minus(point_m, eye.position_m))
+    return apply(_transpose(eye.rotation), _minus(point_m, eye.position_m))
 
 
 def to_world(eye: Eye, point_m: Vector) -> Vector:
     """A point of the camera frame in the world."""
-    x, y, z = (p + c for p, c in zip(eye.position_m, _apply(eye.rotation, point_m), strict=True))
+    x, y, z = (p + c for p, c in zip(eye.position_m, apply(eye.rotation, point_m), strict=True))
     return x, y, z
-
-
-def locate(
-    camera: CameraFit,
-    focus: FocusFit,
-    eye: Eye,
-    centre_px: tuple[float, float],
-    rho: float,
-    sigma_rho: float,
-    radius_m: float,
-) -> Fix | None:
-    """The centre of a ball from its pixel and its sharpest lens position; None where h(rho) has no range.
-
-    x = d R m + p with m the unit ray through the centre. Focus measures the skin that faces the camera, so d is the
-    range to the skin plus `centre_behind_skin_m`. Covariance: s_u^2 r r^T / m_z^2 along the ray, s_px^2 (d/f)^2 and
-    s_ang^2 d^2 across it, s_p^2 of the survey in every direction.
-    """
-    u_m = h(focus, rho)
-    if u_m is None:
-        return None
-    m = ray(camera, centre_px)
-    skin_m = u_m / m[2]
-    d = skin_m + centre_behind_skin_m(skin_m, radius_m)
-    r = _apply(eye.rotation, m)
-    x, y, z = (p + d * c for p, c in zip(eye.position_m, r, strict=True))
-    along_random, along_systematic = (v / (m[2] * m[2]) for v in range_variance(focus, rho, sigma_rho))
-    gimbal = math.radians(camera.noise_deg)
-    across_random = d * d * ((camera.noise_px / camera.f_px) ** 2 + gimbal * gimbal)
-    across_systematic = d * d * math.radians(ATTITUDE_SIGMA_DEG) ** 2
-    survey = SURVEY_SIGMA_M * SURVEY_SIGMA_M
-    return Fix(
-        (x, y, z),
-        _spheroid(r, along_random, across_random),
-        _spheroid(r, along_systematic + survey, across_systematic + survey),
-    )
 
 
 def centre_behind_skin_m(skin_m: float, radius_m: float, share: float = INNER_DISC) -> float:
@@ -183,15 +149,8 @@ def _pivot(
 ) -> tuple[Vector, Rotation]:
     """The gimbal's pivot in the world, and R_world_body."""
     world_body = _times(_times(_rz(pose.yaw_deg), _ry(pitch_deg)), _rx(roll_deg))
-    arm = _apply(world_body, body.camera_m)
+    arm = apply(world_body, body.camera_m)
     return (pose.x_m + arm[0], pose.y_m + arm[1], surface_m - depth_m + arm[2]), world_body
-
-
-def _spheroid(r: Vector, along: float, across: float) -> Symmetric:
-    """across * I + (along - across) * r r^T: one variance along a unit vector, another across it."""
-    k = along - across
-    x, y, z = r
-    return (across + k * x * x, k * x * y, k * x * z, across + k * y * y, k * y * z, across + k * z * z)
 
 
 def _rx(deg: float) -> Rotation:
@@ -214,23 +173,19 @@ def _transpose(a: Rotation) -> Rotation:
     return (a00, a10, a20), (a01, a11, a21), (a02, a12, a22)
 
 
-def _apply(a: Rotation, v: Vector) -> Vector:
+def apply(a: Rotation, v: Vector) -> Vector:
+    """Rotation times vector."""
     x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in a)
     return x, y, z
 
 
 def _times(a: Rotation, b: Rotation) -> Rotation:
     columns = _transpose(b)
-    return _transpose((_apply(a, columns[0]), _apply(a, columns[1]), _apply(a, columns[2])))
+    return _transpose((apply(a, columns[0]), apply(a, columns[1]), apply(a, columns[2])))
 
 
 def _minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _plus(a: Symmetric, b: Symmetric) -> Symmetric:
-    xx, xy, xz, yy, yz, zz = (p + q for p, q in zip(a, b, strict=True))
-    return xx, xy, xz, yy, yz, zz
 
 
 def _clamp(value: float, limits: tuple[float, float]) -> float:

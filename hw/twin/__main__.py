@@ -67,6 +67,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     if not robots:
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
     scene = load_scene(fleet.twin.scene)
+    targets_m = _targets_m(fleet, scene, fleet_path)
     optics = [_optics(fleet, scene, name) for name in robots]
     Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
     dive = Dive(fleet, robots, time.monotonic_ns(), waves=scene.waves, events=scene.event)
@@ -85,7 +86,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     stack.callback(dive.history.close)  # before that: cameras that wait for a frame give up
     for device in devices:
         device.start()
-    _write_truth(folder / "truth.json", fleet, scene, dive)
+    _write_truth(folder / "truth.json", fleet, targets_m, dive)
     _be_ready(folder, stop)
     overruns = run_at_wall_clock(dive, stop)
     if overruns:
@@ -120,14 +121,23 @@ def _close_together(devices: list[Board | FrameServer]) -> None:
         thread.join()
 
 
-def _write_truth(path: Path, fleet: Fleet, scene: Scene, dive: Dive) -> None:
+def _targets_m(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, tuple[float, float, float]]:
+    """Where each target is, world frame. Raises ConfigError when the scene has none, or two, like it."""
+    found = {}
+    for name, target in fleet.target.items():
+        like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.colour)]
+        if len(like) != 1:
+            what = f"{target.colour} {target.detector}"
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; "
+                f"take another colour, or another scene in [twin]"
+            )
+        found[name] = like[0].position_m
+    return found
+
+
+def _write_truth(path: Path, fleet: Fleet, targets_m: dict[str, tuple[float, float, float]], dive: Dive) -> None:
     """Where everything is at the start: for summaries and reports, never for an agent."""
-    targets = {
-        name: solid.position_m
-        for name, target in fleet.target.items()
-        for solid in scene.solid
-        if solid.kind == target.detector
-    }
     robots = {
         name: {
             "position_m": state["position_m"].tolist(),
@@ -135,7 +145,7 @@ def _write_truth(path: Path, fleet: Fleet, scene: Scene, dive: Dive) -> None:
         }
         for name, state in zip(dive.robots, dive.states, strict=True)
     }
-    path.write_text(json.dumps({"seed": fleet.twin.seed, "target_m": targets, "robot": robots}, indent=1) + "\n")
+    path.write_text(json.dumps({"seed": fleet.twin.seed, "target_m": targets_m, "robot": robots}, indent=1) + "\n")
 
 
 def _be_ready(folder: Path, stop: threading.Event) -> None:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.config import Fleet
 from hw.camera import FocusRange, Frame, Roi
@@ -63,7 +64,8 @@ class Bench:
         self._motor_deg = self._servos["servo_zero_deg"][:2].tolist()
         self._shaft_deg = list(self._motor_deg)
         pivot_m = np.array((PIVOT_X_M, fleet.tank.size_m[1] / 2, fleet.tank.surface_m / 2))
-        self._body_m = pivot_m - np.array(fleet.body.camera_m)  # level, ahead is world x
+        self._body_m = pivot_m - np.array(fleet.body.camera_m)
+        self._rotation = np.eye(3)  # level, ahead is world x
         self._pivot_m = pivot_m
         self._board: Board | None = None
         self._clock = FrameClock(start_ns)
@@ -84,6 +86,11 @@ class Bench:
                 self._turn(k, (round(servo_us[k]) - self._mounting.servo_centre_us) / self._mounting.servo_us_per_deg)
             self._now_ns += round(SETTLED_S * 1e9)
 
+    def stand(self, body_m: tuple[float, float, float], rotation: NDArray[np.float64]) -> None:
+        """Take the robot off its clamp: centre and turn (body to world) of its body. The board stays with the clamp."""
+        with self._lock:
+            self._body_m, self._rotation = np.array(body_m), rotation
+
     def _turn(self, k: int, nominal_deg: float) -> None:
         gain, zero, low, high = (
             float(self._servos[f"servo_{name}"][k]) for name in ("gain", "zero_deg", "low_deg", "high_deg")
@@ -102,7 +109,7 @@ class Bench:
             seq = self._clock.next(max(self._now_ns, self._focused_ns + round(settle_s * 1e9)))
             self._now_ns = self._clock.opens_ns(seq) + EXPOSURE_NS
             middle_ns = self._now_ns - EXPOSURE_NS // 2
-            pose = Pose(self._body_m, np.eye(3), self._shaft_deg[0], self._shaft_deg[1])
+            pose = Pose(self._body_m, self._rotation, self._shaft_deg[0], self._shaft_deg[1])
             eye, elevation_rad = look(pose, self._mounting.camera_m)
             distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
             image = self._painter.frame(eye, distance_m, board=self._board, roi=roi, tick=seq)

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from agent.config import ConfigError, Positive, Struct, convert, read_toml
+from agent.config import Colour, ConfigError, Positive, Struct, convert, read_toml
 from hw.twin.event import KINDS, Event
 
 
@@ -20,9 +20,10 @@ class SceneWater(Struct, frozen=True, kw_only=True):
 
 
 class Solid(Struct, frozen=True, kw_only=True):
-    """An ellipsoid that stands where it is put. The agents' target is one of these."""
+    """An ellipsoid that stands where it is put. The agents' targets are among these."""
 
     kind: Literal["ball", "stone"]
+    colour: Colour = "red"  # of a ball; stones are grey
     position_m: tuple[float, float, float]
     radii_m: tuple[Positive, Positive, Positive]
 
@@ -49,7 +50,7 @@ def load_scene(name: str) -> Scene:
     path = Path(name) if name.endswith(".toml") else Path(str(resources.files("hw.twin") / "scenes" / f"{name}.toml"))
     if not path.exists():
         raise ConfigError(
-            f"{path}: no such scene; give a name that ships with the package (tank) or the path of a file"
+            f"{path}: no such scene; give a name that ships with the package (tank, two_balls) or the path of a file"
         )
     data = read_toml(path)
     events = data.get("event", [])

@@ -18,7 +18,12 @@ Affine = NDArray[np.float64]  # (3, 4) rotation and shift
 
 HULL_RADII_M = (0.14, 0.14, 0.08)
 FACES = [MATERIALS.index(m) for m in (*[texture.WALL] * 4, texture.FLOOR, texture.SURFACE, texture.BOARD)]
-BALL, STONE, HULL = (MATERIALS.index(m) for m in (texture.BALL, texture.STONE, texture.HULL))
+STONE, HULL = (MATERIALS.index(m) for m in (texture.STONE, texture.HULL))
+BALLS = {
+    "red": MATERIALS.index(texture.RED_BALL),
+    "yellow": MATERIALS.index(texture.YELLOW_BALL),
+    "green": MATERIALS.index(texture.GREEN_BALL),
+}
 
 EVERYWHERE, NOWHERE = (-100_000, -100_000, 100_000, 100_000), (0, 0, 0, 0)
 STRAIGHT = 1.3  # rad off the axis; what lies beyond is never in the picture
@@ -70,7 +75,9 @@ def make_view(
     """
     slope = lens.pixel_m / image_distance_m
     camera = _affine(eye.rotation, eye.position_m)
-    bodies = [Ellipsoid(s.position_m, np.eye(3), s.radii_m, BALL if s.kind == "ball" else STONE) for s in solids]
+    bodies = [
+        Ellipsoid(s.position_m, np.eye(3), s.radii_m, BALLS[s.colour] if s.kind == "ball" else STONE) for s in solids
+    ]
     bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in hulls]
     to_unit = [_relative(b.rotation, b.position_m, camera) / np.array(b.radii_m)[:, None] for b in bodies]
     optics = (slope, *lens.centre_px, lens.k1, lens.k2, index**2, lens.port_gap_m)

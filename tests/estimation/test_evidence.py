@@ -187,6 +187,13 @@ def test_nobody_writes_under_our_name_and_what_is_refused_changes_nothing() -> N
     assert robot.posterior == before
 
 
+def test_news_counts_as_soon_as_it_is_read_and_no_news_costs_nothing() -> None:
+    net = Net(line(2))
+    net.tick(samples(["r00"], net.now_ns, Random(1)))
+    assert net.robots["r01"].posterior == net.robots["r00"].posterior, "no iteration since the message came"
+    assert net.robots["r01"].posterior is net.robots["r01"].posterior
+
+
 def test_only_what_arrived_matters_not_its_age() -> None:
     """The clocks are an hour apart; at rest no time but the own is read."""
     net = Net(line(2))

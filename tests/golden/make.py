@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from agent.config import Fleet, dump, load_fleet
 from agent.core import Agent
-from agent.messages import Heard, Inputs, SetPoint, Sighting, SweepPlan, decode, encode
+from agent.messages import Heard, Inputs, SetPoint, Sighting, SweepPlan, Vector, decode, encode
 from agent.ranging.calibration import Calibration
 from agent.runtime import run_facts
 from replay.backlog import Entry
@@ -25,7 +25,7 @@ from replay.log import parts
 from replay.mcap_file import Part
 from replay.names import active
 from replay.recover import STEP_IN, STEP_OUT
-from tests.network.scripted_agent import CALIBRATION, Motors, Script
+from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -43,7 +43,11 @@ class Case(NamedTuple):
     mute: tuple[float, float] = (0.0, 0.0)  # r2 neither hears nor is heard
     dead: tuple[float, float] = (0.0, 0.0)  # r3 is down, and comes back without memory
     wrong: float = 0.0  # lens positions by which r3's calibration is off: it is convinced of another place
+    fleet: str = "tank"
+    targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
 
+
+TWO_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}  # as hw/twin/scenes/two_balls.toml has them
 
 CASES = {
     "three": Case("paper", 16.0),
@@ -51,6 +55,7 @@ CASES = {
     "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0)),
     "liar": Case("evidence", 18.0, wrong=60.0),
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
+    "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
 }
 TORN = "torn"  # r1 of `three`, cut
 
@@ -102,7 +107,7 @@ class Robot:
     def __init__(self, fleet: Fleet, name: str, case: Case, clock: Clock) -> None:
         self.fleet, self.name, self.clock = fleet, name, clock
         self.calibration = calibration_of(case, name)
-        self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden))
+        self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden), case.targets_m)
         self.motors = Motors(self.script)
         self.agent: Agent | None = None
         self.post: list[Heard] = []
@@ -152,30 +157,32 @@ class Robot:
 class Slow(Script):
     """The script's camera as on a robot: one frame of a sweep each step, and a target that can be out of sight."""
 
-    def __init__(self, fleet: Fleet, name: str, clock: Clock, hidden: Callable[[], bool]) -> None:
-        super().__init__(fleet, name, clock)
+    def __init__(
+        self, fleet: Fleet, name: str, clock: Clock, hidden: Callable[[], bool], targets_m: dict[str, Vector]
+    ) -> None:
+        super().__init__(fleet, name, clock, targets_m)
         self._hidden = hidden
-        self._waiting: list[tuple[int, int, int]] = []  # focus, sweep, index
+        self._waiting: list[tuple[int, int, int, str | None]] = []  # focus, sweep, index, target
 
     def drain(self) -> list[Sighting]:
         if self.sweep is not None:
             plan, self.sweep = self.sweep, None
-            self._waiting = [(focus, plan.sweep, index) for index, focus in enumerate(plan.focus)][1:]
+            self._waiting = [(focus, plan.sweep, index, plan.target) for index, focus in enumerate(plan.focus)][1:]
         if self._waiting:
             self.idle_ns = self.clock()
             return [self.look(self.clock(), *self._waiting.pop(0))]
         return super().drain()
 
-    def look(self, now_ns: int, focus: int | None, sweep: int, index: int) -> Sighting:
-        seen = super().look(now_ns, focus, sweep, index)
+    def look(self, now_ns: int, focus: int | None, sweep: int, index: int, target: str | None = None) -> Sighting:
+        seen = super().look(now_ns, focus, sweep, index, target)
         if not self._hidden():
             return seen
         return replace(seen, found=False, centre_px=None, radius_px=None, clarity=None, area_px=None, score=0.0)
 
 
 def fleet_of(case: Case) -> Fleet:
-    """The first three robots of the tank, on ports that nobody opens."""
-    fleet = load_fleet(ROOT / "agent" / "fleets" / "tank.toml")
+    """The first three robots of a fleet that ships, on ports that nobody opens."""
+    fleet = load_fleet(ROOT / "agent" / "fleets" / f"{case.fleet}.toml")
     names = list(fleet.robot)[:3]
     robots = {
         name: replace(fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names))

@@ -130,7 +130,7 @@ def test_a_sweep_without_frames_is_given_up() -> None:
 def test_frames_of_another_sweep_pass_by() -> None:
     sweep = Sweep(FIT, 8)
     old = sweep.start(0)
-    sweep.abandon()
+    sweep.forget()
     sweep.start(0)
     frames(sweep, old, 431.0)
     assert sweep.finish(S) is None

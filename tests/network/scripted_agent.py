@@ -1,6 +1,6 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
-The script knows where the target is and answers each sweep with the clarity curve that a lens would give.
+The script knows where the targets are and answers each sweep with the clarity curve that a lens would give.
 Usage: scripted_agent.py FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
@@ -42,8 +42,9 @@ CALIBRATION = Calibration(robot="any", made="2026-01-01", source="script", focus
 class Script:
     """Camera and control module in one: where the gimbal points decides what is seen."""
 
-    def __init__(self, fleet, robot, clock) -> None:
+    def __init__(self, fleet, robot, clock, targets_m=None) -> None:
         self.fleet, self.robot, self.clock = fleet, fleet.robot[robot], clock
+        self.targets_m = targets_m or {"ball": TARGET_M}
         self.servos = (1500, 1500)
         self.sweep = None
         self.frame = 0
@@ -60,27 +61,29 @@ class Script:
         now_ns, out = self.clock(), []
         if self.sweep is not None:
             for index, focus in enumerate(self.sweep.focus[1:], start=1):
-                out.append(self.look(now_ns, focus, self.sweep.sweep, index))
+                out.append(self.look(now_ns, focus, self.sweep.sweep, index, self.sweep.target))
             self.sweep = None
         elif now_ns - self.idle_ns > 100_000_000:
-            out.append(self.look(now_ns, None, 0, -1))
+            out += [self.look(now_ns, None, 0, -1, target) for target in self.targets_m]
         if out:
             self.idle_ns = now_ns
         return out
 
-    def look(self, now_ns, focus, sweep, index) -> Sighting:
+    def look(self, now_ns, focus, sweep, index, target=None) -> Sighting:
+        target = target or next(iter(self.targets_m))
+        radius_m = self.fleet.target[target].radius_m
         self.frame += 1
         r, body = self.robot, self.fleet.body
         pan, tilt = gimbal_deg(CAMERA, body, self.servos)
         eye = camera_pose(r.pose, body, r.depth_m, 0.0, 0.0, pan, tilt, self.fleet.tank.surface_m)
-        x, y, z = to_camera(eye, TARGET_M)
+        x, y, z = to_camera(eye, self.targets_m[target])
         px = pixel(CAMERA, (x, y, z))
         if px is None or not (0 <= px[0] < 640 and 0 <= px[1] < 480):
-            return Sighting(t_ns=now_ns, frame=self.frame, sweep=sweep, index=index, target="ball", found=False)
+            return Sighting(t_ns=now_ns, frame=self.frame, sweep=sweep, index=index, target=target, found=False)
         d = math.sqrt(x * x + y * y + z * z)
-        skin = d - 0.07
+        skin = d - radius_m
         for _ in range(5):
-            skin = d - centre_behind_skin_m(skin, 0.07)
+            skin = d - centre_behind_skin_m(skin, radius_m)
         rho = FOCUS.rho0 + FOCUS.b_m / (skin * z / d - FOCUS.u_inf_m) + self.random.gauss(0.0, 0.5)
         return Sighting(
             t_ns=now_ns,
@@ -88,10 +91,10 @@ class Script:
             sweep=sweep,
             index=index,
             focus=focus,
-            target="ball",
+            target=target,
             found=True,
             centre_px=px,
-            radius_px=0.07 / d * 1169,
+            radius_px=math.asin(radius_m / d) * 1169,
             clarity=None if focus is None else 100.0 + 900.0 / (1.0 + ((focus - rho) / FOCUS.width) ** 2),
             area_px=9000.0,
             score=1.0,

@@ -20,7 +20,7 @@ from agent.messages import MAX_PAYLOAD, Estimate, LogLine, State, encode, encodi
 from agent.session import peer_config
 from agent.topics import LINK, STATE
 from agent.transport import Transport
-from replay.log import Limits, info, read
+from replay.log import Limits, LogWriter, info, read
 from replay.recorder import record
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
@@ -197,6 +197,24 @@ def test_an_existing_file_is_one_line(
     with pytest.raises(ConfigError, match="exists already"):
         Running(pool, make_fleet(PAIR), out).end()
     assert out.read_text() == "precious"
+
+
+def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
+    make_fleet: Callable[..., Fleet], until: Callable[..., None], pool: ThreadPoolExecutor, tmp_path: Path
+) -> None:
+    out = tmp_path / "fleet.mcap"
+    with LogWriter(out, {"kind": "fleet"}) as log:
+        log.write("/zenoh/x", 1, 1, 1, b"x")
+    (tmp_path / "fleet.mcap.active").write_bytes(out.read_bytes()[:-100])
+    out.unlink()
+    recorder = Running(pool, make_fleet({"r1": ()}), out)
+    until((tmp_path / "fleet.recovered.mcap").exists, timeout_s=30)
+    until(lambda: len(recorder.warnings) >= 2)
+    recorder.end()
+    assert f"this one is {tmp_path / 'fleet.2.mcap'}" in recorder.warnings[0]
+    assert any("1 messages kept" in line for line in recorder.warnings[1:])
+    assert info(tmp_path / "fleet.2.mcap").complete
+    assert [record.data for record in read(tmp_path / "fleet.recovered.mcap")] == [b"x"]
 
 
 RECORD = """

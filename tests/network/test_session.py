@@ -39,15 +39,15 @@ def test_every_key_of_a_base_file_is_known_to_zenoh_and_differs_from_its_default
         assert default.get(path) != value, path
 
 
-def test_a_robot_dials_its_neighbours_and_nobody_else(make_fleet: Callable[..., Fleet]) -> None:
+def test_of_two_neighbours_the_later_named_dials(make_fleet: Callable[..., Fleet]) -> None:
     fleet = make_fleet(CHAIN)
-    text = session.peer_config(fleet, "r1")
+    text = session.peer_config(fleet, "r2")
     assert accepted(text, "mode") == "peer"
-    assert accepted(text, "listen/endpoints") == [fleet.robot["r1"].listen]
-    assert accepted(text, "connect/endpoints") == [fleet.robot["r2"].listen]
-    assert accepted(text, "metadata") == {"fleet": "test", "name": "r1"}
-    both = [fleet.robot["r1"].listen, fleet.robot["r3"].listen]
-    assert accepted(session.peer_config(fleet, "r2"), "connect/endpoints") == both
+    assert accepted(text, "listen/endpoints") == [fleet.robot["r2"].listen]
+    assert accepted(text, "connect/endpoints") == [fleet.robot["r1"].listen]
+    assert accepted(text, "metadata") == {"fleet": "test", "name": "r2"}
+    assert accepted(session.peer_config(fleet, "r1"), "connect/endpoints") == []
+    assert accepted(session.peer_config(fleet, "r3"), "connect/endpoints") == [fleet.robot["r2"].listen]
 
 
 def test_what_keeps_a_swarm_alive(make_fleet: Callable[..., Fleet]) -> None:

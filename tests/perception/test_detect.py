@@ -8,6 +8,7 @@ import pytest
 from painted import CAMERA, ball_frame, ball_light, defocus, expose, grain
 
 from agent.perception.detect import find_ball
+from agent.ranging.calibration import CameraFit
 
 
 def truth(centre_m, radius_m=0.07):
@@ -94,3 +95,62 @@ def test_the_same_frame_gives_the_same_answer():
 
 def test_a_sliver_of_an_image_is_no_error():
     assert find_ball(np.zeros((10, 300, 3), np.uint8), CAMERA) is None
+
+
+PLANES = {"red": (0, 1, 2), "green": (0, 2, 1), "yellow": (0, 2, 2)}  # of the red ball, for blue, green, red
+WATERS = {"grey": (1.0, 1.0, 1.0), "green": (0.55, 0.9, 0.6), "yellow": (0.35, 0.9, 0.85), "blue": (1.0, 0.9, 0.6)}
+
+
+@pytest.mark.parametrize("colour", PLANES)
+@pytest.mark.parametrize("water", WATERS)
+def test_each_colour_is_found_and_only_it_whatever_the_tint(colour, water):
+    centre_m = (-0.04, 0.02, 0.8)
+    veil = 0.08 * np.array(WATERS[water])
+    frame = expose(defocus(ball_light(centre_m)[..., PLANES[colour]] * WATERS[water] + veil, 3.0), 4)
+    found = {name: find_ball(frame, CAMERA, colour=name) for name in PLANES}
+    assert math.dist(found[colour].centre_px, truth(centre_m)[0]) < 1.0
+    assert [name for name, ball in found.items() if ball] == [colour]
+
+
+def test_two_balls_of_two_colours():
+    red, green = ball_light((-0.12, 0.0, 0.9)), ball_light((0.1, 0.03, 0.8))[..., PLANES["green"]]
+    frame = expose(np.where((np.arange(640) < 320)[None, :, None], red, green), 4)
+    for colour, centre_m in (("red", (-0.12, 0.0, 0.9)), ("green", (0.1, 0.03, 0.8))):
+        ball = find_ball(frame, CAMERA, colour=colour)
+        assert math.dist(ball.centre_px, truth(centre_m)[0]) < 1.0
+
+
+def test_a_ball_that_overflows_the_frame():
+    ball = find_ball(ball_frame((0.0, 0.0, 0.30), 2.0), CAMERA)  # 275 px: cut off above and below
+    assert math.dist(ball.centre_px, truth((0.0, 0.0, 0.30))[0]) < 1.5
+    assert ball.radius_px == pytest.approx(truth((0.0, 0.0, 0.30))[1], abs=1.5)
+
+
+def test_less_than_a_third_of_the_outline_is_not_believed():
+    assert find_ball(ball_frame((0.14, 0.0, 0.30)), CAMERA) is None
+
+
+def test_a_large_frame_holds_a_large_ball():
+    whole = ball_frame((0.0, 0.0, 0.34), 2.0)
+    camera = CameraFit(width_px=1280, height_px=960, f_px=2 * CAMERA.f_px, cx_px=639.5, cy_px=479.5)
+    ball = find_ball(cv2.resize(whole, (1280, 960)), camera)
+    assert ball.radius_px == pytest.approx(2 * truth((0.0, 0.0, 0.34))[1], abs=3.0)  # 485 px
+
+
+def test_a_grey_stone_nearer_than_the_tinted_wall_is_not_red():
+    far, near = np.array([1.0, 0.95, 0.6]), np.array([1.0, 1.0, 0.9])  # of grey, seen through blue water
+    hit = ball_light((0.05, 0.0, 0.6)) * (0.0, 0.0, 1.0)
+    stone = (hit[..., 2] - 0.3)[..., None] * (1.0, 1.0, 1.0)
+    rows, columns = np.mgrid[:480, :640]
+    inside = ((columns - 400) ** 2 + (rows - 240) ** 2 < 130**2)[..., None]
+    wall = np.repeat((0.3 + 0.08 * grain((480, 640), 5))[..., None], 3, axis=-1)
+    frame = expose(np.where(inside, (0.3 + 0.2 * np.abs(stone)) * near, wall * far), 4)
+    assert find_ball(frame, CAMERA) is None
+
+
+def test_light_from_above_does_not_lift_the_centre_of_a_blurred_ball():
+    centre_m = (0.0, 0.0, 0.9)
+    shade = np.linspace(1.8, 0.2, 480)[:, None, None]
+    ball = find_ball(expose(defocus(ball_light(centre_m) * shade, 10.0), 4), CAMERA)
+    assert math.dist(ball.centre_px, truth(centre_m)[0]) < 0.45  # 0.7 without the correction for shading
+    assert ball.radius_px == pytest.approx(truth(centre_m)[1], abs=0.7)

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -132,3 +135,17 @@ def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
     (raw / "a.png").write_bytes(b"torn")
     with pytest.raises(ConfigError, match="not a picture"):
         folders.read_pairs(raw, reference, 32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--pairs", "nowhere", "nowhere"], "nowhere: no such folder"),
+        (["--cross-validate", "3"], "needs --pairs RAW REFERENCE and --start WEIGHTS"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing_behind(arguments, expected, tmp_path):
+    command = [sys.executable, "-m", "agent", "train", "enhance", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and expected in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert not list(tmp_path.iterdir())

@@ -92,7 +92,7 @@ def worker(monkeypatch):
             robot={"r1": robot},
             camera=CameraSettings(settle_s=settle_s),
         )
-        out = Vision(open_camera, fleet, "ball", CAMERA, 5_000, on_frame)
+        out = Vision(open_camera, fleet, CAMERA, 5_000, on_frame)
         started.append(out)
         out.start()
         return out
@@ -196,7 +196,7 @@ def test_what_nobody_fetches_is_bounded_and_counted(worker):
 def test_every_frame_is_offered_to_the_recording(worker, images):
     frames = []
     out = worker(
-        ScriptedCamera(images=images), on_frame=lambda frame, sighting: frames.append((frame.seq, sighting.frame))
+        ScriptedCamera(images=images), on_frame=lambda frame, sightings: frames.append((frame.seq, sightings[0].frame))
     )
     collect(out, lambda s: len(s) >= 3)
     assert frames[:3] == [(1, 1), (2, 2), (3, 3)]

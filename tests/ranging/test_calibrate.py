@@ -1,5 +1,6 @@
 """Both fits against synthetic measurements with known answers, and the paper's own figures."""
 
+import itertools
 import math
 
 import numpy as np
@@ -91,10 +92,14 @@ def test_too_little_is_refused(distances, word):
         fit_focus(rows(distances=distances))
 
 
-def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8))):
+BEND, AHEAD_M, BREATHING = 0.39, -0.0017, 4e-5  # of a flat port, and of a small module's lens
+
+
+def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8)), lens=(200.0, 300.0)):
     rng = np.random.default_rng(3)
     out = []
-    for d in (0.65, 0.85):
+    for d, position in itertools.product((0.65, 0.85), lens):
+        f_px = 1175 * (1 + BREATHING * (position - np.mean(lens)))
         for pan, tilt in views:
             P, T = math.radians(0.8 + 1.01 * pan), math.radians(-0.5 + 0.99 * tilt)
             at = np.array([d, d * math.tan(math.radians(pan)), d * math.tan(math.radians(tilt))])
@@ -105,18 +110,29 @@ def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8))):
                 for z in np.linspace(0.08, -0.08, 5):
                     point = at + np.array([0, y, z])
                     g = R.T @ point
+                    slope = g[1:] / (g[0] - AHEAD_M)
+                    scale = f_px * (1 + BEND * slope @ slope)
                     px = (
-                        319.5 - 1175 * g[1] / g[0] + rng.normal(0, noise_px),
-                        239.5 - 1175 * g[2] / g[0] + rng.normal(0, noise_px),
+                        319.5 - scale * slope[0] + rng.normal(0, noise_px),
+                        239.5 - scale * slope[1] + rng.normal(0, noise_px),
                     )
                     us = (1500 + pan * BODY.servo_us_per_deg, 1500 + tilt * BODY.servo_us_per_deg)
-                    out.append(Corner(us, tuple(point), px))
+                    out.append(Corner(us, tuple(point), px, position))
     return out
 
 
 def test_camera_and_servos_come_back():
     fit = fit_camera(corners(), BODY, (640, 480))
-    assert fit.f_px == pytest.approx(1175, abs=0.3)
+    sigma_f, sigma_ahead_m = 1175 * math.sqrt(fit.scale_covariance[0]), math.sqrt(fit.scale_covariance[2])
+    assert sigma_f < 0.5 and sigma_ahead_m < 5e-4
+    assert fit.f_px == pytest.approx(1175, abs=3 * sigma_f)
+    assert fit.ahead_m == pytest.approx(AHEAD_M, abs=3 * sigma_ahead_m)
+    ff, fa, aa = fit.scale_covariance
+    at_board = math.sqrt(ff + 2 * fa / 0.75 + aa / 0.75**2)  # the picture's scale is best known where the board was
+    assert at_board < 1e-4
+    assert fit.f_px / (0.75 - fit.ahead_m) == pytest.approx(1175 / (0.75 - AHEAD_M), rel=3 * at_board)
+    assert fit.bend == pytest.approx(BEND, abs=0.02)
+    assert fit.breathing == pytest.approx(BREATHING, rel=0.05)
     assert (fit.pan_zero_deg, fit.tilt_zero_deg) == pytest.approx((0.8, -0.5), abs=0.003)
     assert (fit.pan_gain, fit.tilt_gain) == pytest.approx((1.01, 0.99), abs=5e-4)
     assert fit.noise_px == pytest.approx(0.1, rel=0.1)
@@ -133,6 +149,12 @@ def test_camera_and_servos_come_back():
 def test_a_gimbal_that_did_not_move_is_refused(few, word):
     with pytest.raises(CalibrationRefused, match=word):
         fit_camera(few, BODY, (640, 480))
+
+
+def test_one_lens_position_tells_no_breathing_and_the_rest_stays():
+    fit = fit_camera(corners(lens=(250.0,)), BODY, (640, 480))
+    assert abs(fit.breathing) < 1e-9
+    assert fit.f_px / (0.75 - fit.ahead_m) == pytest.approx(1175 / (0.75 - AHEAD_M), rel=2e-4)
 
 
 def test_a_board_of_another_size_is_refused():

@@ -4,21 +4,20 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.config import Body, Pose
-from agent.ranging.calibration import CameraFit, FocusFit
+from agent.ranging.calibration import CameraFit, at_lens
 from agent.ranging.camera_model import (
     camera_pose,
     centre_behind_skin_m,
     gimbal_deg,
-    locate,
     look_at,
     pixel,
     ray,
     servos_us,
     to_camera,
 )
-from agent.ranging.focus import lens_position
 
 BODY = Body(camera_m=(0.10, 0.02, -0.01))
 POSE = Pose(x_m=0.3, y_m=0.25, yaw_deg=34.0)
@@ -33,19 +32,7 @@ CAMERA = CameraFit(
     pan_gain=1.01,
     tilt_gain=0.99,
 )
-FOCUS = FocusFit(
-    u_inf_m=-0.001,
-    b_m=136.0,
-    rho0=102.0,
-    covariance=(0.0,) * 6,
-    noise=0.5,
-    width=90.0,
-    lowest=215,
-    highest=720,
-    r2=0.999,
-    rmse_m=0.001,
-    held_out_rmse_m=0.001,
-)
+BENT = replace(CAMERA, bend=0.39, ahead_m=-0.0017, lens=300.0, breathing=4.2e-5)
 
 
 def rotation(axis, deg):
@@ -116,34 +103,23 @@ def test_skin_correction_against_a_ray_by_ray_average(distance, share):
     assert centre_behind_skin_m(skin, radius, share) == pytest.approx(distance - skin, abs=2e-5)
 
 
-def test_locate_returns_to_the_point():
-    centre, here = np.array([0.76, 0.56, 0.07]), eye(pan=5.0, tilt=-3.0)
-    in_camera = np.array(to_camera(here, tuple(centre)))
-    d = math.hypot(*in_camera)
-    skin = d
-    for _ in range(30):
-        skin = d - centre_behind_skin_m(skin, 0.07)
-    rho = lens_position(FOCUS, skin * in_camera[2] / d)
-    fix = locate(CAMERA, FOCUS, here, pixel(CAMERA, tuple(in_camera)), rho, 0.3, 0.07)
-    assert fix.position_m == pytest.approx(tuple(centre), abs=1e-9)
+def test_behind_a_flat_port_pixel_still_inverts_ray():
+    for px in ((5.0, 470.0), (319.5, 239.5), (600.0, 20.0)):
+        x, y, z = (2.0 * c for c in ray(BENT, px))
+        assert pixel(BENT, (x, y, z + BENT.ahead_m)) == pytest.approx(px, abs=1e-6)
 
 
-def test_locate_knows_its_spread():
-    rng = np.random.default_rng(0)
-    here, px, rho = eye(), (500.0, 300.0), lens_position(FOCUS, 0.4)
-    fix = locate(CAMERA, FOCUS, here, px, rho, 1.0, 0.07)
-    draws = np.array(
-        [
-            locate(CAMERA, FOCUS, here, (px[0] + a * s, px[1] + b * s), rho + c, 1.0, 0.07).position_m
-            for a, b, c in rng.normal(0, 1, (3000, 3))
-            for s in [math.hypot(CAMERA.noise_px, math.radians(CAMERA.noise_deg) * CAMERA.f_px)]
-        ]
-    )
-    xx, xy, xz, yy, yz, zz = fix.random_m2
-    ours = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    assert np.sqrt(ours) == pytest.approx(np.sqrt(np.linalg.eigvalsh(np.cov(draws.T))), rel=0.08)
-    assert all(a >= b for a, b in zip(fix.covariance_m2[::5], fix.random_m2[::5], strict=True))
+def test_the_bend_is_that_of_a_flat_port():
+    n, slope = 1.333, 0.2
+    in_air = n * slope / math.sqrt(1.0 - (n * n - 1.0) * slope**2)  # Snell for slopes
+    paraxial = n * slope
+    bent = replace(CAMERA, bend=(n * n - 1.0) / 2.0)
+    u, _ = pixel(bent, (slope, 0.0, 1.0))
+    assert (u - bent.cx_px) / (bent.f_px * slope) == pytest.approx(in_air / paraxial, abs=1e-3)
 
 
-def test_locate_has_no_answer_beyond_the_pole():
-    assert locate(CAMERA, FOCUS, eye(), (300.0, 200.0), 90.0, 0.3, 0.07) is None
+def test_the_picture_grows_with_the_lens_position():
+    assert at_lens(BENT, None) == BENT and at_lens(CAMERA, 700.0) == CAMERA
+    grown = at_lens(BENT, 700.0)
+    assert grown.f_px == pytest.approx(1169.0 * (1 + 400 * 4.2e-5), rel=1e-12)
+    assert at_lens(grown, 300.0).f_px == pytest.approx(1169.0, rel=1e-12)

@@ -1,10 +1,15 @@
-"""A black box of two seconds in virtual time: frames of a red disc, telemetry, and a robot that sees its target."""
+"""A black box of two seconds in virtual time: frames of a red disc, telemetry, and a robot that sees its target.
 
+Four sweeps of nine positions, with an idle frame before each.
+"""
+
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 
 from agent.config import load_fleet
 from agent.messages import (
@@ -20,12 +25,14 @@ from agent.messages import (
 )
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
 from replay.black_box_writer import BlackBoxWriter, black_box_log
+from replay.depth import SweepDepth, SweepFrame
 from replay.log import LogWriter
 
 START_NS = 1_767_225_600_000_000_000  # 2026-01-01
 STEP_NS = 50_000_000
 STEPS = 40
-FLEET = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
+TANK = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
+FLEET = replace(TANK, camera=replace(TANK.camera, sweep_steps=9))
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 FOCUS = FocusFit(
     u_inf_m=-0.01,
@@ -46,10 +53,19 @@ CALIBRATION = Calibration(robot="r1", made="2026-01-01", source="test", focus=FO
 def write_box(folder: Path, views: bool = True, lossless: bool = False) -> Path:
     """Write r1.mcap into a folder."""
     now = [START_NS]
-    log = black_box_log(folder, FLEET, "r1", CALIBRATION, {"kind": "black box", "robot": "r1"}, views)
+    log = black_box_log(
+        folder, FLEET, "r1", CALIBRATION, {"kind": "black box", "robot": "r1", "incarnation": 1}, views, flat
+    )
     with log:
         fill(log, now, lossless)
     return log.path
+
+
+def flat(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth:
+    """A wall half a metre away, in four blocks of which one has no texture."""
+    range_m = np.array([[0.5, 0.5], [0.5, np.nan]])
+    sharp = np.full((80, 80, 3), (20, 50, 180), np.uint8)
+    return SweepDepth(frames[0].sighting.t_ns, 40, *frames[0].roi[:2], range_m, sharp)
 
 
 def fill(log: LogWriter, now: list[int], lossless: bool = False) -> None:
@@ -57,7 +73,7 @@ def fill(log: LogWriter, now: list[int], lossless: bool = False) -> None:
     for step in range(STEPS):
         now[0] += STEP_NS
         sighting = seen(now[0], step)
-        part = (0, 0, 640, 480) if step % 4 == 0 else (200, 120, 240, 240)
+        part = (0, 0, 640, 480) if step % 10 == 0 else (200, 120, 240, 240)
         box.serial(True, b"\x01telemetry\x00")
         box.serial(False, b"\x02set point\x00")
         box.frame(disc(step)[part[1] : part[1] + part[3], part[0] : part[0] + part[2]], part, sighting)
@@ -79,8 +95,8 @@ def seen(now_ns: int, step: int) -> Sighting:
     return Sighting(
         t_ns=now_ns - 20_000_000,
         frame=step,
-        sweep=step // 4 if step % 4 else 0,
-        index=step % 4 or -1,
+        sweep=1 + step // 10 if step % 10 else 0,
+        index=step % 10 or -1,
         focus=300 + step,
         target="ball",
         found=True,

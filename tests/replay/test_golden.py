@@ -18,7 +18,7 @@ from agent.messages import Outputs, State, decode
 from replay.blackbox import open_box, open_boxes
 from replay.check import check, text
 
-CASES = ("three", "three_evidence", "outage", "liar", "empty", "torn")
+CASES = ("three", "three_evidence", "outage", "liar", "empty", "two", "torn")
 TARGET_M = (0.76, 0.56, 0.07)  # of tests/network/scripted_agent.py
 
 
@@ -51,6 +51,9 @@ def test_each_shows_what_it_is_kept_for() -> None:
     assert liar.explain.doubted == {"r3": 0.0}
     assert {s.rule for s in states(GOLDEN / "empty" / "r1.mcap") if 11 <= s.t <= 12} == {"hold"}
     assert not open_box(GOLDEN / "torn" / "r1.mcap").complete
+    for robot in ("r1", "r2", "r3"):
+        two = {state.target: state for state in states(GOLDEN / "two" / f"{robot}.mcap")}
+        assert {target: state.knows for target, state in two.items()} == {"ball": "sees", "buoy": "sees"}
 
 
 MUTATIONS = {

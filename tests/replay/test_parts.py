@@ -3,14 +3,20 @@
 import contextlib
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))
+from rewritten import GOLDEN
+
 import replay.log
+from agent.config import ConfigError
 from replay.backlog import Backlog, Entry
+from replay.check import check
 from replay.info import info
 from replay.log import Limits, LogWriter, parts, read
 from replay.recover import STEP_IN, STEP_OUT
@@ -46,6 +52,20 @@ def test_parts_begin_with_a_step_and_are_read_as_one(tmp_path: Path) -> None:
         assert set(about.clock) == {"start", "end"}
     records = list(read(path))
     assert [record.sequence for record in records] == [n for n in range(200) for _ in range(3)]
+
+
+def test_parts_are_replayed_as_a_chain_and_not_alone(tmp_path: Path) -> None:
+    about = info(GOLDEN / "three" / "r1.mcap")
+    limits = Limits(part_bytes=10_000, floor_bytes=0)
+    with LogWriter(tmp_path / "r1.mcap", about.run, about.attachments, limits, splits_at=STEP_IN) as log:
+        for record in read(GOLDEN / "three" / "r1.mcap"):
+            log.put(Entry(*record, "msgpack", {}))
+            time.sleep(0.001)
+    assert len(parts(tmp_path / "r1.mcap")) > 2
+    (rerun,) = check([tmp_path]).reruns
+    assert (rerun.verdict, rerun.steps) == ("identical", 320)
+    with pytest.raises(ConfigError, match="is part 2, and its steps build on those before"):
+        check([tmp_path / "r1.part002.mcap"])
 
 
 def test_a_part_ends_by_its_age_too(tmp_path: Path) -> None:

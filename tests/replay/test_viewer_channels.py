@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from small_box import CAMERA, FLEET, START_NS, STEP_NS, STEPS, disc, state, write_box
+from small_box import CALIBRATION, FLEET, START_NS, STEP_NS, STEPS, disc, flat, state, write_box
 
 from agent.messages import Sighting, decode
 from agent.ranging.camera_model import camera_pose
@@ -34,6 +34,7 @@ from replay.view import layout
 SCHEMAS = {  # channel -> what Foxglove decodes it as, what Rerun shows it as
     "/r1/camera/calibration": ("foxglove.CameraCalibration", "Pinhole"),
     "/r1/camera/image": ("foxglove.CompressedImage", "EncodedImage"),
+    "/r1/depth/points": ("foxglove.PointCloud", "Points3D"),
     "/r1/log": ("foxglove.Log", "TextLog"),
     "/r1/plot/attitude": ("aucamp.Attitude", "aucamp.Attitude"),
     "/r1/plot/focus": ("aucamp.Focus", "aucamp.Focus"),
@@ -85,13 +86,22 @@ def test_every_viewer_channel_decodes_by_its_own_descriptor(box: Path) -> None:
     assert contents["/r1/plot/hears/r2"][0].age_s == 0.1
     image = cv2.imdecode(np.frombuffer(contents["/r1/camera/image"][0].data, np.uint8), cv2.IMREAD_COLOR)
     assert image.shape == (480, 640, 3)
+    cloud = contents["/r1/depth/points"][0]
+    assert (cloud.frame_id, cloud.point_stride, len(contents["/r1/depth/points"])) == ("r1/camera", 16, 4)
+    assert [(field.name, field.offset) for field in cloud.fields][2:5] == [("z", 8), ("red", 12), ("green", 13)]
+    point = np.frombuffer(cloud.data, [(field.name, "<f4" if field.offset < 12 else "u1") for field in cloud.fields])
+    assert len(point) == 3  # one of the four blocks has no range
+    assert point["z"].tolist() == pytest.approx([0.5, 0.5, 0.5])
+    # Upper left block: pixels 200 to 239 and 120 to 159 of the frame.
+    assert (point["x"][0], point["y"][0]) == pytest.approx(((219.5 - 319.5) / 1169 * 0.5, (139.5 - 239.5) / 1169 * 0.5))
+    assert point[0].tolist()[3:] == (180, 50, 20, 255)
     part = contents["/r1/sweep/calibration"][0]  # the principal point moves with the part that is read
     assert (part.width, part.height, part.K[2], part.K[5]) == (240, 240, 319.5 - 200, 239.5 - 120)
 
 
 def test_viewer_channels_can_be_derived_again(box: Path) -> None:
     """The recording's own, message for message, from its raw channels."""
-    derive, made, recorded = Derive(FLEET, "r1", CAMERA), [], []
+    derive, made, recorded = Derive(FLEET, "r1", CALIBRATION, flat), [], []
     for record in read(box):
         if record.channel in SCHEMAS:
             recorded.append(record)

@@ -1,0 +1,145 @@
+"""Views of a ball on the twin in every kind of water, with the outline that the ball really has in the picture.
+
+A world is one tank of water with one ball and two stones; of each view there is also the picture without the ball.
+The truth is taken from the twin's own depth, with and without the ball: it knows of refraction, distortion, focus
+breathing and of what stands in front, and of nothing that a detector does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.experiments.still import StillCamera, View
+from agent.ranging.calibration import CameraFit
+from hw.camera import Image
+from hw.twin.raycast import Floats
+from hw.twin.scene import SceneWater, Solid, generator, load_scene
+
+Array = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
+
+WATERS = ("air", "tap", "pool", "coastal", "turbid")
+WATER_INDEX = 1.333
+BALL_RADIUS_M = 0.07
+RANGE_M = (0.25, 1.5)  # camera to the ball's centre
+HEIGHT_M = (0.05, 0.40)  # of the camera above the floor
+ASIDE_DEG = (9.0, 6.0)  # the camera looks at most so far past the ball, sideways and up or down
+TANK_M, MARGIN_M = (1.5, 1.2), 0.03  # the camera keeps this distance from the walls
+DEFOCUS = 300  # of 1023 lens positions: a defocused picture is at least so far from the sharp one
+SECTORS = 96  # of the outline, to say how much of it is visible
+
+
+class Outline(NamedTuple):
+    """Where a ball is in a picture: the cone through its visible border."""
+
+    centre_px: tuple[float, float]  # of the ray to the ball's centre
+    radius_px: float  # apparent angular radius times f_px
+    visible: float  # share of the outline that the picture shows
+
+
+class BallView(NamedTuple):
+    """One frame with the ball and one without it, from the same place at the same focus."""
+
+    with_ball: Image
+    without: Image
+    camera: CameraFit  # the pinhole nearest to this lens at this focus
+    truth: Outline | None  # None where the ball is hidden or less than a tenth of its outline shows
+    range_m: float
+    sharp: bool
+
+
+def ball_views(preset: str, sensor: str, seed: int, count: int) -> Iterator[BallView]:
+    """`count` places in one world, each seen sharp and defocused; the same arguments give the same pictures."""
+    rng = generator(seed, preset, "views")
+    ball_m = (rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.4), BALL_RADIUS_M)  # near a corner: some views are long
+    stones = tuple(
+        Solid(kind="stone", position_m=(float(x), float(y), 0.05), radii_m=(0.08, 0.05, 0.06))
+        for x, y in rng.uniform((0.55, 0.55), (1.4, 1.1), (2, 2))
+    )
+    ball = Solid(kind="ball", position_m=ball_m, radii_m=(BALL_RADIUS_M,) * 3)
+    # preset was checked against WATERS by whoever took it from a user
+    water = msgspec.structs.replace(load_scene("tank"), water=msgspec.convert({"preset": preset}, SceneWater))
+    full = StillCamera(sensor, seed, scene=msgspec.structs.replace(water, solid=(ball, *stones)))
+    bare = StillCamera(sensor, seed, scene=msgspec.structs.replace(water, solid=stones))
+    for camera in (full, bare):
+        camera.prepare()
+    for _ in range(count):
+        view, range_m = _view(np.array(ball_m), rng)
+        sharp = _sharp(full, range_m - BALL_RADIUS_M)
+        away = rng.uniform(full.lens.lowest, full.lens.highest - 2 * DEFOCUS)
+        blurred = int(away if away < sharp - DEFOCUS else max(away, sharp - DEFOCUS) + 2 * DEFOCUS)
+        for position in (sharp, min(blurred, full.lens.highest)):
+            yield _take(full, bare, view, position, range_m, position == sharp)
+
+
+def _view(ball_m: Array, rng: np.random.Generator) -> tuple[View, float]:
+    """A place in the tank from which the ball can be seen, and its distance from there."""
+    while True:
+        range_m, azimuth, height_m = rng.uniform(*RANGE_M), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(*HEIGHT_M)
+        drop_m = ball_m[2] - height_m
+        flat_m = math.sqrt(max(range_m**2 - drop_m**2, 0.0))
+        x, y = ball_m[:2] - flat_m * np.array([math.cos(azimuth), math.sin(azimuth)])
+        inside = all(MARGIN_M < at < side - MARGIN_M for at, side in zip((x, y), TANK_M, strict=True))
+        if inside and flat_m > 0.5 * range_m:
+            break
+    yaw_deg = math.degrees(azimuth) + rng.uniform(-ASIDE_DEG[0], ASIDE_DEG[0])
+    tilt_deg = math.degrees(math.atan2(drop_m, flat_m)) + rng.uniform(-ASIDE_DEG[1], ASIDE_DEG[1])
+    return View((float(x), float(y), height_m), yaw_deg, tilt_deg), range_m
+
+
+def _sharp(camera: StillCamera, distance_m: float) -> int:
+    """Lens position at which a thing so far away is sharp, without the port's few millimetres."""
+    lens = camera.lens
+    position = (lens.image_m(WATER_INDEX / distance_m) - lens.at_rest_m) / lens.per_position_m
+    return round(min(max(position, lens.lowest), lens.highest))
+
+
+def _take(full: StillCamera, bare: StillCamera, view: View, position: int, range_m: float, sharp: bool) -> BallView:
+    images, depths = [], []
+    for camera in (full, bare):
+        camera.view = view
+        camera.set_focus(position)
+        images.append(camera.read(settle_s=0.2).image)
+        depths.append(camera.truth_m(position))
+    lens, (width, height) = full.lens, full.size
+    f_px = WATER_INDEX * lens.at_position_m(position) / lens.pixel_m
+    pinhole = CameraFit(width_px=width, height_px=height, f_px=f_px, cx_px=lens.centre_px[0], cy_px=lens.centre_px[1])
+    return BallView(images[0], images[1], pinhole, outline(depths[0], depths[1], pinhole), range_m, sharp)
+
+
+def outline(depth_m: Floats, without_m: Floats, camera: CameraFit) -> Outline | None:
+    """The cone m . g = 1 through the border between ball and background; depths (height, width) with and without it.
+
+    Where the neighbour is nearer than the ball, the border belongs to what stands in front, and does not count.
+    """
+    ball = depth_m < without_m
+    points = []
+    for axis in (0, 1):
+        first, second = _pairs(ball, axis)
+        near, far = _pairs(depth_m, axis)
+        limb = (first != second) & np.where(first, far > near, near > far)
+        v, u = np.nonzero(limb)
+        points.append(np.column_stack([u + 0.5 * axis, v + 0.5 * (1 - axis)]))
+    border = np.concatenate(points)
+    if len(border) < SECTORS // 10:
+        return None
+    rays = np.column_stack([(border - (camera.cx_px, camera.cy_px)) / camera.f_px, np.ones(len(border))])
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    g = np.linalg.lstsq(rays, np.ones(len(rays)), rcond=None)[0]
+    u, v = camera.f_px * g[:2] / g[2] + (camera.cx_px, camera.cy_px)
+    turn = np.arctan2(border[:, 1] - v, border[:, 0] - u) / (2.0 * math.pi) + 0.5
+    visible = len(np.unique((turn * SECTORS).astype(int) % SECTORS)) / SECTORS
+    if visible < 0.1 or not np.linalg.norm(g) > 1.0:
+        return None
+    return Outline((float(u), float(v)), camera.f_px * math.acos(1.0 / float(np.linalg.norm(g))), visible)
+
+
+def _pairs(values: NDArray[T], axis: int) -> tuple[NDArray[T], NDArray[T]]:
+    """Each pixel but the last along an axis, and its neighbour."""
+    return (values[:-1], values[1:]) if axis == 0 else (values[:, :-1], values[:, 1:])

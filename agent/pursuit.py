@@ -1,0 +1,73 @@
+"""One target as one robot knows it: the post about it, its estimator, and what was measured of it.
+
+A robot has a pursuit for each target of the fleet file, and nothing passes from one to another. Each has an iteration
+index of its own, which counts while the camera's turn is at this target (control/turns.py): to every protocol it looks
+as if there were no other.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from agent.config import Fleet
+from agent.estimation.choice import estimator
+from agent.estimation.face import Estimator, Prior, Update
+from agent.estimation.mailbox import Mailbox
+from agent.messages import Estimate, State
+
+
+class Pursuit:
+    """What one robot keeps about one target between steps."""
+
+    def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int) -> None:
+        self._fleet, self._robot, self._incarnation = fleet.fleet, robot, incarnation
+        self.target = target
+        self.ball = fleet.target[target]
+        self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
+        self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
+        self._validity_ns = round(fleet.estimation.validity_s * 1e9)
+
+        self.prior: Prior | None = None  # measured since the last iteration
+        self.measured: Prior | None = None  # the newest measurement
+        self.measurements = 0
+        self.update: Update | None = None
+        self.acquired_t: int | None = None  # iteration of the first own view
+        self.knows: Literal["blind", "told", "sees"] = "blind"
+        self.last_state: State | None = None
+
+    def measure(self, prior: Prior) -> None:
+        """A sweep gave a position."""
+        self.prior = self.measured = prior
+        self.measurements += 1
+
+    def catch_up(self, now_ns: int) -> None:
+        """Take over the iteration index of neighbours that are ahead."""
+        self.estimator.adopt(self.mailbox.newest_t(now_ns, self._validity_ns))
+
+    def iterate(self, now_ns: int) -> bool:
+        """One iteration of the protocol; returns whether the robot went from one of blind, told and sees to another."""
+        self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
+        self.prior = None
+        knew, self.knows = self.knows, "blind"
+        if self.estimator.valid:
+            self.knows = "sees"
+        elif self.estimator.posterior is not None:
+            self.knows = "told"
+        if self.estimator.valid and self.acquired_t is None:
+            self.acquired_t = self.update.t
+        return self.knows != knew
+
+    def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
+        """What the protocol has for a neighbour; without news it is still the heartbeat."""
+        return Estimate(
+            fleet=self._fleet,
+            src=self._robot,
+            dst=neighbour,
+            incarnation=self._incarnation,
+            seq=seq,
+            sent_ns=now_ns,
+            target=self.target,
+            t=self.estimator.t,
+            valid=self.estimator.valid,
+            **self.estimator.say(neighbour, now_ns)._asdict(),
+        )

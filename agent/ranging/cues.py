@@ -1,0 +1,132 @@
+"""Two ways to know how far a ball is, from one sharp picture, and what they are worth together.
+
+Focus: h of the lens position at which the ball's skin is sharpest (paper, section 3). Size: the outline of a ball of
+known radius R is a cone of rays with the half angle theta, and its centre is at d = R / sin(theta), off the axis as on
+it. Both give d from the point where the camera's rays meet, along the ray to the ball's centre.
+
+Each carries two variances. `random` averages out over measurements. `systematic` does not: the focus fit's own
+covariance, the picture's scale, the ball's tolerance, and where an edge seems to lie.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from agent.config import Cues, Target
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit, at_lens
+from agent.ranging.camera_model import centre_behind_skin_m, ray
+from agent.ranging.focus import Refused, h, range_variance
+
+# Measured on the twin, three cameras, clear and coastal water, 0.32 to 1.2 m: the radius of a whole, sharp outline is
+# off by 0.05 to 0.12 px (rms), mostly alike from frame to frame: texture at the rim, and blur that gamma makes uneven.
+EDGE_BIAS_PX = 0.09
+EDGE_NOISE_PX = 0.03
+ARC_POWER = 1.5  # an outline of which only a share is seen is worse by share ** -1.5: 0.25 px at a half
+SAG = 0.05  # peak half-widths by which its own weight moves a lens that looks straight up or down: a micrometre
+WARMTH = 0.005  # and by which it moves as the coil warms up: a tenth of that
+DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
+
+
+class Outline(NamedTuple):
+    """A ball as one frame shows it."""
+
+    centre_px: tuple[float, float]  # where the ray to the centre meets the image
+    radius_px: float  # angular radius times the f_px of that lens position
+    share: float  # of the outline that was seen, 0 to 1
+    lens: float | None  # lens position of that frame
+
+
+class Range(NamedTuple):
+    """From the point where rays meet to the ball's centre."""
+
+    distance_m: float
+    random_m2: float
+    systematic_m2: float
+    focus_share: float = 1.0  # how much of it is the focus's word; the rest is the size's
+
+    @property
+    def variance_m2(self) -> float:
+        return self.random_m2 + self.systematic_m2
+
+
+def distance(
+    calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, cues: Cues, tilt_rad: float
+) -> Range | Refused:
+    """What the wanted cues say; Refused where they have no range, or contradict each other.
+
+    rho, sigma_rho: lens position of the clarity's peak and its standard deviation. tilt_rad: how far the camera looks
+    up.
+    """
+    camera = at_lens(calibration.camera, outline.lens)
+    if cues == "size":
+        return size_range(camera, outline, ball)
+    focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
+    if focus is None:
+        return Refused(f"peak at {rho:.0f} is sharp beyond all ranges")
+    return focus if cues == "focus" else fuse(focus, size_range(camera, outline, ball))
+
+
+def focus_range(
+    fit: FocusFit,
+    camera: CameraFit,
+    centre_px: tuple[float, float],
+    rho: float,
+    sigma_rho: float,
+    ball: Target,
+    tilt_rad: float = 0.0,
+) -> Range | None:
+    """The skin's z-depth from the pivot is h(rho); the centre lies behind it on the same ray. None beyond the pole."""
+    u_m = h(fit, rho)
+    if u_m is None:
+        return None
+    m_z = ray(camera, centre_px)[2]
+    skin_m = (u_m - camera.ahead_m) / m_z
+    random, systematic = range_variance(fit, rho, sigma_rho)
+    travel = rho - fit.rho0
+    lens2 = fit.width**2 * ((SAG * math.sin(tilt_rad)) ** 2 + WARMTH**2)
+    return Range(
+        skin_m + centre_behind_skin_m(skin_m, ball.radius_m),
+        random / (m_z * m_z),
+        (systematic + (fit.b_m / travel**2) ** 2 * lens2) / (m_z * m_z),
+    )
+
+
+def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
+    """d = R / sin(theta), theta = radius_px / f_px at the lens position of the frame.
+
+    Systematic: d / tan(theta) times the edge's bias in radians, d times the scale's relative error, d / R times the
+    ball's tolerance, and where rays meet.
+    """
+    f_px = at_lens(camera, outline.lens).f_px
+    theta = outline.radius_px / f_px
+    d = ball.radius_m / math.sin(theta)
+    per_px = d / math.tan(theta) / f_px * outline.share**-ARC_POWER
+    ff, fa, aa = camera.scale_covariance
+    # A longer ahead_m is made up for by a shorter d: both count from the pivot.
+    scale = d * d * ff + 2.0 * d * fa + aa
+    tolerance = d / ball.radius_m * ball.radius_sigma_m
+    return Range(
+        d,
+        (per_px * EDGE_NOISE_PX) ** 2,
+        (per_px * EDGE_BIAS_PX) ** 2 + max(scale, 0.0) + tolerance * tolerance,
+        focus_share=0.0,
+    )
+
+
+def fuse(focus: Range, size: Range) -> Range | Refused:
+    """Both, each weighed by the inverse of its whole variance; Refused where they contradict each other."""
+    apart_m, both = focus.distance_m - size.distance_m, focus.variance_m2 + size.variance_m2
+    if apart_m * apart_m > DISAGREE * DISAGREE * both:
+        return Refused(
+            f"focus says {focus.distance_m:.3f} m, size {size.distance_m:.3f} m, {abs(apart_m) / math.sqrt(both):.0f} "
+            "standard deviations apart; check the target's radius_m, or calibrate again"
+        )
+    w = size.variance_m2 / both
+    v = 1.0 - w
+    return Range(
+        w * focus.distance_m + v * size.distance_m,
+        w * w * focus.random_m2 + v * v * size.random_m2,
+        w * w * focus.systematic_m2 + v * v * size.systematic_m2,
+        focus_share=w,
+    )

@@ -1,0 +1,134 @@
+"""The story of a run as its fleet file tells it: what robots show on the network, for those without a black box.
+
+It has what each robot believed, whom it says it heard and how it hung. It has no frames, no sweeps, no pressures and no
+pulses, and not what a robot really took in: that is in black boxes alone.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter, defaultdict
+from collections.abc import Container
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from agent import topics
+from agent.config import ConfigError, Fleet, convert
+from agent.messages import SCHEMA, Estimate, LogLine, Refusal, State, decode
+from replay.blackbox import head
+from replay.links import Link
+from replay.log import parts, read
+from replay.story import Account, Posture, Story, label
+
+ZENOH = "/zenoh/"
+
+
+class FleetFile(NamedTuple):
+    path: Path
+    fleet: Fleet
+    run: dict[str, str]  # the header
+    complete: bool  # finished by its writer, nothing torn
+
+
+class Overheard(NamedTuple):
+    stories: list[Story]
+    links: list[Link]  # as the robots count what they heard, of what the recorder saw
+
+
+def open_fleet_file(path: Path) -> FleetFile:
+    """Read the header. Raises ConfigError if it is no fleet file, or one of another version."""
+    heads = [head(file) for file in parts(path)]
+    run, text = heads[0].run, heads[0].attachments.get("fleet.toml")
+    if run.get("kind") != "fleet" or text is None:
+        raise ConfigError(f"{path}: is no recording of a fleet; give what `aucamp record` wrote")
+    if (schema := run.get("schema", str(SCHEMA))) != str(SCHEMA):
+        raise ConfigError(f"{path}: message schema {schema}, ours is {SCHEMA}; use the version it names")
+    fleet = convert(tomllib.loads(text), Fleet, path / "fleet.toml")
+    return FleetFile(path, fleet, run, all(each.complete for each in heads))
+
+
+def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str] = ()) -> Overheard:
+    """The robots of a fleet file by name, those in `known` left out. Times are by the robots' own clocks, since
+    `start_ns`, or since the first state of any of them. What does not decode is passed over.
+    """
+    robots = {name: _Robot() for name in file.fleet.robot}
+    said: dict[tuple[str, str], set[tuple[int, int]]] = {}
+    for record in read(file.path):
+        row = topics.match(record.channel.removeprefix(ZENOH)) if record.channel.startswith(ZENOH) else None
+        if row is None:
+            continue
+        topic, chunks = row
+        try:
+            message = decode(record.data, topic.message)
+        except Refusal:
+            continue
+        robot = robots.get(chunks[topic.writer])
+        if robot is None:
+            continue
+        if isinstance(message, Estimate):
+            said.setdefault((message.src, message.dst), set()).add((message.incarnation, message.seq))
+            robot.accounts[message.target].say(message)
+        elif isinstance(message, State):
+            start_ns = message.sent_ns if start_ns is None else start_ns
+            robot.show(message, (message.sent_ns - start_ns) * 1e-9)
+        elif isinstance(message, LogLine) and start_ns is not None:
+            robot.log.append(((message.sent_ns - start_ns) * 1e-9, message))
+    found = [story for name, robot in robots.items() if name not in known for story in robot.stories(name, file.fleet)]
+    heard = {(src, dst): n for dst, robot in robots.items() for src, n in robot.heard().items()}
+    pairs = sorted({*said, *(pair for pair, n in heard.items() if n)})
+    return Overheard(found, [Link(*pair, len(said.get(pair, ())), heard.get(pair, 0), 0, 0) for pair in pairs])
+
+
+class _Robot:
+    """What one robot showed."""
+
+    def __init__(self) -> None:
+        self.accounts: defaultdict[str, Account] = defaultdict(Account)
+        self.log: list[tuple[float, LogLine]] = []
+        self._newest: dict[int, State] = {}  # by incarnation
+        self._starts_s: list[float] = []
+        self._hung: list[tuple[float, float, float, float]] = []  # t_s, depth, roll, pitch
+
+    def show(self, state: State, t_s: float) -> None:
+        if state.incarnation not in self._newest:
+            self._starts_s.append(t_s)
+        self._newest[state.incarnation] = state
+        self.accounts[state.target].show(state, t_s)
+        if state.depth_m is not None and state.roll_deg is not None and state.pitch_deg is not None:
+            self._hung.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg))
+
+    def heard(self) -> Counter[str]:
+        """Messages from each neighbour, by this robot's own count, over all of its starts."""
+        total: Counter[str] = Counter()
+        for state in self._newest.values():
+            total.update({neighbour.robot: neighbour.heard for neighbour in state.neighbours})
+        return total
+
+    def stories(self, name: str, fleet: Fleet) -> list[Story]:
+        """One for each target; none of a robot that was never up."""
+        if not self._newest:
+            return []
+        hung = np.array(self._hung, float).reshape(-1, 4)
+        unknown = np.full((len(hung), 12), np.nan)
+        t_s, depth_m, roll_deg, pitch_deg = hung.T
+        posture = Posture(t_s, depth_m, roll_deg, pitch_deg, unknown[:, :4], unknown[:, 4:])
+        ends_s = max(account.states[-1][0] for account in self.accounts.values() if account.states)
+        return [
+            Story(
+                robot=name,
+                target=target,
+                label=label(name, target, fleet),
+                boxes=(),
+                starts_s=tuple(self._starts_s),
+                ends_s=ends_s,
+                states=tuple(self.accounts[target].states),
+                beliefs=tuple(self.accounts[target].beliefs),
+                sweeps=(),
+                posture=posture,
+                set_depth_m=(),
+                log=tuple(self.log),
+            )
+            for target in fleet.target
+        ]

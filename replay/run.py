@@ -1,0 +1,87 @@
+"""What there is of one run, gathered for its report: black boxes, the fleet file, and what a twin knows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from agent.config import ConfigError, Fleet, load_fleet
+from agent.messages import Vector
+from replay.blackbox import BlackBox, black_boxes, head, open_boxes, recordings
+from replay.fleet_story import FleetFile, Overheard, open_fleet_file, overheard
+from replay.links import Link, links
+from replay.names import parts
+from replay.story import Story, first_ns, stories
+
+
+class Run(NamedTuple):
+    path: Path
+    fleet: Fleet
+    boxes: list[BlackBox]
+    fleet_file: FleetFile | None  # only where some robot left no black box
+    stories: list[Story]  # by robot and target
+    links: list[Link]
+    summary: dict[str, Any] | None  # what the demo found
+    truths_m: dict[str, Vector]  # by target, where a twin knows it
+
+    @property
+    def robots(self) -> list[Story]:
+        """One story for each robot: what is not about a target is the same in all."""
+        return list({story.robot: story for story in reversed(self.stories)}.values())[::-1]
+
+    def about(self, target: str) -> list[Story]:
+        return [story for story in self.stories if story.target == target]
+
+
+def open_run(path: Path) -> Run:
+    """A run's folder, or one recording of either kind. What robots without a black box said comes from the fleet file.
+
+    Raises ConfigError if there is nothing to show, or if a recording cannot be read by this version.
+    """
+    summary = _summary(path)
+    boxes, fleet_path = _recordings(path)
+    if not boxes and summary is None and fleet_path is None:
+        raise ConfigError(f"{path}: no recording and no summary.json; give the folder of a run, or a recording")
+    told, heard, file = stories(boxes), links(boxes), None
+    known = {box.robot for box in boxes}
+    if fleet_path is not None and (not boxes or known != set(boxes[0].fleet.robot)):
+        file = open_fleet_file(fleet_path)
+        more = overheard(file, first_ns(boxes), known)
+        told, heard = sorted([*told, *more.stories], key=lambda story: story.robot), _joined(heard, more, known)
+    fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
+    return Run(path, fleet, boxes, file, told, heard, summary, _truths(summary, fleet))
+
+
+def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
+    if path.is_dir():
+        return open_boxes(black_boxes(path)), next(iter(recordings(path, "fleet")), None)
+    if head(parts(path)[0]).run.get("kind") == "fleet":
+        return [], path
+    return open_boxes([path]), None
+
+
+def _joined(heard: Sequence[Link], more: Overheard, known: set[str]) -> list[Link]:
+    """Links by black boxes where both ends left one, by the fleet file where not."""
+    between = [link for link in heard if link.src in known and link.dst in known]
+    return sorted([*between, *(link for link in more.links if not {link.src, link.dst} <= known)])
+
+
+def _summary(run: Path) -> dict[str, Any] | None:
+    """What the demo found; None for a run without one."""
+    path = run / "summary.json"
+    if not path.exists():
+        return None
+    try:
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
+    return summary
+
+
+def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
+    if summary is None:
+        return {}
+    first = {next(iter(fleet.target)): {"truth_m": summary["truth_m"]}}  # all that older summaries have
+    return {target: tuple(about["truth_m"]) for target, about in summary.get("targets", first).items()}

@@ -1,0 +1,158 @@
+"""Bad links made in user space: hosts in network namespaces of their own, and one relay between all of them.
+
+Each host gets a TUN device in its namespace, whose other end is a file that the relay reads whole IP packets from. What
+a host sends is thrown away, held back, doubled or passed on by what `Relay.links` says at that moment. Nothing needs
+netem or a firewall. Packets never leave the namespaces.
+"""
+
+import fcntl
+import heapq
+import os
+import random
+import selectors
+import struct
+import subprocess
+import threading
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000  # linux/if_tun.h
+MTU = 1400
+SUBNET = "10.77.0"
+
+
+class Links(NamedTuple):
+    """What happens to each packet between two hosts that are both in `among`; to all others nothing."""
+
+    loss: float = 0.0
+    delay_s: float = 0.0
+    jitter_s: float = 0.0  # uniform on top of the delay, each packet by itself: later ones overtake
+    duplicate: float = 0.0
+    sides: tuple[frozenset[str], ...] = ()  # nothing passes from one to another
+
+    def cut(self, src: str, dst: str) -> bool:
+        return any((src in side) != (dst in side) for side in self.sides)
+
+
+class Relay:
+    """Context manager: namespaces, devices and the thread between them; all of it is gone afterwards."""
+
+    def __init__(self, hosts: list[str], among: set[str], seed: int = 0) -> None:
+        self.address = {name: f"{SUBNET}.{k}" for k, name in enumerate(hosts, start=1)}
+        self.namespace = {name: f"aucamp-{os.getpid()}-{name}" for name in hosts}
+        self.links = Links()
+        self.count = dict.fromkeys(("passed", "lost", "cut", "doubled", "overtaken"), 0)
+        self._host = {address: name for name, address in self.address.items()}
+        self._among, self._random = among, random.Random(seed)
+        self._tun: dict[str, int] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="relay")
+
+    def __enter__(self) -> "Relay":
+        try:
+            for name in self.address:
+                self._plug(name)
+            self._thread.start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        for tun in self._tun.values():
+            os.close(tun)
+        for namespace in self.namespace.values():
+            subprocess.run(["ip", "netns", "del", namespace], capture_output=True)
+
+    def command(self, name: str, *arguments: str) -> list[str]:
+        """A command line that runs on this host."""
+        return ["ip", "netns", "exec", self.namespace[name], *arguments]
+
+    def _plug(self, name: str) -> None:
+        """A namespace whose only way out is a TUN device of ours."""
+        namespace, device = self.namespace[name], f"au{os.getpid()}{name}"[:15]
+        ip("netns", "add", namespace)
+        tun = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
+        self._tun[name] = tun
+        fcntl.ioctl(tun, TUNSETIFF, struct.pack("16sH22x", device.encode(), IFF_TUN | IFF_NO_PI))
+        ip("link", "set", device, "netns", namespace)
+        ip("-n", namespace, "link", "set", "lo", "up")
+        ip("-n", namespace, "address", "add", f"{self.address[name]}/24", "dev", device)
+        ip("-n", namespace, "link", "set", device, "mtu", str(MTU), "up")
+
+    def _run(self) -> None:
+        due: list[tuple[float, int, str, bytes]] = []  # heap by time; the number keeps equal times in order
+        number, newest = 0, 0
+        with selectors.DefaultSelector() as ready:
+            for name, tun in self._tun.items():
+                ready.register(tun, selectors.EVENT_READ, name)
+            while not self._stop.is_set():
+                wait_s = min(0.05, max(0.0, due[0][0] - time.monotonic())) if due else 0.05
+                for key, _ in ready.select(wait_s):
+                    for packet in packets(key.fd):
+                        for at_s, dst in self._fate(key.data, packet):
+                            number += 1
+                            heapq.heappush(due, (at_s, number, dst, packet))
+                while due and due[0][0] <= time.monotonic():
+                    _, which, dst, packet = heapq.heappop(due)
+                    self.count["passed"] += 1
+                    self.count["overtaken"] += which < newest
+                    newest = max(newest, which)
+                    try:
+                        os.write(self._tun[dst], packet)
+                    except BlockingIOError:
+                        self.count["lost"] += 1  # its queue is full: so do real links
+
+    def _fate(self, src: str, packet: bytes) -> list[tuple[float, str]]:
+        """When and where this packet arrives: nowhere, once or twice."""
+        now_s, links = time.monotonic(), self.links
+        dst = self._host.get(".".join(map(str, packet[16:20]))) if packet[0] >> 4 == 4 else None
+        if dst is None:
+            return []  # IPv6 and multicast chatter of the kernel
+        if not {src, dst} <= self._among:
+            return [(now_s, dst)]
+        if links.cut(src, dst):
+            self.count["cut"] += 1
+            return []
+        if self._random.random() < links.loss:
+            self.count["lost"] += 1
+            return []
+        copies = 1 + (self._random.random() < links.duplicate)
+        self.count["doubled"] += copies - 1
+        return [(now_s + links.delay_s + links.jitter_s * self._random.random(), dst) for _ in range(copies)]
+
+
+def packets(tun: int) -> list[bytes]:
+    """All that wait."""
+    found = []
+    try:
+        while True:
+            found.append(os.read(tun, 65536))
+    except BlockingIOError:
+        return found
+
+
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True, timeout=10)
+
+
+def refused() -> str | None:
+    """Why this machine does not let us make namespaces and TUN devices; None when it does."""
+    if not Path("/dev/net/tun").exists():
+        return "no /dev/net/tun"
+    try:
+        with Relay(["probe"], set()) as relay:
+            subprocess.run(relay.command("probe", "true"), check=True, capture_output=True, timeout=10)
+    except FileNotFoundError:
+        return "no `ip` command"
+    except PermissionError as error:
+        return f"/dev/net/tun: {error.strerror}"
+    except OSError as error:
+        return f"TUN device: {error.strerror}"
+    except subprocess.CalledProcessError as error:
+        return f"`{' '.join(error.cmd)}`: {error.stderr.decode().strip() or error.returncode}"
+    return None

@@ -1,0 +1,107 @@
+"""A swarm of scripted agents, each a process in a network namespace of its own, watched from outside."""
+
+import math
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+from relay import Relay
+from scripted_agent import TARGET_M
+
+from agent.config import dump
+from agent.demo import demo_fleet
+from agent.messages import State
+
+HERE = Path(__file__).parent
+PORT = 17401
+NEAR_M = 0.004
+WATCHER = "eye"
+
+
+class Swarm:
+    """Agents by robot, and the newest state that each of them showed."""
+
+    def __init__(self, relay: Relay, clock_ahead_s: dict[str, float], folder: Path) -> None:
+        """Robots r1, r2 ... in the relay's namespaces of these names; their clocks are wrong by so much."""
+        self.relay, self.clock_ahead_s, self.folder = relay, clock_ahead_s, folder
+        self.path = folder / "fleet.toml"
+        fleet = demo_fleet(len(clock_ahead_s), "evidence", 0.0, 0, False, folder)
+        replace = msgspec.structs.replace
+        robots = {
+            name: replace(robot, listen=f"tcp/{relay.address[name]}:{PORT}") for name, robot in fleet.robot.items()
+        }
+        self.fleet = replace(fleet, robot=robots, estimation=replace(fleet.estimation, iteration_s=0.25))
+        self.path.write_text(dump(self.fleet))
+        self.processes: dict[str, subprocess.Popen] = {}
+        self.state: dict[str, State] = {}
+        self.boxes: list[tuple[str, Path]] = []  # robot and its recording, every start of it
+        self._threads: list[threading.Thread] = []
+
+    def start(self, *names: str) -> None:
+        for name in names:
+            out = self.folder / f"start{len(self.boxes)}"
+            out.mkdir()
+            self.boxes.append((name, out / f"{name}.mcap"))
+            script, ahead_s = HERE / "scripted_agent.py", self.clock_ahead_s[name]
+            arguments = (sys.executable, str(script), str(self.path), name, str(out), str(ahead_s))
+            self.processes[name] = subprocess.Popen(self.relay.command(name, *arguments))
+
+    def watch(self) -> None:
+        command = self.relay.command(WATCHER, sys.executable, str(HERE / "watch_states.py"), str(self.path))
+        self.processes[WATCHER] = subprocess.Popen(command, stdout=subprocess.PIPE)
+        self._threads.append(threading.Thread(target=self._listen, args=(self.processes[WATCHER].stdout,)))
+        self._threads[-1].start()
+
+    def stop(self) -> None:
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+        for thread in self._threads:
+            thread.join()
+        self.processes[WATCHER].stdout.close()
+
+    def until(self, what: str, true, timeout_s: float = 40.0) -> float:
+        """Seconds that it took; fails after `timeout_s`."""
+        began_s = time.monotonic()
+        while not true():
+            assert time.monotonic() < began_s + timeout_s, f"{what}: {self.state}"
+            time.sleep(0.05)
+        return time.monotonic() - began_s
+
+    def agree(self) -> bool:
+        """All see the target, place it well, count on all the others, and place it in the same spot."""
+        states = [self.state.get(name) for name in self.clock_ahead_s]
+        return all(
+            s is not None and near(s) and s.knows == "sees" and used(s) == self.clock_ahead_s.keys() - {s.robot}
+            for s in states
+        ) and all(math.dist(a.posterior_m, b.posterior_m) < 0.1 * NEAR_M for a in states for b in states)
+
+    def live(self, *names: str, iterations: int = 12) -> None:
+        """These robots go on for a while, and never lose the target."""
+        goal = {name: self.state[name].t + iterations for name in names}
+
+        def lived() -> bool:
+            assert all(near(self.state[name]) for name in names), self.state
+            return all(self.state[name].t >= goal[name] for name in names)
+
+        self.until("life", lived)
+
+    def heard(self) -> dict[tuple[str, str], int]:
+        """Messages that each robot had from each other."""
+        return {(name, n.robot): n.heard for name, state in self.state.items() for n in state.neighbours}
+
+    def _listen(self, lines) -> None:
+        for line in lines:
+            state = msgspec.json.decode(line, type=State)
+            self.state[state.robot] = state
+
+
+def near(state: State) -> bool:
+    return state.posterior_m is not None and math.dist(state.posterior_m, TARGET_M) < NEAR_M
+
+
+def used(state: State) -> set[str]:
+    return {n.robot for n in state.neighbours if n.used}

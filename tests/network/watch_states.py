@@ -1,0 +1,25 @@
+"""Prints every state that a fleet shows, one line of JSON each. Usage: watch_states.py FLEET"""
+
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+
+from agent.config import load_fleet
+from agent.messages import State, decode
+from agent.topics import STATE
+from agent.transport import Observer
+
+
+def main(fleet_path: Path) -> None:
+    with Observer(load_fleet(fleet_path), time.monotonic_ns, (STATE,)) as observer:
+        while True:
+            for seen in observer.drain():
+                sys.stdout.write(msgspec.json.encode(decode(seen.payload, State)).decode() + "\n")
+            sys.stdout.flush()
+            time.sleep(0.05)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
