@@ -31,14 +31,25 @@ from agent.perception.grey_world import Image, classic, white_balance
 if TYPE_CHECKING:
     from agent.perception.lu2net import LU2Net
 
-__all__ = ["VARIANTS", "Enhancer", "Variant", "choose", "enhance", "enhancer", "shipped_weights", "white_balance"]
+__all__ = [
+    "VARIANTS",
+    "Enhancer",
+    "Variant",
+    "choose",
+    "default",
+    "enhance",
+    "enhancer",
+    "of",
+    "one_thread",
+    "white_balance",
+]
 
 Variant = Literal["plain", "folded", "fast", "classic", "auto"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 BUDGET_MS = 33.0  # of one frame: 30 frames per second
 TRIALS = 5  # of each variant, on a frame of TRIAL_SIZE; the first one warms up and does not count
 TRIAL_SIZE = (480, 640)
-DEFAULT = "lu2net.safetensors"  # of the shipped weights
+DEFAULT = "own.safetensors"  # of the shipped weights
 
 
 class Enhancer(NamedTuple):
@@ -51,8 +62,25 @@ class Enhancer(NamedTuple):
 
 
 def enhance(image: Image) -> Image:
-    """With the best that this machine keeps 30 frames per second with; chosen at the first call."""
-    return _default().apply(image)
+    """The default way: fast where the network is installed, else classic."""
+    return default().apply(image)
+
+
+@cache
+def default() -> Enhancer:
+    """Fast where torch and weights are there, else classic, and `why`; the same on a slow machine as on a quick one.
+
+    The weights are read at the first call, which takes seconds.
+    """
+    return enhancer("auto" if missing(None) else "fast")
+
+
+def one_thread() -> None:
+    """Whoever calls this keeps the network to its own thread; torch keeps the number for each thread."""
+    if find_spec("torch") is not None:
+        import torch
+
+        torch.set_num_threads(1)
 
 
 def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: float = BUDGET_MS) -> Enhancer:
@@ -120,11 +148,6 @@ def missing(weights: Path | None) -> str | None:
 
 def shipped_weights() -> Path:
     return Path(str(resources.files("agent.perception") / "weights" / DEFAULT))
-
-
-@cache
-def _default() -> Enhancer:
-    return enhancer()
 
 
 def _median_s(work: Callable[[], object], clock: Callable[[], float]) -> float:

@@ -75,7 +75,7 @@ def guided(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: float =
     return np.stack([mean(np.ascontiguousarray(affine[:, :, c])) for c in range(3)], axis=2)
 
 
-@njit(nogil=True, cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(nogil=True, cache=True, fastmath=True)
 def _apply(affine: Floats, width: int, height: int, image: Image, x0: int, y0: int, out: Image) -> None:
     """Coefficients between the centres of small pixels are linear in x and y; beyond the outermost they stay."""
     rows, cols = affine.shape[:2]
