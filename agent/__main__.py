@@ -42,7 +42,7 @@ def demo(
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
-    enhance: Annotated[bool, typer.Option(help="White balance before detection (LU2Net is not here yet).")] = False,
+    enhance: Annotated[bool, typer.Option(help="Look for the ball in enhanced frames.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help="A fleet that ships (tank, two_balls), or a fleet file.")] = "tank",
 ) -> None:
@@ -143,6 +143,33 @@ def track(
     from agent.track import run
 
     raise typer.Exit(0 if run(source, box, backbone, neck, frames, out, typer.echo) else 1)
+
+
+@app.command(epilog="Example: aucamp enhance photographs/ --out clear --side-by-side")
+def enhance(
+    source: Annotated[str, typer.Argument(help="Image, folder, video, or a camera such as v4l2:/dev/video0.")] = "",
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("enhanced"),
+    side_by_side: Annotated[
+        bool, typer.Option("--side-by-side", help="The picture before beside the one after.")
+    ] = False,
+    variant: Annotated[str, typer.Option(help="plain, folded, fast, classic (no network), or auto.")] = "auto",
+    weights: Annotated[Path | None, typer.Option(help="Weights of the network; the shipped ones if not given.")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="How many, of a camera (30) or a video (all).")] = None,
+    evaluate: Annotated[tuple[Path, Path] | None, typer.Option(help="RAW REFERENCE: figures, no pictures.")] = None,
+    native: Annotated[bool, typer.Option("--native", help="Evaluate at full size, not at 256x256.")] = False,
+) -> None:
+    """Pictures as if there were less water in front of them; --evaluate measures how well."""
+    from agent import enhance_evaluate, enhance_source
+    from agent.perception.enhance import VARIANTS
+
+    if (bool(source)) == (evaluate is not None):
+        raise ConfigError("enhance: give either a SOURCE or --evaluate RAW REFERENCE")
+    way = next((known for known in VARIANTS if known == variant), None)
+    if way is None:
+        raise ConfigError(f"--variant {variant}: no such variant; choose {', '.join(VARIANTS)}")
+    if evaluate is not None:
+        raise typer.Exit(enhance_evaluate.run(*evaluate, way, weights, native, terminal())[1])
+    raise typer.Exit(enhance_source.run(source, out, side_by_side, way, weights, frames, terminal()))
 
 
 @calibrate_app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")

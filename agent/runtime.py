@@ -33,6 +33,7 @@ from agent.messages import (
     Telemetry,
     encode,
 )
+from agent.perception.enhance import default as default_enhancement
 from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
 from agent.sweep_depth import sweep_depth
@@ -98,13 +99,19 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
         network = stack.enter_context(Transport(fleet, name, clock))
         stack.callback(goodbye, agent, network, clock)  # after the motors are off, before the link closes
         size = (fleet.camera.width_px, fleet.camera.height_px)
+        way = default_enhancement() if fleet.camera.enhance else None
+        if way is not None and way.why:
+            network.show(LogLine(robot=name, sent_ns=clock(), level="warning", text=f"enhancement: {way.why}"[:400]))
         eyes = Vision(
             lambda: open_camera(robot.camera, sockets, size),
             fleet,
             calibration.camera,
             epoch_offset_ns=offset_ns,
             on_frame=lambda frame, sightings: box.frame(frame.image, frame.roi, *sightings),
+            way=way,
         )
+        if way is not None:
+            stack.callback(lambda: network.show(shown_raw(name, eyes, clock())))
         eyes.start()
         stack.callback(eyes.close)
         board = stack.enter_context(Stm32(open_port_path(robot.serial, sockets), clock, tap=box.serial))
@@ -163,6 +170,12 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
     started it with --arm wants the dive to go on; a leak, a low battery or a bad sensor is for a person to judge."""
     own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
     return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own
+
+
+def shown_raw(name: str, eyes: Vision, now_ns: int) -> LogLine:
+    """How many frames could not be enhanced in time."""
+    text = f"enhancement: {eyes.clear.raw} of {eyes.clear.frames} frames were shown raw"
+    return LogLine(robot=name, sent_ns=now_ns, level="info", text=text)
 
 
 def goodbye(agent: Agent, network: Network, clock: Callable[[], int]) -> None:

@@ -1,31 +1,159 @@
-"""Make a frame look as if there were less water: grey-world white balance, then local contrast.
+"""Make a frame look as if there were less water: with the network where it is installed, and how fast; else without.
 
-This is the present enhancement, and what stays for a host without torch; the paper's network (LU2Net) is not built
-yet. It serves colour and the eye. Clarity is taken on the raw frame, because a gain that depends on the whole picture
-changes from one focus position to the next.
+    plain    the network as it is trained
+    folded   the same with fewer steps: equal to rounding
+    fast     the network on a small picture, its colours carried to the full one
+    classic  grey-world white balance and CLAHE: needs neither torch nor weights
+    auto     the most faithful of folded, fast and classic that keeps a budget on this machine, by measurement
+
+Pictures are (height, width, 3) uint8, blue green red. It serves colour and the eye. Clarity is taken on the raw frame:
+a gain that depends on the whole picture changes from one focus position to the next.
 """
 
 from __future__ import annotations
 
-import cv2
+import statistics
+import time
+from collections.abc import Callable
+from functools import cache
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
-CLIP_LIMIT, TILES = 2.0, (8, 8)  # CLAHE: steep enough to lift the veil, shallow enough not to lift the noise
+from agent.config import ConfigError
+from agent.perception import fast_enhance
+from agent.perception.grey_world import Image, classic, white_balance
+
+if TYPE_CHECKING:
+    from agent.perception.lu2net import LU2Net
+
+__all__ = [
+    "VARIANTS",
+    "Enhancer",
+    "Variant",
+    "choose",
+    "default",
+    "enhance",
+    "enhancer",
+    "of",
+    "one_thread",
+    "white_balance",
+]
+
+Variant = Literal["plain", "folded", "fast", "classic", "auto"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
+BUDGET_MS = 33.0  # of one frame: 30 frames per second
+TRIALS = 5  # of each variant, on a frame of TRIAL_SIZE; the first one warms up and does not count
+TRIAL_SIZE = (480, 640)
+DEFAULT = "own.safetensors"  # of the shipped weights
 
 
-def enhance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(height, width, 3) blue green red -> the same, white-balanced and with local contrast raised."""
-    lab = cv2.cvtColor(white_balance(image), cv2.COLOR_BGR2LAB)
-    lab[:, :, 0] = cv2.createCLAHE(CLIP_LIMIT, TILES).apply(np.ascontiguousarray(lab[:, :, 0]))
-    return cv2.cvtColor(lab, cv2.COLOR_LAB2BGR)  # type: ignore[return-value]
+class Enhancer(NamedTuple):
+    """A chosen way: `estimate` is None unless the way is `fast`, whose two halves can be used apart."""
+
+    variant: Variant
+    apply: Callable[[Image], Image]
+    estimate: Callable[[Image], fast_enhance.Colours] | None = None
+    why: str = ""  # it is this one; a line for the user where it is not what was wished for
 
 
-def white_balance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Scale the planes to one mean (grey world). Burnt-out pixels have lost their colour and do not vote."""
-    votes = (image.max(axis=2) < 250).astype(np.uint8)
-    mean = np.array(cv2.mean(image, votes)[:3])
-    gain = np.clip(mean.mean() / np.maximum(mean, 1.0), 1.0 / MAX_GAIN, MAX_GAIN)
-    table = np.clip(np.arange(256.0)[:, None] * gain[None, :] + 0.5, 0, 255).astype(np.uint8)
-    return cv2.LUT(image, table[:, None, :])  # type: ignore[return-value]
+def enhance(image: Image) -> Image:
+    """The default way: fast where the network is installed, else classic."""
+    return default().apply(image)
+
+
+@cache
+def default() -> Enhancer:
+    """Fast where torch and weights are there, else classic, and `why`; the same on a slow machine as on a quick one.
+
+    The weights are read at the first call, which takes seconds.
+    """
+    return enhancer("auto" if missing(None) else "fast")
+
+
+def one_thread() -> None:
+    """Whoever calls this keeps the network to its own thread; torch keeps the number for each thread."""
+    if find_spec("torch") is not None:
+        import torch
+
+        torch.set_num_threads(1)
+
+
+def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: float = BUDGET_MS) -> Enhancer:
+    """The way called `variant`, with the shipped weights if none are given; reads the weights and may take seconds.
+
+    Raises ConfigError for weights that cannot be used, and where the network was asked for by name and is not there.
+    """
+    if variant == "classic":
+        return Enhancer("classic", classic)
+    if (lacking := missing(weights)) is not None:
+        if variant != "auto" or weights is not None:
+            raise ConfigError(f"--variant {variant}: {lacking}; --variant classic needs neither")
+        return Enhancer("classic", classic, why=f"{lacking}; grey-world and CLAHE instead")
+    from agent.perception.lu2net import load
+
+    return (
+        choose(load(weights or shipped_weights()), budget_ms)
+        if variant == "auto"
+        else of(load(weights or shipped_weights()), variant)
+    )
+
+
+def of(net: LU2Net, variant: Variant) -> Enhancer:
+    """A network that is in memory, used in one of its three ways."""
+    from agent.perception import folded, lu2net
+
+    if variant == "plain":
+        return Enhancer(variant, lambda image: lu2net.run(net, image))
+    quick = folded.fold(net)
+    if variant == "folded":
+        return Enhancer(variant, lambda image: lu2net.to_image(folded.paint(quick, lu2net.to_tensor(image))))
+
+    def colours(image: Image) -> NDArray[np.float32]:
+        rgb = folded.paint(quick, lu2net.to_tensor(image))[0].clamp(0, 1).permute(1, 2, 0).numpy()
+        return np.ascontiguousarray(rgb[:, :, ::-1])
+
+    def estimate(image: Image) -> fast_enhance.Colours:
+        return fast_enhance.estimate(image, colours)
+
+    return Enhancer("fast", lambda image: fast_enhance.apply(estimate(image), image), estimate)
+
+
+def choose(
+    net: LU2Net, budget_ms: float, shape: tuple[int, int] = TRIAL_SIZE, clock: Callable[[], float] = time.perf_counter
+) -> Enhancer:
+    """The most faithful way whose median on a frame of `shape` keeps the budget; `clock` in seconds."""
+    frame = np.random.Generator(np.random.PCG64(0)).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    tried = []
+    for way in (of(net, "folded"), of(net, "fast")):
+        took_ms = 1e3 * _median_s(lambda way=way: way.apply(frame), clock)  # type: ignore[misc]
+        tried.append(f"{way.variant} {took_ms:.0f} ms")
+        if took_ms <= budget_ms:
+            return way._replace(why=f"{', '.join(tried)} of {budget_ms:.0f} ms")
+    return Enhancer("classic", classic, why=f"{', '.join(tried)}, over the budget of {budget_ms:.0f} ms")
+
+
+def missing(weights: Path | None) -> str | None:
+    """What the network lacks on this machine, in words."""
+    if find_spec("torch") is None or find_spec("safetensors") is None:
+        return "torch or safetensors is not installed (pip install 'aucamp[enhance]')"
+    if weights is None and not shipped_weights().is_file():
+        return "no weights are shipped with this version (give some with --weights)"
+    return None
+
+
+def shipped_weights() -> Path:
+    return Path(str(resources.files("agent.perception") / "weights" / DEFAULT))
+
+
+def _median_s(work: Callable[[], object], clock: Callable[[], float]) -> float:
+    times = []
+    for _ in range(TRIALS):
+        start = clock()
+        work()
+        times.append(clock() - start)
+    return statistics.median(times[1:])

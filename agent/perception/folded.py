@@ -87,7 +87,7 @@ def paint(net: Folded, x: Tensor) -> Tensor:
 def encode(block: FoldedEncoder, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """(h, w, c) -> (h/2, w/2, 4c); the side way (h, w, c) without its gain and normalisation; the gain (c,)."""
     skip, gain = axially(block.axial, x)
-    h, w, c = x.shape
+    h, w, _ = x.shape
     weight = block.widen.weight * gain
     out = x.new_empty(h // 2, w // 2, len(weight))
     for top, bottom in bands(h, w * len(weight)):

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from agent.config import Fleet
 from agent.messages import Sighting, SweepPlan
 from agent.perception.clarity import luminance, tenengrad_disc
+from agent.perception.clear_view import ClearView
 from agent.perception.detect import Ball, find_ball
-from agent.perception.enhance import enhance
+from agent.perception.enhance import Enhancer, one_thread
 from agent.ranging.calibration import CameraFit, at_lens
 from agent.ranging.camera_model import INNER_DISC
 from hw.camera import Camera, CameraError, Frame, Roi
@@ -38,7 +39,8 @@ class Vision:
     """Frames in, Sightings out. Start it once, close it once; the other methods may be called from any thread.
 
     `open_camera` raises CameraError while there is no camera. `epoch_offset_ns` is added to the monotonic time of a
-    frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must not block.
+    frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must not block. `way`: how frames are
+    enhanced where the fleet file asks for it; by default the best that is installed.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Vision:
         camera: CameraFit,
         epoch_offset_ns: int,
         on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
+        way: Enhancer | None = None,
     ) -> None:
         self._open_camera = open_camera
         self._settings = fleet.camera
@@ -55,6 +58,7 @@ class Vision:
         self._fit = camera
         self._epoch_offset_ns = epoch_offset_ns
         self._on_frame = on_frame
+        self.clear = ClearView(way)  # for `[camera] enhance`; counts what it showed raw
         self._changed = Condition()  # guards the next three
         self._plan: SweepPlan | None = None
         self._closing = False
@@ -95,6 +99,8 @@ class Vision:
             self._thread.join(1.0)
 
     def _run(self) -> None:
+        if self._settings.enhance:
+            one_thread()
         cv2.setNumThreads(1)  # two milliseconds a frame; several agents share a few cores
         pause_s = RETRY_S[0]
         while not self._closing:
@@ -152,7 +158,9 @@ class Vision:
         of them: who comes into view is noticed, whoever is being measured.
         """
         last = self._balls.get(targets[0])
-        roi = around(last, camera.size) if sweep and last else None
+        enhance = self._settings.enhance
+        part = sweep and last and not (enhance and self.clear.wants_whole(time.monotonic_ns()))
+        roi = around(last, camera.size) if last and part else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         sightings = []
         for target in targets:
@@ -174,7 +182,8 @@ class Vision:
 
         Replay calls it as well.
         """
-        image = enhance(frame.image) if self._settings.enhance else frame.image
+        whole = self._fit.width_px, self._fit.height_px
+        image = self.clear.view(frame, whole) if self._settings.enhance else frame.image
         colour = self._targets[target].colour
         ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour)
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)

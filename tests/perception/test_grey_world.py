@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 from painted import ball_frame
 
-from agent.perception.enhance import enhance, white_balance
+from agent.perception.grey_world import classic, white_balance
 
 
 def test_a_cast_is_taken_out():
@@ -20,13 +20,13 @@ def test_a_plane_without_light_is_not_blown_up_to_noise():
 
 def test_a_veil_is_lifted():
     veiled = (0.3 * ball_frame((0.0, 0.0, 1.0)) + 130).astype(np.uint8)
-    grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).std() for image in (veiled, enhance(veiled))]
+    grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).std() for image in (veiled, classic(veiled))]
     assert grey[1] > 1.5 * grey[0]
 
 
 def test_shape_and_type_stay_and_the_input_is_left_alone():
     frame = ball_frame((0.0, 0.0, 1.0))
     kept = frame.copy()
-    out = enhance(frame)
+    out = classic(frame)
     assert out.shape == frame.shape and out.dtype == np.uint8
     assert np.array_equal(frame, kept)

@@ -1,0 +1,107 @@
+"""The network's colours at a small fraction of its cost: estimate them small, carry them to the full picture.
+
+The network sees the picture shrunk to SMALL_PX pixels. What it does to each colour there is written as an affine
+function of the three colours, one for each pixel, by a guided filter (He, Sun and Tang 2013, with colour as the guide)
+at the small size (He and Sun 2015). Edges stay where they are in the frame itself: only coefficients, which are smooth,
+are enlarged.
+
+The coefficients outlive their frame: while camera and scene stand still, as in a focus sweep, the same ones serve
+every frame and every part of one, for a few milliseconds each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from agent.perception.grey_world import Image
+
+Floats = NDArray[np.float32]
+
+SMALL_PX = 192 * 144  # pixels that the network sees: a quarter more per side costs twice the time
+RADIUS = 4  # of the windows, small pixels
+EPSILON = 1e-4  # variance of a colour (full scale 1) below which a window is taken for plain
+
+
+class Colours(NamedTuple):
+    """What to do with every colour, for a frame of `size`."""
+
+    affine: Floats  # (h, w, 3, 4): output blue green red from input blue green red and one, full scale 1
+    size: tuple[int, int]  # width, height of the full frame, pixels
+
+
+def estimate(image: Image, network: Callable[[Image], Floats], small_px: int = SMALL_PX) -> Colours:
+    """`network` maps a picture (h, w, 3) uint8 to one of float32, full scale 1, both blue green red."""
+    height, width = image.shape[:2]
+    shrink = max(1.0, math.sqrt(height * width / small_px))
+    size = max(1, round(width / shrink)), max(1, round(height / shrink))
+    small = image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    guide = np.asarray(small, np.float32) / np.float32(255)
+    return Colours(guided(guide, network(np.ascontiguousarray(small, np.uint8))), (width, height))
+
+
+def apply(colours: Colours, image: Image, origin: tuple[int, int] = (0, 0)) -> Image:
+    """A frame, or the part of one whose upper left pixel is `origin` (x, y), with its colours restored."""
+    out = np.empty_like(image)
+    _apply(colours.affine, colours.size[0], colours.size[1], np.ascontiguousarray(image), origin[0], origin[1], out)
+    return out
+
+
+def guided(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: float = EPSILON) -> Floats:
+    """(h, w, 3) and (h, w, 3) -> (h, w, 3, 4): in each window the affine map with the least squared error, averaged
+    over the windows that hold a pixel."""
+    window = (2 * radius + 1, 2 * radius + 1)
+
+    def mean(x: Floats) -> Floats:
+        return np.asarray(cv2.blur(x, window, borderType=cv2.BORDER_REFLECT_101), np.float32).reshape(x.shape)
+
+    i, j = np.triu_indices(3)
+    around, target = mean(guide), mean(wanted)
+    upper = mean(guide[..., i[:3]] * guide[..., j[:3]]), mean(guide[..., i[3:]] * guide[..., j[3:]])
+    covariance = np.concatenate(upper, axis=2) - around[..., i] * around[..., j]
+    cross = np.stack([mean(guide * wanted[..., c : c + 1]) - around * target[..., c : c + 1] for c in range(3)], axis=2)
+    matrix = np.empty((*guide.shape, 3), np.float32)
+    matrix[..., i, j] = matrix[..., j, i] = covariance
+    matrix += epsilon * np.eye(3, dtype=np.float32)
+    slope = np.linalg.solve(matrix, cross.swapaxes(2, 3)).swapaxes(2, 3)  # (h, w, out, in)
+    offset = target - np.einsum("hwoi,hwi->hwo", slope, around)
+    affine = np.concatenate([slope, offset[..., None]], axis=3).astype(np.float32)
+    return np.stack([mean(np.ascontiguousarray(affine[:, :, c])) for c in range(3)], axis=2)
+
+
+@njit(nogil=True, cache=True, fastmath=True)
+def _apply(affine: Floats, width: int, height: int, image: Image, x0: int, y0: int, out: Image) -> None:
+    """Coefficients between the centres of small pixels are linear in x and y; beyond the outermost they stay."""
+    rows, cols = affine.shape[:2]
+    left = np.empty(image.shape[1], np.int64)
+    share = np.empty(image.shape[1], np.float32)
+    for u in range(image.shape[1]):
+        x = min(max((x0 + u + 0.5) * cols / width - 0.5, 0.0), cols - 1.0)
+        left[u] = min(int(x), max(cols - 2, 0))
+        share[u] = x - left[u]
+    row = np.empty((cols + 1, 12), np.float32)
+    for v in range(image.shape[0]):
+        y = min(max((y0 + v + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
+        top = min(int(y), max(rows - 2, 0))
+        below, s = min(top + 1, rows - 1), np.float32(y - top)
+        for k in range(cols):
+            for c in range(3):
+                for d in range(4):
+                    a = affine[top, k, c, d]
+                    row[k, 4 * c + d] = a + s * (affine[below, k, c, d] - a)
+        row[cols] = row[cols - 1]
+        for u in range(image.shape[1]):
+            near, far, t = row[left[u]], row[left[u] + 1], share[u]
+            b, g, r = np.float32(image[v, u, 0]), np.float32(image[v, u, 1]), np.float32(image[v, u, 2])
+            for c in range(3):
+                k = 4 * c
+                first = near[k] * b + near[k + 1] * g + near[k + 2] * r + near[k + 3] * np.float32(255)
+                second = far[k] * b + far[k + 1] * g + far[k + 2] * r + far[k + 3] * np.float32(255)
+                value = first + t * (second - first)
+                out[v, u, c] = np.uint8(min(max(value, np.float32(0)), np.float32(255)) + np.float32(0.5))

@@ -1,0 +1,86 @@
+import numpy as np
+
+from agent.perception.clear_view import DUE_NS, OLD_NS, SHARE, ClearView
+from agent.perception.enhance import Enhancer
+from agent.perception.fast_enhance import Colours
+from hw.camera import Frame, Roi
+
+WHOLE = (64, 48)
+IMAGE = np.full((48, 64, 3), 60, np.uint8)
+PART = Roi(16, 8, 24, 16)
+
+
+class Clock:
+    def __init__(self):
+        self.now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+def doubling(clock, cost_s=0.04):
+    """An estimate that takes `cost_s` and doubles all values."""
+    affine = np.zeros((3, 4, 3, 4), np.float32)
+    affine[..., :3] = 2 * np.eye(3)
+
+    def estimate(image):
+        clock.now_s += cost_s
+        return Colours(affine, (image.shape[1], image.shape[0]))
+
+    return Enhancer("fast", lambda image: image, estimate)
+
+
+ALL = Roi(0, 0, *WHOLE)
+
+
+def frame(t_ns, roi=ALL):
+    return Frame(t_ns, 0, IMAGE[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width], roi)
+
+
+def test_parts_of_later_frames_use_the_colours_of_a_whole_one():
+    clock = Clock()
+    clear = ClearView(doubling(clock), clock)
+    assert (clear.view(frame(0), WHOLE) == 120).all()
+    spent_s = clock.now_s
+    assert (clear.view(frame(DUE_NS * 4, PART), WHOLE) == 120).all()
+    assert clear.view(frame(DUE_NS * 4, PART), WHOLE).shape == (16, 24, 3)
+    assert clock.now_s == spent_s
+    assert (clear.frames, clear.raw) == (3, 0)
+
+
+def test_without_young_colours_a_frame_is_raw_and_counted():
+    clock = Clock()
+    clear = ClearView(doubling(clock), clock)
+    assert (clear.view(frame(0, PART), WHOLE) == 60).all()
+    clear.view(frame(1), WHOLE)
+    assert (clear.view(frame(OLD_NS + 2, PART), WHOLE) == 60).all()
+    assert (clear.frames, clear.raw) == (3, 2)
+    assert clear.wants_whole(OLD_NS + 2) and not clear.wants_whole(2)
+
+
+def test_estimates_keep_to_their_share_of_a_core():
+    """An estimate of a second on a busy machine: the next one is made when four have passed."""
+    clock = Clock()
+    clear = ClearView(doubling(clock, 1.0), clock)
+    spent_s, started_s = 0.0, clock.now_s
+    for k in range(200):
+        before_s = clock.now_s
+        clear.view(frame(k * DUE_NS), WHOLE)
+        spent_s += clock.now_s - before_s
+        clock.now_s += DUE_NS / 1e9
+    assert 0 < spent_s <= SHARE * (clock.now_s - started_s) + 1.0
+    assert clear.raw < 150
+
+
+def test_the_classic_way_needs_no_estimate():
+    clear = ClearView(Enhancer("classic", lambda image: image + 1))
+    assert (clear.view(frame(0, PART), WHOLE) == 61).all()
+    assert clear.raw == 0 and not clear.wants_whole(0)
+
+
+def test_one_frame_for_two_targets_counts_once():
+    clock = Clock()
+    clear = ClearView(doubling(clock), clock)
+    one = frame(0)
+    assert clear.view(one, WHOLE) is clear.view(one, WHOLE)
+    assert clear.frames == 1

@@ -1,0 +1,63 @@
+import cv2
+import numpy as np
+import pytest
+
+from agent.perception.fast_enhance import apply, estimate, guided
+
+MATRIX = np.array([[1.1, 0.1, -0.1], [0.0, 0.8, 0.2], [-0.2, 0.3, 1.2]], np.float32)
+
+
+def scene(size=(480, 640)):
+    """Texture, a ramp and sharp edges, 20 to 200 grey levels."""
+    rng = np.random.default_rng(3)
+    image = cv2.GaussianBlur(rng.normal(110, 160, (*size, 3)), (0, 0), 3.0) + np.linspace(-30, 30, size[1])[:, None]
+    cv2.rectangle(image, (200, 100), (330, 260), (40, 60, 180), -1)
+    return np.clip(image, 20, 200).astype(np.uint8)
+
+
+def matrix(small):
+    return (small.astype(np.float32) / 255) @ MATRIX.T + np.float32(0.05)
+
+
+def wanted(image):
+    return np.clip(255 * (image / 255 @ MATRIX.T + 0.05), 0, 255)
+
+
+def psnr(a, b):
+    return 10 * np.log10(255**2 / np.mean((a.astype(float) - b) ** 2))
+
+
+def test_one_matrix_for_all_pixels_is_found_again():
+    image = scene()
+    assert psnr(apply(estimate(image, matrix), image), wanted(image)) > 45
+
+
+def test_edges_stay_as_sharp_as_in_the_frame():
+    image = scene()
+    out = apply(estimate(image, matrix), image)
+    small = cv2.resize(image, (192, 144), interpolation=cv2.INTER_AREA)
+    blurred = np.clip(255 * cv2.resize(matrix(small), (640, 480), interpolation=cv2.INTER_LINEAR), 0, 255)
+    edge = np.s_[100:261, 195:205]
+    assert psnr(out[edge], wanted(image)[edge]) > psnr(blurred[edge], wanted(image)[edge]) + 10
+
+
+def test_a_part_is_the_same_as_in_the_whole_frame():
+    image = scene()
+    colours = estimate(image, lambda small: cv2.GaussianBlur(matrix(small), (0, 0), 9.0))
+    whole = apply(colours, image)
+    assert np.array_equal(apply(colours, image[96:200, 64:320], (64, 96)), whole[96:200, 64:320])
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 50), (2, 3), (700, 3)])
+def test_small_and_thin_pictures(size):
+    image = scene()[: size[0], : size[1]]
+    image = np.resize(image, (*size, 3)).astype(np.uint8)
+    out = apply(estimate(image, matrix), image)
+    assert out.shape == image.shape
+    assert psnr(out, wanted(image)) > 30
+
+
+def test_a_plain_picture_takes_the_networks_colour_without_noise():
+    guide = np.full((20, 30, 3), 0.5, np.float32)
+    affine = guided(guide, np.full((20, 30, 3), 0.7, np.float32))
+    assert np.allclose(np.einsum("hwoi,hwi->hwo", affine[..., :3], guide) + affine[..., 3], 0.7, atol=1e-4)
