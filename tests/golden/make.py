@@ -221,9 +221,7 @@ def fleet_of(case: Case) -> Fleet:
         name: replace(fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names))
         for name in names
     }
-    # The size of the ball would give a wrong focus calibration away, and there would be no liar.
-    ranging = replace(fleet.ranging, cues="focus" if case.wrong else "both")
-    return replace(fleet, robot=robots, ranging=ranging, estimation=replace(fleet.estimation, protocol=case.protocol))
+    return replace(fleet, robot=robots, estimation=replace(fleet.estimation, protocol=case.protocol))
 
 
 def surveyed(fleet: Fleet, robot: str, case: Case) -> Fleet:
