@@ -246,13 +246,14 @@ def table(result: dict[str, Any]) -> Table:
 def verdict_table(result: dict[str, Any]) -> Table:
     """Each target of localization_targets.py beside what was measured."""
     shown = Table(title="targets")
-    for head in ("target", "case", "t", "asked", "measured", "met"):
+    for head in ("target", "case", "draws", "t", "asked", "measured", "met"):
         shown.add_column(head, justify="left" if head in ("target", "case") else "right")
     for verdict in result["verdicts"]:
         low, high = verdict["least"], verdict["most"]
         asked = f"{low:g} to {high:g}" if low and high else f">= {low:g}" if low else f"<= {high:g}"
         measured, met = number(verdict["measured"], 3), "yes" if verdict["met"] else "no"
-        shown.add_row(verdict["target"], verdict["case"], str(verdict["t"]), asked, measured, met)
+        draws, t = str(verdict["draws"]), str(verdict["t"])
+        shown.add_row(verdict["target"], verdict["case"], draws, t, asked, measured, met)
     return shown
 
 

@@ -37,6 +37,7 @@ def verdict(target: Target, row: Row) -> dict[str, Any]:
         "target": target.name,
         "case": case,
         "t": row["t"],
+        "draws": row["draws"],
         "least": least,
         "most": most,
         "measured": found,
