@@ -114,19 +114,19 @@ def figures(group: list[Look]) -> dict[str, Any]:
     counted = [one for one in group if one.counts]
     centre = np.array([one.centre_px for one in counted if one.found])
     radius = np.array([one.radius_px for one in counted if one.found])
-    errors = {
-        "centre_median_px": float(np.median(centre)),
-        "centre_p95_px": float(np.quantile(centre, 0.95)),
-        "radius_bias_px": float(np.median(radius)),
-        "radius_p95_px": float(np.quantile(np.abs(radius), 0.95)),
-    }
+    names = ("centre_median_px", "centre_p95_px", "radius_bias_px", "radius_p95_px")
+    values: list[float | None] = [None] * len(names)
+    if len(centre):
+        size = np.abs(radius)
+        measures = np.median(centre), np.quantile(centre, 0.95), np.median(radius), np.quantile(size, 0.95)
+        values = [float(value) for value in measures]
     return {
         "frames": len(counted),
         "found": len(centre),
         "rate": len(centre) / len(counted) if counted else None,
         "pictures": 2 * len(group),  # with the ball and without it
         "false": sum(one.false for one in group),
-        **(errors if len(centre) else dict.fromkeys(errors)),
+        **dict(zip(names, values, strict=True)),
     }
 
 
