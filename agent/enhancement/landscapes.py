@@ -86,7 +86,7 @@ def landscape(side: int, rng: np.random.Generator) -> tuple[Picture, Plane]:
         distance = np.float32(rng.uniform(0.35, 1.5))
         front = np.asarray(mask * (z > distance), np.float32)
         thing = paint(side, rng, 0.25) * (np.float32(0.45) + np.float32(0.55) * bulge)[:, :, None]
-        picture = picture + front[:, :, None] * (thing - picture)
+        picture = np.asarray(picture + front[:, :, None] * (thing - picture), np.float32)
         z = np.asarray(z + front * (distance * (np.float32(1.1) - np.float32(0.2) * bulge) - z), np.float32)
     if rng.random() < 0.4:  # holes and crevices
         hole = _step(noise(side, rng, (4, 10)) - np.float32(rng.uniform(1.2, 2.2)), 0.15)
