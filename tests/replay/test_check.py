@@ -205,7 +205,7 @@ def test_a_file_without_a_step_cannot_be_checked(tmp_path: Path) -> None:
     [
         ({"run": {"schema": "99"}}, "message schema 99, ours is"),
         ({"run": {"kind": "fleet"}}, "no black box|is not the black box"),
-        ({"run": {"part": "2"}}, "needs those before it"),
+        ({"run": {"part": "2"}}, "its steps build on those before"),
         ({"without": ("incarnation",)}, "has no incarnation"),
         ({"without": ("calibration.toml",)}, r"has no calibration\.toml"),
     ],

@@ -88,7 +88,7 @@ def test_vision_that_sees_something_else_is_noticed(tmp_path: Path, change, name
 
 def test_a_target_that_is_missed_now_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = recorded(tmp_path / "r1.mcap", lossless=True)
-    monkeypatch.setattr("agent.perception.vision.find_ball", lambda *_: None)
+    monkeypatch.setattr("agent.perception.vision.find_ball", lambda *_, **__: None)
     (found,) = check_vision([file], see_again)
     assert not found.passed
     assert found.missing == 7
