@@ -115,7 +115,9 @@ def test_they_can_be_left_out(tmp_path: Path, box: Path) -> None:
     assert info(bare).channels.keys() == RAW
     raw = [(record.channel, record.data) for record in read(box) if record.channel in RAW]
     assert [(record.channel, record.data) for record in read(bare)] == raw
-    assert bare.stat().st_size > 0.9 * box.stat().st_size  # the copies of the frames cost next to nothing
+    # A copy of a frame costs next to nothing in the frame's own chunk; where a chunk ends between the two it costs as
+    # much as the frame. Of the small frames here one chunk holds some eight, and 13 to 15 % were measured.
+    assert bare.stat().st_size > 0.8 * box.stat().st_size
 
 
 def test_what_does_not_decode_has_no_viewer_channel() -> None:
