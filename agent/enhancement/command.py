@@ -39,6 +39,8 @@ def train(
 
     Raises ConfigError for pairs, weights or a checkpoint that cannot be used.
     """
+    if resume and out is None:
+        raise ConfigError("--resume needs --out, the weights whose checkpoint lies beside it")
     real = _real(folders, everything, console) if folders else None  # complain before a folder is made
     net = lu2net.load(start) if start else None
     out = run_folder(None) / "lu2net.safetensors" if out is None else out
@@ -53,7 +55,8 @@ def train(
     with progress(console) as bar:
         task = bar.add_task("training", total=plan.steps, completed=state.step)
         for value in advance(state, training, validation):
-            last = f", validation {state.curve[-1].psnr_db:.2f} dB" if state.curve else ""
+            seen = state.curve and math.isfinite(state.curve[-1].psnr_db)
+            last = f", validation {state.curve[-1].psnr_db:.2f} dB" if seen else ""
             bar.update(task, completed=state.step, description=f"loss {value:.3f}{last}")
             if state.step % SAVE_EVERY == 0 or state.step == plan.steps:
                 state.save(checkpoint)

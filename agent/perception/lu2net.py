@@ -12,6 +12,7 @@ when a picture is made of them.
 from __future__ import annotations
 
 import hashlib
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from torch.nn import functional as fn
 from agent.config import ConfigError
 
 STRIDE = 4  # two halvings: sides are padded to multiples of it
+DEFAULT = "real"  # does better on real pairs that it has not seen
 CLOSE, WIDE = 3, 7  # taps of the axial convolutions: between the halves, and in encoder and decoder
 
 
@@ -152,6 +154,16 @@ def load(path: Path) -> LU2Net:
     except (SafetensorError, RuntimeError) as error:
         raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train enhance`") from error
     return net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]  # as nn.Module.to has it
+
+
+def shipped(name: str = DEFAULT) -> Path:
+    """File of weights that comes with the package; weights/README.md says what each is worth. Raises ConfigError."""
+    folder = Path(str(resources.files("agent.perception") / "weights"))
+    file = folder / f"{name}.safetensors"
+    if not file.is_file():
+        known = ", ".join(sorted(path.stem for path in folder.glob("*.safetensors")))
+        raise ConfigError(f"{name}: no such weights come with the package; it has {known}")
+    return file
 
 
 def save(net: LU2Net, path: Path) -> None:

@@ -86,3 +86,25 @@ def test_weights_of_another_network_are_one_line(tmp_path):
     lu2net.hash_file(file).write_text(hashlib.sha256(file.read_bytes()).hexdigest())
     with pytest.raises(ConfigError, match="not the weights of this network"):
         lu2net.load(file)
+
+
+@pytest.mark.parametrize("name", ["own", "real"])
+def test_shipped_weights_bring_new_pictures_closer_to_their_targets(name):
+    from agent.enhancement.degrade import pair
+    from agent.enhancement.landscapes import landscape
+    from agent.enhancement.metrics import psnr
+
+    file = lu2net.shipped(name)
+    assert file.stat().st_size < 1_000_000
+    net = lu2net.load(file)
+    gains = []
+    for seed in range(8):
+        rng = np.random.default_rng([12345, seed])
+        raw, target = pair(*landscape(128, rng), rng)
+        gains.append(psnr(lu2net.run(net, raw), target) - psnr(raw, target))
+    assert np.mean(gains) > 2  # dB
+
+
+def test_weights_that_are_not_shipped_are_one_line():
+    with pytest.raises(ConfigError, match="it has own, real"):
+        lu2net.shipped("best")

@@ -141,6 +141,7 @@ def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
     ("arguments", "expected"),
     [
         (["--pairs", "nowhere", "nowhere"], "nowhere: no such folder"),
+        (["--resume"], "--resume needs --out"),
         (["--cross-validate", "3"], "needs --pairs RAW REFERENCE and --start WEIGHTS"),
     ],
 )
