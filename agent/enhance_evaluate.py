@@ -20,7 +20,7 @@ from agent.enhance_source import pictures, read
 from agent.enhancement.metrics import Quality, judge
 from agent.launch import with_bar
 from agent.perception.enhance import Enhancer, Variant, enhancer
-from agent.perception.grey_world import Image, local_contrast, white_balance
+from agent.perception.grey_world import Image, classic, local_contrast, white_balance
 
 SIZE = (256, 256)
 Ways = dict[str, Callable[[Image], Image]]
@@ -35,7 +35,7 @@ def run(
     way = enhancer(variant, weights)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
-    figures, problems = with_bar(console, "evaluate", lambda show: evaluate(pairs, ways(way), native, show))
+    figures, problems = with_bar(console, "evaluate", lambda show: evaluate(pairs, ways(way, weights), native, show))
     if figures:
         console.print(table(figures, way.variant))
         console.print(means(figures))
@@ -44,8 +44,12 @@ def run(
     return figures, 1 if problems else 0
 
 
-def ways(way: Enhancer) -> Ways:
+def ways(way: Enhancer, weights: Path | None) -> Ways:
+    """What `way` is set beside: doing nothing, the simple ways, and the network in full and fast."""
     known: Ways = {"identity": lambda image: image, "grey-world": white_balance, "CLAHE": local_contrast}
+    known["classic"] = classic
+    if way.variant != "classic":
+        known |= {"plain": enhancer("plain", weights).apply, "fast": enhancer("fast", weights).apply}
     return {**known, way.variant: way.apply}
 
 
