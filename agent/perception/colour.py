@@ -7,12 +7,11 @@ on light, not on 8-bit values: the gamma would press a veiled red into grey.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
-Colour = Literal["red", "yellow", "green"]
+from agent.config import Colour
+
 Light = NDArray[np.float32]
 
 DARK = 0.0055  # light of the 8-bit value 24, below which a pixel's noise counts as no colour

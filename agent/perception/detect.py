@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.colour import CONTRAST, Colour, Light, light, share, untint
+from agent.config import Colour
+from agent.perception.colour import CONTRAST, Light, light, share, untint
 from agent.ranging.calibration import CameraFit
 from agent.ranging.camera_model import UNBEND
 
