@@ -77,6 +77,10 @@ def test_a_power_cut_ends_in_a_new_boot_that_nobody_arms(tmp_path):
 
 SCENE = """
 name = "pulled"
+[[solid]]
+kind = "ball"
+position_m = [0.76, 0.56, 0.07]
+radii_m = [0.07, 0.07, 0.07]
 [[event]]
 at_s = AT
 kind = "serial_unplug"
