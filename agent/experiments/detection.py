@@ -22,13 +22,20 @@ from agent.experiments.ball_views import WATERS, BallView, ball_views
 from agent.launch import run_folder, with_bar
 from agent.perception.detect import Ball, find_ball
 from agent.perception.enhance import enhance
+from agent.perception.grey_world import classic
+from agent.ranging.calibration import CameraFit
 from hw.camera import Image
 from hw.twin.lens import PRESETS
 
 Progress = Callable[[int, int], None]  # places done, places in all
-Improve = Callable[[Image], Image]
+Find = Callable[[Image, CameraFit], Ball | None]
 
-IMAGES: dict[str, Improve] = {"raw": lambda image: image, "enhanced": enhance}
+IMAGES: dict[str, Find] = {
+    "raw": find_ball,
+    "classic": lambda image, camera: find_ball(classic(image), camera),
+    "enhanced": lambda image, camera: find_ball(enhance(image), camera),
+    "raw, else enhanced": lambda image, camera: find_ball(image, camera) or find_ball(enhance(image), camera),
+}
 WORLDS = 10  # tanks of each kind of water: its veil differs from tank to tank by a factor of six
 RANGES_M = ((0.25, 0.4), (0.4, 0.8), (0.8, 1.5), (0.25, 1.5))
 ENOUGH = 1 / 3  # of the outline
@@ -67,7 +74,7 @@ def detection(
         for world in range(min(WORLDS, count)):
             places = len(range(world, count, WORLDS))
             for k, view in enumerate(ball_views(water, sensor, seed + world, places)):
-                looks += [look(view, water, name, improve) for name, improve in IMAGES.items()]
+                looks += [look(view, water, name, find) for name, find in IMAGES.items()]
                 done += k % 2  # a place is seen twice
                 progress(done, count * len(waters))
     result = {"schema": 1, "source": "twin", "seed": seed, "sensor": sensor, "places": count, "cases": cases(looks)}
@@ -75,10 +82,10 @@ def detection(
     return result
 
 
-def look(view: BallView, water: str, name: str, improve: Improve) -> Look:
+def look(view: BallView, water: str, name: str, find: Find) -> Look:
     truth = view.truth
-    ball = find_ball(improve(view.with_ball), view.camera)
-    elsewhere = find_ball(improve(view.without), view.camera)
+    ball = find(view.with_ball, view.camera)
+    elsewhere = find(view.without, view.camera)
     counts = truth is not None and truth.visible >= ENOUGH
     centre_px, radius_px, right = math.nan, math.nan, False
     if ball and truth:
