@@ -44,7 +44,7 @@ class Case(NamedTuple):
 
 
 def cases(quick: bool = False, full: bool = False) -> list[Case]:
-    """The experiment: two minutes on two processors; with `full` also what takes longer."""
+    """The experiment: five minutes on two idle processors; with `full` also what takes longer."""
     losses = (0.0, 0.1, 0.3) if full else (0.0, 0.3)
     found = [*closed_form(), *bad_links(losses), *late_views(losses), *relays(), *one_is_wrong(), *honest_covariance()]
     found += [*moving(losses), *large(full)]
@@ -92,8 +92,8 @@ def one_is_wrong() -> Sequence[Case]:
 
 
 def honest_covariance() -> Sequence[Case]:
-    """Does a robot know how wrong it is?"""
-    swarms = ((3, 150), (5, 100), (10, 50))
+    """Does a robot know how wrong it is? Robots that share all they know are wrong together: only draws count."""
+    swarms = ((3, 600), (5, 400), (10, 150))
     return [Case("evidence", "full", n, draws, (10, 60), systematic=True) for n, draws in swarms]
 
 
