@@ -59,6 +59,7 @@ class Painter:
             light=np.array([m.light for m in MATERIALS], np.float32),
             path=np.concatenate([through, room * veil], axis=1).astype(np.float32),
             day=(room * daylight(water, steps_m)).astype(np.float32),
+            pixel=np.float32(self._lens.pixel_m / self._lens.at_rest_m / self._index),
         )
         card = WHITE_ALBEDO * UPRIGHT * room * daylight(water, self._box_m[2]) * look_through(water, WHITE_M)[0]
         self._gain = np.float32(WHITE_LEVEL / card.max())

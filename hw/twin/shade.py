@@ -54,6 +54,7 @@ class Looks(NamedTuple):
     light: Floats  # (M, 3)
     path: Floats  # (N, 6) per 1/PER_M of range: transmission, then veil
     day: Floats  # (N, 3) per 1/PER_M of depth: light from the surface
+    pixel: F  # slope of one pixel in water with the lens at rest: it picks the mip level
 
 
 @inlined
@@ -91,6 +92,9 @@ def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: I
     """Fill picture (h, w, 3), blue green red, from what trace found for the same pixels."""
     camera, surface_m = view.camera, view.box[2]
     pixel = view.optics.slope / math.sqrt(view.optics.n_squared)  # slope of one pixel in water
+    # The picture grows with the lens position. A mip level that followed would switch in the middle of a focus sweep,
+    # and a surface that changes its texture seems to change its sharpness.
+    at_rest = looks.pixel / pixel
     for row in range(depth.shape[0]):
         for col in range(depth.shape[1]):
             mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
@@ -100,7 +104,7 @@ def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: I
             length = math.sqrt(ONE + mx * mx + my * my)
             material = view.material[who]
             facing, footprint, grain = WALL_LIGHT, u * pixel, ONE
-            across = footprint  # with foreshortening
+            across = footprint * at_rest  # with foreshortening
             if who < BOARD_ID:
                 x, y = at(camera[0], px, py, u), at(camera[1], px, py, u)
                 if who < 2:
@@ -110,7 +114,7 @@ def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: I
                 else:
                     s, t, normal = x, y, along(camera[2], mx, my)
                     facing = ONE
-                across = footprint / max(abs(normal) / length, STEEPEST)
+                across /= max(abs(normal) / length, STEEPEST)
             elif who == BOARD_ID:
                 s, t = at(view.board[0], px, py, u), at(view.board[1], px, py, u)
             else:
