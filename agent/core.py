@@ -74,6 +74,8 @@ class Agent:
     def _measure(self, now_ns: int) -> None:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
         result = self.seek.finish(now_ns)
+        if (remark := self.seek.remark()) is not None:
+            self._note("warning", remark, now_ns)
         if isinstance(result, Rejected):
             self._note("info", f"sweep rejected: {result.reason}", now_ns)
         if not isinstance(result, Measurement):

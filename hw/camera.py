@@ -85,7 +85,7 @@ def open_camera(url: str, twin_dir: Path, size: tuple[int, int] | None) -> Camer
     return camera
 
 
-SCHEMES = {"twin": "ROBOT", "stack": "DIR", "video": "FILE", "v4l2": "/dev/video0"}  # scheme -> what follows it
+SCHEMES = {"twin": "ROBOT", "stack": "DIR", "video": "FILE", "v4l2": "/dev/video0 or NAME"}  # scheme -> what follows it
 
 
 def _open(scheme: str, place: str, twin_dir: Path, size: tuple[int, int] | None) -> Camera:

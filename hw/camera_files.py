@@ -126,6 +126,8 @@ def _frame(t_ns: int, seq: int, image: Image, roi: Roi | None) -> Frame:
 
 
 def _load(path: Path) -> Image:
+    if not path.is_file():
+        raise CameraGone(f"{path}: the photograph has gone; put it back")
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)  # grey becomes three equal channels
     if image is None:
         raise CameraError(f"{path}: not an image that OpenCV can read; replace it or take its row out of {POSITIONS}")

@@ -17,8 +17,9 @@ import serial
 from agent.config import ConfigError
 from agent.messages import SetPoint, Telemetry
 from hw.firmware import parameters, wire
+from hw.stm32_fields import Greeting, Said
 from hw.stm32_orders import Outcome
-from hw.stm32_talk import Counters, Greeting, Said, Talk
+from hw.stm32_talk import Counters, Talk
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port

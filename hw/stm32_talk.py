@@ -4,40 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from concurrent.futures import Future
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from agent.messages import SetPoint, Telemetry
 from hw.firmware import parameters, wire
+from hw.stm32_arming import Arming
+from hw.stm32_fields import Greeting, Level, Said, event_line, heard, log_line, set_point_fields
 from hw.stm32_orders import NO_BOARD, Order, Orders, Outcome
 
 HELLO_EVERY_NS = 500_000_000
-ARM_AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
-TTL_MS = 500  # of a set-point; the board holds position after it
 
 # Telemetry kept for a caller who is late: 5 s at 50 Hz. Lines of text: more is a babbling board.
 KEEP_TELEMETRY, KEEP_SAID = 256, 64
-
-# Refusals that go away while the robot just waits; each other one needs somebody to do something.
-CURABLE = frozenset(
-    {
-        "no handshake",
-        "sensors not all good",
-        "sensors disagree",
-        "set-point old",
-        "ESC neutral for less than 3 s",
-        "control cycle too slow",
-    }
-)
-
-Level = Literal["info", "warning", "error"]
-LEVELS: tuple[Level, ...] = ("info", "warning", "error")
-
-
-class Said(NamedTuple):
-    """A line for people, from the board or about it."""
-
-    level: Level
-    text: str
 
 
 class Counters(NamedTuple):
@@ -51,17 +29,6 @@ class Counters(NamedTuple):
     board_rx_bad: int = 0  # broken ones
 
 
-class Greeting(NamedTuple):
-    """Who the board says it is."""
-
-    build: str
-    uid: str  # of the chip, hexadecimal
-    boot_id: int
-    reset_cause: int  # wire.POWER_ON ...
-    parameters_crc: int  # parameters.crc of the values in force
-    capabilities: int  # bits wire.CAN_...
-
-
 class Talk:
     """State of one conversation. It outlives the port: a board that comes back with a new boot id is not armed again.
 
@@ -69,9 +36,7 @@ class Talk:
     """
 
     def __init__(self, host_boot: int) -> None:
-        self.wants_armed = False
-        self.armed = False  # what the board said last
-        self._ordered = False  # arm() was called and the board has not agreed yet
+        self._arming = Arming()
         self.telemetry: deque[Telemetry] = deque()
         self.said: deque[Said] = deque(maxlen=KEEP_SAID)
         self._host_boot = host_boot
@@ -91,11 +56,10 @@ class Talk:
         self._hello = False
         self._hello_due_ns: int | None = None
         self._orders.drop(NO_BOARD)
-        self._arm_due_ns = 0
+        self._arming.begin()
         self._next_seq: int | None = None
         self._sent_ns: dict[int, int] = {}  # set-points under way, by their sequence number
         self._events: deque[int] = deque(maxlen=8)  # numbers of events already told: each comes three times
-        self._refusal = ""
         self._now_ns = 0
 
     def connected(self) -> None:
@@ -104,6 +68,16 @@ class Talk:
         self._counts["rx_bad"] += self._framer.rx_bad
         self._counts["reconnects"] += 1
         self._begin()
+
+    @property
+    def wants_armed(self) -> bool:
+        """Falls by itself when the board disarms, restarts, or refuses for good."""
+        return self._arming.wanted
+
+    @property
+    def armed(self) -> bool:
+        """What the board said last."""
+        return self._arming.armed
 
     @property
     def counters(self) -> Counters:
@@ -120,37 +94,16 @@ class Talk:
 
     def set_point(self, asked: SetPoint, now_ns: int) -> bytes:
         """The frame of a set-point; what is beyond the wire's range is clipped."""
-        i16 = wire.fixed
         self._sent_ns[self._writer.seq] = now_ns
-        return bytes(
-            self._writer.frame(
-                wire.SETPOINT,
-                i16(asked.depth_m, 1e4),
-                i16(asked.roll_deg, 100),
-                i16(asked.pitch_deg, 100),
-                i16(asked.force_n[0], 1e3),
-                i16(asked.force_n[1], 1e3),
-                i16(asked.yaw_moment_nm, 1e4),
-                *(i16(us, 1, 0, 65535) for us in asked.servos_us),
-                i16(asked.light, 1000, 0, 1000),
-                wire.VALID_ALL,
-                TTL_MS,
-                now_ns // 1_000_000 & 0xFFFFFFFF,
-            )
-        )
+        return self._frame(wire.SETPOINT, *set_point_fields(asked, now_ns))
 
     def arm(self) -> None:
-        """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends.
-
-        An armed board that surfaces is called back to work by the same order.
-        """
-        self.wants_armed = self._ordered = True
-        self._arm_due_ns = 0
-        self._refusal = ""
+        """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends."""
+        self._arming.want()
 
     def stop(self, kind: int) -> None:
         """DISARM or ESTOP, ahead of any other command."""
-        self.wants_armed = False
+        self._arming.wanted = False
         self._orders.overtake(Order(kind))
 
     def ask(self, kind: int, *fields: float) -> Future[Outcome]:
@@ -179,13 +132,13 @@ class Talk:
             self._hello_due_ns = now_ns + HELLO_EVERY_NS
         current = self._orders.current
         idle = self._hello and self._orders.idle
-        if idle and self.wants_armed and (self._ordered or not self.armed) and now_ns >= self._arm_due_ns:
+        if idle and self._arming.due(now_ns):
             self._orders.ask(Order(wire.ARM))
         order = self._orders.due(now_ns, ready=self._hello)
         if order is not None:
             out += self._frame(order.kind, order.req_id, self._boot_id or 0, *order.fields)
         elif current is not None and self._orders.current is None and current.kind == wire.ARM:
-            self._arm_due_ns = now_ns + ARM_AGAIN_NS
+            self._arming.later(now_ns)
         return out
 
     def _frame(self, kind: int, *fields: float) -> bytes:
@@ -217,8 +170,7 @@ class Talk:
         elif kind == wire.EVENT:
             self._on_event(*wire.unpack(kind, payload))
         elif kind == wire.LOG:
-            level, text = wire.unpack(kind, payload)
-            self.say(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
+            self._say(log_line(*wire.unpack(kind, payload)))
 
     def _on_hello_ack(
         self, protocol: int, schema: int, build: bytes, uid: bytes, boot_id: int, cause: int, _state: int, *rest: int
@@ -231,7 +183,7 @@ class Talk:
         name = build.decode(errors="replace")
         self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
-            self._give_up("the board has restarted; arm again")
+            self._say(self._arming.give_up("the board has restarted; arm again"))
         self._boot_id = boot_id
         self._hello = True
         self.say("info", f"board {name}, boot {boot_id:08x}")
@@ -243,39 +195,18 @@ class Talk:
                 self.ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
 
     def _on_telemetry(self, fields: tuple[int, ...]) -> None:
-        t_us, state, ladder, flags, *rest = fields
-        if not flags & wire.FLAG_HELLO:  # it has restarted behind our back
+        telemetry, greeted, set_point_seq = heard(fields, self._now_ns)
+        if not greeted:  # it has restarted behind our back
             self.hung_up()
             return
-        zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
-        _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
-        armed = state == wire.ARMED
-        if self.armed and not armed:
-            self._give_up("the board has disarmed")
-        self.armed = armed
+        self._say(self._arming.seen(telemetry.armed))
         sent_ns = self._sent_ns.pop(set_point_seq, None)
         if sent_ns is not None:
             self._latency_ns = self._now_ns - sent_ns
         if len(self.telemetry) == KEEP_TELEMETRY:
             self.telemetry.popleft()
             self._counts["dropped"] += 1
-        self.telemetry.append(
-            Telemetry(
-                t_ns=self._now_ns,
-                board_us=t_us,
-                depth_m=depth * 1e-4,
-                roll_deg=roll * 1e-2,
-                pitch_deg=pitch * 1e-2,
-                sensor_depth_m=tuple(0.1 * z / wire.PA_PER_M for z in zeta),
-                pulses_us=tuple(pulses),  # type: ignore[arg-type]
-                servos_us=tuple(servos),  # type: ignore[arg-type]
-                battery_v=battery_mv * 1e-3,
-                armed=armed,
-                ladder=ladder,
-                flags=flags,
-                loop_us=loop_us,
-            )
-        )
+        self.telemetry.append(telemetry)
 
     def _on_ack(self, req_id: int, kind: int, result: int, _boot_id: int) -> None:
         if self._orders.on_ack(req_id, kind, result, self._now_ns) is None:
@@ -283,11 +214,9 @@ class Talk:
         if result == wire.STALE_BOOT:
             self._hello = False
         if kind == wire.ARM:
-            self.armed = result == wire.OK
-            self._ordered = self._ordered and not self.armed
-            self._arm_due_ns = self._now_ns + ARM_AGAIN_NS
+            self._arming.answered(result == wire.OK, self._now_ns)
         elif kind in (wire.DISARM, wire.ESTOP):
-            self.armed = False  # by our own order: nothing to report
+            self._arming.armed = False  # by our own order: nothing to report
         elif kind == wire.PARAM_SAVE and result == wire.OK:
             self._set = {}
 
@@ -301,31 +230,13 @@ class Talk:
             return
         self._events.append(count)
         if code == wire.EV_ARM_REFUSED:
-            self._on_refusal(arg)
-            return
-        reason = wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
-        text = {
-            wire.EV_BOOT: "booted",
-            wire.EV_ARMED: "armed",
-            wire.EV_DISARMED: f"disarmed: {reason}",
-            wire.EV_LADDER: f"failsafe level {before} -> {after}: {reason}",
-        }.get(code, f"event {code}")
-        self.say(LEVELS[min(severity, 2)], f"board: {text}")
+            self._say(self._arming.refused(arg))
+        else:
+            self._say(event_line(code, before, after, severity, arg))
 
-    def _on_refusal(self, mask: int) -> None:
-        why = [check for i, check in enumerate(wire.ARM_CHECKS) if mask >> i & 1]
-        text = ", ".join(why)
-        if not CURABLE.issuperset(why):
-            self._give_up(f"arming refused: {text}; put it right, then arm again")
-        elif text != self._refusal:
-            self.say("info", f"arming waits: {text}")
-        self._refusal = text
-
-    def _give_up(self, text: str) -> None:
-        """The board is not armed, and from here on nobody wants it to be until somebody says so again."""
-        if self.wants_armed:
-            self.say("error", text)
-        self.wants_armed = self.armed = False
+    def _say(self, line: Said | None) -> None:
+        if line is not None:
+            self.say(*line)
 
     def say(self, level: Level, text: str) -> None:
         """Add a line, unless it is the one said last."""

@@ -61,6 +61,10 @@ class Seek:
         """The result of the sweep that ended since the last call, if one did; it is about the target of `act`."""
         return self._sought[self._target].sweep.finish(now_ns)
 
+    def remark(self) -> str | None:
+        """What is to be known about the lens, once."""
+        return self._sought[self._target].sweep.remark()
+
     def act(
         self, now_ns: int, target: str, attitude: Attitude | None, told_m: Vector | None, wanted: bool
     ) -> SweepPlan | None:
@@ -79,7 +83,7 @@ class Seek:
             sought.search.reset()
             off_px = off_centre_px(sought.seen.centre_px, self._camera.width_px, self._camera.height_px)
             if off_px <= CENTRED * self._camera.width_px:
-                if not wanted or attitude is None:
+                if not wanted or attitude is None or not sought.sweep.ready(now_ns):
                     return None
                 plan = sought.sweep.start(now_ns)
                 return replace(plan, target=target) if len(self._sought) > 1 else plan

@@ -1,31 +1,37 @@
-"""Focus as a state machine: which lens positions to visit, and the peak that a finished sweep gave.
+"""Focus as a state machine: when to look everywhere, when around the last peak, and what a finished sweep gave.
 
-A full sweep looks everywhere, once; tracking sweeps then visit a few positions around the last peak. All run in one
-direction and start beyond their first position, so that the lens's play is the same constant in every sweep, and in
-the calibration.
+A full sweep looks everywhere, once; tracking sweeps then visit a few positions around the last peak. After two without
+a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far is
+rejected, and the next one repeats it: a full one with half the positions, so that it is over sooner. Where full sweeps
+keep giving nothing, there is a pause between them: a lens that always moves sees nothing sharply for long.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
+from agent.control.positions import TRACK_SPAN, full_positions, home_position, short_of_infinity, track_positions
 from agent.messages import Sighting, SweepPlan, Telemetry
 from agent.ranging.calibration import FocusFit
 from agent.ranging.cues import Outline
 from agent.ranging.focus import Peak, fit_peak
 
-TRACK_STEPS = 7
-TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
-HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
-FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
-MOTION_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
+STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
+# From the least to the most in a sweep, along the rows or the columns. Clarity is taken where the target is in each
+# frame, so a steady drift costs little: 120 px move the peak by less than its standard deviation, in full and in
+# tracking sweeps at 0.35, 0.6 and 1.0 m (twin). More was not measured. Hovering makes 4 px, waves 40.
+DRIFT_LIMIT_PX = 120.0
 TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
 SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should is given up
 STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
 FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
+FEWEST_STEPS = 8  # of a full sweep that was halved: four fifths of a peak's half width from one to the next
+FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
+PAUSE_NS = 2_000_000_000
 
 
 class Measurement(NamedTuple):
@@ -43,6 +49,7 @@ class Rejected(NamedTuple):
     """Why a finished sweep gave nothing."""
 
     reason: str
+    moved: bool = False  # the target or the robot: the same again, but quicker, may succeed
 
 
 class Sweep:
@@ -53,11 +60,14 @@ class Sweep:
         self._full_steps = full_steps
         self._number = 0
         self._plan: SweepPlan | None = None
-        self._deadline_ns = 0
+        self._deadline_ns = self._rest_until_ns = 0
         self._frames: list[Sighting] = []
         self._tilts: list[tuple[float, float]] = []  # roll and pitch since the sweep began, degrees
-        self._last: Measurement | None = None
-        self._failures = 0
+        self._last: Measurement | None = None  # the peak to track
+        self._failures = 0  # in a row, of tracking sweeps while there is a peak to track, of full ones else
+        self._halvings = 0  # of the full sweep's positions
+        self._remark: str | None = None
+        self._remarked = False
 
     @property
     def running(self) -> bool:
@@ -68,18 +78,21 @@ class Sweep:
         """Lens position of the last accepted peak."""
         return None if self._last is None else self._last.focus
 
+    def ready(self, now_ns: int) -> bool:
+        """Whether the next sweep may start."""
+        return not self.running and now_ns >= self._rest_until_ns
+
     def start(self, now_ns: int) -> SweepPlan:
         """Begin the next sweep: full when there is no peak to track."""
-        if self._last is not None and self._failures < FAILURES_BEFORE_FULL:
-            span = TRACK_SPAN * (WIDER if self._failures else 1.0)
-            positions = track_positions(self._last.focus, self._last.width, span)
+        if self._last is not None:
+            half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
+            positions = track_positions(self._last.focus, self._last.width, half_span)
         else:
-            self._last = None
-            positions = full_positions(self._fit, self._full_steps)
-        home = round(positions[0] - HOME * self._fit.width)
+            fewest = min(FEWEST_STEPS, self._full_steps)
+            positions = full_positions(self._fit, max(self._full_steps >> self._halvings, fewest))
         self._number += 1
         self._frames, self._tilts = [], []
-        self._plan = SweepPlan(sweep=self._number, focus=(max(home, 0), *positions))
+        self._plan = SweepPlan(sweep=self._number, focus=(home_position(positions, self._fit), *positions))
         self._deadline_ns = now_ns + SLACK_NS + len(positions) * STEP_NS
         return self._plan
 
@@ -103,25 +116,40 @@ class Sweep:
         result = self._result() if complete else Rejected("not finished in time")
         self._plan = None
         if isinstance(result, Measurement):
-            self._last, self._failures = result, 0
+            self._last, self._failures, self._halvings = result, 0, 0
         else:
-            self._failures += 1
+            self._failed(result.moved, now_ns)
         return result
 
+    def remark(self) -> str | None:
+        """What a full sweep showed about the lens, once."""
+        remark, self._remark = self._remark, None
+        return remark
+
     def forget(self) -> None:
-        """The target is lost: the next sweep is a full one."""
+        """The target is lost: the next sweep is a full one, and may start at once."""
         self._plan, self._last, self._failures = None, None, 0
+        self._halvings = self._rest_until_ns = 0
+
+    def _failed(self, moved: bool, now_ns: int) -> None:
+        self._failures += 1
+        if self._last is None:
+            self._halvings = self._halvings + 1 if moved else 0
+            if self._failures >= FAILURES_BEFORE_PAUSE:
+                self._rest_until_ns = now_ns + PAUSE_NS
+        elif self._failures >= FAILURES_BEFORE_FULL:
+            self._last, self._failures, self._halvings = None, 0, int(moved)
 
     def _result(self) -> Measurement | Rejected:
         good = [f for f in self._frames if f.found and f.focus is not None and f.clarity is not None]
         if len(good) < FOUND_SHARE * len(self._frames):
             return Rejected(f"target seen in {len(good)} of {len(self._frames)} frames")
-        for a, b in itertools.pairwise(good):
-            if distance_px(a, b) > MOTION_LIMIT_PX:
-                return Rejected(f"moved {distance_px(a, b):.0f} px between frames")
-        turned_deg = max((max(axis) - min(axis) for axis in zip(*self._tilts, strict=True)), default=0.0)
-        if turned_deg > TILT_LIMIT_DEG:
-            return Rejected(f"tilted by {turned_deg:.1f} degrees during the sweep")
+        moved = how_moved(good, self._tilts)
+        if moved is not None:
+            return Rejected(moved, moved=True)
+        if self._last is None and not self._remarked:
+            self._remark = short_of_infinity(self._fit, [f.focus for f in self._frames if f.focus is not None])
+            self._remarked = True
         width = None if self._last is None else self._last.width
         peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], width)
         if not isinstance(peak, Peak):
@@ -138,22 +166,19 @@ class Sweep:
         )
 
 
-def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
-    """Equal lens steps, which are equal steps in dioptres, past both ends of the calibrated positions."""
-    margin = FULL_MARGIN * (fit.highest - fit.lowest)
-    return spread(max(fit.lowest - margin, 0.0), fit.highest + margin, steps)
+def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]) -> str | None:
+    """Why frames that show the target, with roll and pitch meanwhile, do not belong together; None where they do."""
+    centres = [frame.centre_px for frame in frames if frame.centre_px is not None]
+    step_px = max((span(pair) for pair in itertools.pairwise(centres)), default=0.0)
+    if step_px > STEP_LIMIT_PX:
+        return f"moved {step_px:.0f} px between frames"
+    if span(centres) > DRIFT_LIMIT_PX:
+        return f"moved {span(centres):.0f} px during the sweep"
+    if span(tilts_deg) > TILT_LIMIT_DEG:
+        return f"tilted by {span(tilts_deg):.1f} degrees during the sweep"
+    return None
 
 
-def track_positions(peak: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
-    """A few positions around the last peak, `span` half-widths to either side: wide enough to see both flanks."""
-    return spread(max(peak - span * width, 0.0), peak + span * width, TRACK_STEPS)
-
-
-def spread(first: float, last: float, steps: int) -> tuple[int, ...]:
-    """`steps` whole lens positions from first to last, rising."""
-    return tuple(round(first + (last - first) * k / (steps - 1)) for k in range(steps))
-
-
-def distance_px(a: Sighting, b: Sighting) -> float:
-    assert a.centre_px is not None and b.centre_px is not None
-    return max(abs(a.centre_px[0] - b.centre_px[0]), abs(a.centre_px[1] - b.centre_px[1]))
+def span(points: Sequence[tuple[float, float]]) -> float:
+    """From the least to the most, along the axis on which that is more."""
+    return max((max(axis) - min(axis) for axis in zip(*points, strict=True)), default=0.0)

@@ -1,27 +1,73 @@
 """One contract, every backend: what an agent relies on, whatever is behind the camera."""
 
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from fake_v4l2 import FakeComputer, scene, through_yuyv
 
-from hw.camera import CameraError, CameraGone, FocusRange, Roi, deliverable, nearest, open_camera
+from hw.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest, open_camera
 from hw.twin.frame_socket import FrameServer
 
 SIZE = (96, 64)
 NOWHERE = Path("/nonexistent")
 
 
+class Rig(NamedTuple):
+    """A device that a camera can be opened on, and what can be done to it."""
+
+    open: Callable[[], Camera]
+    pull: Callable[[], None]  # whatever takes this kind of camera away
+    plug: Callable[[], None]
+    picture: Callable[[int], Image]  # what it shows at a lens position
+    clock_ns: Callable[[], int] | None = None  # of its stamps, where it tells the time
+
+
+def twin_rig(tmp_path, source, closing):
+    servers = []
+
+    def plug():
+        servers.append(closing(FrameServer(tmp_path / "r1.camera", source)))
+        servers[-1].start()
+
+    plug()
+    return Rig(
+        lambda: open_camera("twin:r1", tmp_path, SIZE), lambda: servers[-1].close(), plug, scene, time.monotonic_ns
+    )
+
+
+def file_rig(kind, path):
+    away = path.with_name(f"{path.name}.away")
+    return Rig(
+        lambda: open_camera(f"{kind}:{path}", NOWHERE, SIZE),
+        lambda: path.rename(away) and None,
+        lambda: away.rename(path) and None,
+        scene,
+    )
+
+
+def v4l2_rig():
+    computer = FakeComputer()
+    return Rig(
+        computer.open, computer.pull, computer.plug, lambda position: through_yuyv(scene(position)), computer.clock
+    )
+
+
 @pytest.fixture(params=["twin", "stack", "video", "v4l2"])
-def camera(request, closing, tmp_path):
+def rig(request, closing, tmp_path):
     if request.param == "twin":
-        server = FrameServer(tmp_path / "r1.camera", request.getfixturevalue("source"))
-        server.start()
-        closing(server)
-        return closing(open_camera("twin:r1", tmp_path, SIZE))
+        return twin_rig(tmp_path, request.getfixturevalue("source"), closing)
     if request.param == "v4l2":
-        return closing(request.getfixturevalue("driver").camera())
-    return closing(open_camera(f"{request.param}:{request.getfixturevalue(request.param)}", NOWHERE, SIZE))
+        return v4l2_rig()
+    return file_rig(request.param, request.getfixturevalue(request.param))
+
+
+@pytest.fixture
+def camera(rig, closing):
+    return closing(rig.open())
 
 
 class TestEveryCamera:
@@ -56,7 +102,7 @@ class TestEveryCamera:
         first.image[:] = 255
         assert np.array_equal(camera.read(Roi(0, 0, 16, 16)).image, kept)
 
-    def test_focus(self, camera, picture):
+    def test_focus(self, rig, camera):
         focus = camera.focus_range()
         if focus is None:
             with pytest.raises(CameraError, match="cannot be set"):
@@ -64,7 +110,22 @@ class TestEveryCamera:
             return
         for wanted in (focus.lowest, focus.lowest + focus.step, focus.highest):
             assert camera.set_focus(wanted) == wanted
-            assert np.array_equal(camera.read().image, picture(wanted))
+            assert np.array_equal(camera.read().image, rig.picture(wanted))
+
+    def test_positions_between_the_steps_of_the_lens_are_the_nearest(self, camera):
+        focus = camera.focus_range()
+        if focus is None:
+            pytest.skip("no focus")
+        for wanted in range(focus.lowest, focus.highest + 1):
+            reported = camera.set_focus(wanted)
+            assert (reported - focus.lowest) % focus.step == 0 and abs(reported - wanted) <= focus.step / 2
+
+    def test_a_frame_is_exposed_after_it_was_asked_for(self, rig, camera):
+        if rig.clock_ns is None:
+            pytest.skip("nothing moves")
+        for _ in range(3):
+            asked_ns = rig.clock_ns()
+            assert asked_ns <= camera.read().t_ns <= rig.clock_ns()
 
     def test_focus_outside_the_range_is_its_end(self, camera):
         focus = camera.focus_range()
@@ -72,6 +133,47 @@ class TestEveryCamera:
             pytest.skip("no focus")
         assert camera.set_focus(focus.lowest - 1000) == focus.lowest
         assert camera.set_focus(focus.highest + 1000) == focus.highest
+
+
+class TestEveryCameraThatGoesAway:
+    def test_reading_on_ends_in_one_line(self, rig, camera):
+        camera.read()
+        rig.pull()
+        with pytest.raises(CameraError) as lost:
+            read_on(camera)
+        assert "\n" not in str(lost.value)
+
+    def test_it_cannot_be_opened_and_can_when_it_is_back(self, rig):
+        camera = rig.open()
+        camera.read()
+        rig.pull()
+        camera.close()
+        with pytest.raises(CameraError) as lost:
+            rig.open()
+        assert "\n" not in str(lost.value)
+        rig.plug()
+        again = rig.open()
+        focus = again.focus_range()
+        if focus is not None:
+            assert again.set_focus(focus.highest) == focus.highest
+            assert np.array_equal(again.read().image, rig.picture(focus.highest))
+        assert again.read().roi == Roi(0, 0, *SIZE)
+        again.close()
+
+    def test_closing_it_then_is_no_error(self, rig):
+        camera = rig.open()
+        rig.pull()
+        camera.close()
+        camera.close()
+
+
+def read_on(camera):
+    """Through all lens positions, and beyond the end of a video."""
+    focus = camera.focus_range()
+    for k in range(20):
+        if focus is not None:
+            camera.set_focus(min(focus.lowest + k * focus.step, focus.highest))
+        camera.read()
 
 
 @pytest.mark.parametrize("url", ["webcam:0", "twin", "stack:", "/dev/video0", ""])

@@ -76,6 +76,16 @@ def test_a_corrupt_photograph(stack):
     assert camera.read().image.shape == (64, 96, 3)
 
 
+def test_a_photograph_that_has_gone_and_is_back(stack):
+    camera = open_stack(stack)
+    camera.set_focus(2)
+    (stack / "2.png").rename(stack / "away.png")
+    with pytest.raises(CameraGone, match=r"2\.png: the photograph has gone"):
+        camera.read()
+    (stack / "away.png").rename(stack / "2.png")
+    assert camera.read().image[0, 0, 2] == 16
+
+
 def test_a_photograph_of_another_size(stack):
     cv2.imwrite(str(stack / "3.png"), np.zeros((10, 20, 3), np.uint8))
     camera = open_stack(stack)

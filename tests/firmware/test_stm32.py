@@ -16,7 +16,8 @@ from agent.config import ConfigError
 from agent.messages import SetPoint, Telemetry
 from hw.firmware import failsafe, parameters, wire
 from hw.stm32 import Stm32, open_port_path
-from hw.stm32_talk import CURABLE, Talk
+from hw.stm32_arming import CURABLE
+from hw.stm32_talk import Talk
 
 HOVER = SetPoint(depth_m=0.3, servos_us=(1400, 1600, 1500, 1500), light=0.5)
 

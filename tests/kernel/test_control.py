@@ -1,9 +1,13 @@
 """Sweeps, pointing and search as pure state machines."""
 
+import itertools
+
 import pytest
+from msgspec.structs import replace
 
 from agent.control.pointing import PLAY_US, Pointing, Search
-from agent.control.sweep import TRACK_STEPS, Measurement, Rejected, Sweep, full_positions
+from agent.control.positions import TRACK_STEPS, full_positions, home_position, short_of_infinity
+from agent.control.sweep import Measurement, Rejected, Sweep
 from agent.messages import Sighting, Telemetry
 from agent.ranging.calibration import FocusFit
 
@@ -78,11 +82,111 @@ def test_rejections_and_return_to_a_full_sweep() -> None:
         assert isinstance(result, Rejected)
         assert "moved" in result.reason
     plan = sweep.start(2 * S)
-    assert len(plan.focus) == 31
+    assert len(plan.focus) == 16  # half of 30, since what moves will not wait for more
     frames(sweep, plan, 431.0, found=lambda k: k % 2 == 0)
     result = sweep.finish(3 * S)
     assert isinstance(result, Rejected)
-    assert "seen in 15 of 30" in result.reason
+    assert "seen in 7 of 15" in result.reason
+    plan = sweep.start(3 * S)
+    assert len(plan.focus) == 31  # that was not for motion
+    frames(sweep, plan, 431.0)
+    assert isinstance(sweep.finish(4 * S), Measurement)
+    assert len(sweep.start(4 * S).focus) == TRACK_STEPS + 1
+
+
+@pytest.mark.parametrize(("drift_px", "kind"), [(110.0, Measurement), (130.0, Rejected)])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("tracking", [False, True])
+def test_a_slow_drift_adds_up_over_the_sweep(drift_px: float, kind: type, axis: int, tracking: bool) -> None:
+    """Each frame is near enough to the one before, and yet the last may be too far from the first."""
+    sweep = Sweep(FIT, 30)
+    if tracking:
+        frames(sweep, sweep.start(0), 431.0)
+        assert isinstance(sweep.finish(S), Measurement)
+    plan = sweep.start(S)
+    each_px = drift_px / (len(plan.focus) - 2)
+    there = (lambda k: (320.0 - each_px * k, 240.0)) if axis == 0 else (lambda k: (320.0, 240.0 + each_px * k))
+    frames(sweep, plan, 431.0, centre_px=there)
+    result = sweep.finish(2 * S)
+    if tracking:  # the same drift in a quarter of the frames is too quick from frame to frame
+        assert isinstance(result, Rejected) and "px between frames" in result.reason
+        return
+    assert isinstance(result, kind)
+    assert kind is Measurement or "moved 130 px during the sweep" in result.reason
+
+
+def test_a_drift_there_and_back_counts_too() -> None:
+    sweep = Sweep(FIT, 30)
+    plan = sweep.start(0)
+    frames(sweep, plan, 431.0, centre_px=lambda k: (320.0 + 10.0 * min(k, 30 - k), 240.0))
+    result = sweep.finish(S)
+    assert isinstance(result, Rejected) and "moved 150 px during the sweep" in result.reason
+
+
+def test_full_sweeps_of_what_moves_get_shorter_but_not_for_ever() -> None:
+    sweep, steps = Sweep(FIT, 30), []
+    for k in range(5):
+        plan = sweep.start(10 * k * S)
+        steps.append(len(plan.focus) - 1)
+        assert plan.focus[1] < FIT.rho0 and plan.focus[-1] > FIT.highest
+        frames(sweep, plan, 431.0, centre_px=lambda k: (320.0 + 11.0 * k, 240.0) if k < 14 else (600.0, 240.0))
+        result = sweep.finish(10 * k * S + S)
+        if len(plan.focus) <= 9:
+            assert isinstance(result, Measurement)
+            break
+    assert steps == [30, 15, 8]
+    assert len(sweep.start(99 * S).focus) == TRACK_STEPS + 1
+
+
+def test_full_sweeps_that_keep_giving_nothing_leave_pauses() -> None:
+    sweep, now, started = Sweep(FIT, 30), 0, []
+    for _ in range(6):
+        while not sweep.ready(now):
+            now += S // 10
+        started.append(now)
+        plan = sweep.start(now)
+        assert not sweep.ready(now)
+        now += 3 * S
+        frames(sweep, plan, 431.0, clarity=50.0)
+        result = sweep.finish(now)
+        assert isinstance(result, Rejected) and "flat" in result.reason
+    assert [b - a for a, b in itertools.pairwise(started)] == [3 * S, 3 * S, 5 * S, 5 * S, 5 * S]
+    sweep.forget()
+    assert sweep.ready(now)
+
+
+@pytest.mark.parametrize("nearer", ["larger", "smaller"])
+def test_a_full_sweep_passes_infinity_and_both_ends_in_equal_steps(nearer: str) -> None:
+    fit = FIT if nearer == "larger" else replace(FIT, b_m=-130.0, rho0=1000.0)
+    positions = full_positions(fit, 30)
+    assert positions[0] <= fit.lowest - 60 and positions[-1] >= fit.highest + 60
+    infinity = positions[1] <= fit.rho0 if nearer == "larger" else positions[-2] >= fit.rho0
+    assert infinity  # between the second position from either end, where a peak is believed
+    steps = {b - a for a, b in itertools.pairwise(positions)}
+    assert max(steps) - min(steps) <= 1 and min(steps) > 0
+    assert home_position(positions, fit) < positions[0]
+
+
+@pytest.mark.parametrize(
+    ("lowest", "says"),
+    [(0, None), (100, None), (160, "the lens stops at 160, infinity is at 100: no range to targets beyond 2.1 m")],
+)
+def test_a_lens_that_stops_before_infinity_is_spoken_of_once(lowest: int, says: str | None) -> None:
+    sweep = Sweep(FIT, 30)
+    for k in range(2):
+        plan = sweep.start(k * S)
+        frames(sweep, plan, 431.0, focus=lambda k, plan=plan: max(plan.focus[k], lowest))
+        assert isinstance(sweep.finish(k * S + 1), Measurement)
+        assert sweep.remark() == (says if k == 0 else None)
+        sweep.forget()
+    assert sweep.remark() is None
+
+
+def test_the_other_end_where_smaller_positions_are_nearer() -> None:
+    fit = replace(FIT, b_m=-130.0, rho0=1000.0)
+    assert short_of_infinity(fit, [200, 600, 990, 1010]) is None
+    says = short_of_infinity(fit, [200, 600, 900, 930, 930])
+    assert says == "the lens stops at 930, infinity is at 1000: no range to targets beyond 1.3 m"
 
 
 def level(roll_deg: float, pitch_deg: float) -> Telemetry:

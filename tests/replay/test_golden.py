@@ -86,7 +86,7 @@ MUTATIONS = {
     "agent.control.sweep.TRACK_SPAN": 1.6,
     "agent.control.pointing.SETTLE_NS": 10**6,
     "agent.estimation.fuse.AGREE": 1e6,
-    "agent.control.sweep.HOME": 0.7,
+    "agent.control.positions.HOME": 0.7,
     "agent.status.NO_FRAMES_NS": 10**7,
 }
 

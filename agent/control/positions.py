@@ -1,0 +1,55 @@
+"""Which lens positions a sweep visits.
+
+Equal lens steps are equal steps in dioptres. All sweeps run towards larger positions and come from before their first
+one, so that the lens's play is the same constant in every sweep, and in the calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.ranging.calibration import FocusFit
+
+TRACK_STEPS = 7
+TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
+HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
+FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
+PAST_INFINITY = 0.5  # and infinity by so many peak half-widths: a far target's peak has two flanks, too
+
+
+def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
+    """All that is in the water: past both ends of the calibrated positions, and past infinity."""
+    margin = FULL_MARGIN * (fit.highest - fit.lowest)
+    first, last = fit.lowest - margin, fit.highest + margin
+    nearest = last if fit.b_m > 0.0 else first
+    # By a step at least: a peak is believed from the second position on.
+    beyond = max(PAST_INFINITY * fit.width, abs(nearest - fit.rho0) / max(steps - 2, 1))
+    if fit.b_m > 0.0:  # larger positions are nearer
+        return spread(min(first, fit.rho0 - beyond), last, steps)
+    return spread(first, max(last, fit.rho0 + beyond), steps)
+
+
+def track_positions(peak: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
+    """A few positions around the last peak, `span` half-widths to either side: wide enough to see both flanks."""
+    return spread(peak - span * width, peak + span * width, TRACK_STEPS)
+
+
+def home_position(positions: Sequence[int], fit: FocusFit) -> int:
+    """Where the lens waits before the first of `positions`."""
+    return max(round(positions[0] - HOME * fit.width), 0)
+
+
+def spread(first: float, last: float, steps: int) -> tuple[int, ...]:
+    """`steps` whole lens positions from first, or from 0, the lowest of every driver, to last, rising."""
+    first = max(first, 0.0)
+    return tuple(round(first + (last - first) * k / (steps - 1)) for k in range(steps))
+
+
+def short_of_infinity(fit: FocusFit, reported: Sequence[int]) -> str | None:
+    """What it means that the lens, told to pass infinity, came to rest at these positions; None where it got there."""
+    ordered = sorted(set(reported), reverse=fit.b_m < 0.0)  # the far end first
+    if len(ordered) < 2 or (fit.rho0 - ordered[0]) * fit.b_m >= 0.0:
+        return None
+    # A peak is believed from the second position on; there the hyperbola has its farthest range.
+    reach_m = fit.u_inf_m + fit.b_m / (ordered[1] - fit.rho0)
+    return f"the lens stops at {ordered[0]}, infinity is at {fit.rho0:.0f}: no range to targets beyond {reach_m:.1f} m"
