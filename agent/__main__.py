@@ -230,12 +230,13 @@ def experiment_detection(
     seed: Seed = 0,
     count: Annotated[int, typer.Option(min=1, help="Places in each kind of water.")] = 200,
     sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
+    water: Annotated[list[str] | None, typer.Option(help="Only this kind; again for more. All if not given.")] = None,
     out: OutFolder = None,
 ) -> None:
     """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced."""
     from agent.experiments.detection import run
 
-    run(seed, count, sensor, out, terminal())
+    run(seed, count, sensor, out, terminal(), water)
 
 
 @experiment_app.command("consistency", epilog="Example: aucamp experiment consistency --count 100")
