@@ -239,6 +239,19 @@ def experiment_detection(
     run(seed, count, sensor, out, terminal(), water)
 
 
+@experiment_app.command("peak-shift", epilog="Example: aucamp experiment peak-shift --water turbid")
+def experiment_peak_shift(
+    seed: Seed = 0,
+    sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
+    water: Annotated[list[str] | None, typer.Option(help="Only this kind; again for more. All if not given.")] = None,
+    out: OutFolder = None,
+) -> None:
+    """How far the focus peak moves when frames are enhanced before clarity is taken, in every kind of water."""
+    from agent.experiments.peak_shift import run
+
+    run(seed, sensor, out, terminal(), water)
+
+
 @experiment_app.command("consistency", epilog="Example: aucamp experiment consistency --count 100")
 def experiment_consistency(
     seed: Seed = 0, count: Annotated[int, typer.Option(min=1, help="Measurements.")] = 1000, out: OutFolder = None
