@@ -156,7 +156,7 @@ def enhance(
     weights: Annotated[Path | None, typer.Option(help="Weights of the network; the shipped ones if not given.")] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many, of a camera (30) or a video (all).")] = None,
     evaluate: Annotated[tuple[Path, Path] | None, typer.Option(help="RAW REFERENCE: figures, no pictures.")] = None,
-    native: Annotated[bool, typer.Option("--native", help="Evaluate at full size, not at 256x256.")] = False,
+    size: Annotated[str, typer.Option(help="Of --evaluate: WIDTHxHEIGHT, or own.")] = "256x256",
 ) -> None:
     """Pictures as if there were less water in front of them; --evaluate measures how well."""
     from agent import enhance_evaluate, enhance_source
@@ -168,7 +168,7 @@ def enhance(
     if way is None:
         raise ConfigError(f"--variant {variant}: no such variant; choose {', '.join(VARIANTS)}")
     if evaluate is not None:
-        raise typer.Exit(enhance_evaluate.run(*evaluate, way, weights, native, terminal())[1])
+        raise typer.Exit(enhance_evaluate.run(*evaluate, way, weights, size, terminal())[1])
     raise typer.Exit(enhance_source.run(source, out, side_by_side, way, weights, frames, terminal()))
 
 
