@@ -156,7 +156,7 @@ def enhance(
     weights: Annotated[Path | None, typer.Option(help="Weights of the network; the shipped ones if not given.")] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many, of a camera (30) or a video (all).")] = None,
     evaluate: Annotated[tuple[Path, Path] | None, typer.Option(help="RAW REFERENCE: figures, no pictures.")] = None,
-    native: Annotated[bool, typer.Option("--native", help="Evaluate at full size, not at 256x256.")] = False,
+    size: Annotated[str, typer.Option(help="Of --evaluate: WIDTHxHEIGHT, or own.")] = "256x256",
 ) -> None:
     """Pictures as if there were less water in front of them; --evaluate measures how well."""
     from agent import enhance_evaluate, enhance_source
@@ -168,7 +168,7 @@ def enhance(
     if way is None:
         raise ConfigError(f"--variant {variant}: no such variant; choose {', '.join(VARIANTS)}")
     if evaluate is not None:
-        raise typer.Exit(enhance_evaluate.run(*evaluate, way, weights, native, terminal())[1])
+        raise typer.Exit(enhance_evaluate.run(*evaluate, way, weights, size, terminal())[1])
     raise typer.Exit(enhance_source.run(source, out, side_by_side, way, weights, frames, terminal()))
 
 
@@ -230,12 +230,26 @@ def experiment_detection(
     seed: Seed = 0,
     count: Annotated[int, typer.Option(min=1, help="Places in each kind of water.")] = 200,
     sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
+    water: Annotated[list[str] | None, typer.Option(help="Only this kind; again for more. All if not given.")] = None,
     out: OutFolder = None,
 ) -> None:
     """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced."""
     from agent.experiments.detection import run
 
-    run(seed, count, sensor, out, terminal())
+    run(seed, count, sensor, out, terminal(), water)
+
+
+@experiment_app.command("peak-shift", epilog="Example: aucamp experiment peak-shift --water turbid")
+def experiment_peak_shift(
+    seed: Seed = 0,
+    sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
+    water: Annotated[list[str] | None, typer.Option(help="Only this kind; again for more. All if not given.")] = None,
+    out: OutFolder = None,
+) -> None:
+    """How far the focus peak moves when frames are enhanced before clarity is taken, in every kind of water."""
+    from agent.experiments.peak_shift import run
+
+    run(seed, sensor, out, terminal(), water)
 
 
 @experiment_app.command("consistency", epilog="Example: aucamp experiment consistency --count 100")

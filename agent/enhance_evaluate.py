@@ -1,8 +1,8 @@
 """`aucamp enhance --evaluate RAW REFERENCE`: figures of merit of every way, picture by picture, against references.
 
-Protocol: pictures of the same name (their endings may differ), shrunk to 256x256 by area, enhanced there, clipped and
-rounded to 8 bits. PSNR over the three colours together; SSIM of the grey pictures, window 11, sigma 1.5; UCIQE and
-UIQM of the enhanced picture alone. `--native` enhances at the picture's own size and compares there.
+Protocol: pictures of the same name (their endings may differ), scaled to 256x256 by area or as `--size` says, enhanced
+there, clipped and rounded to 8 bits. PSNR over the three colours together; SSIM of the grey pictures, window 11,
+sigma 1.5; UCIQE and UIQM of the enhanced picture alone.
 """
 
 from __future__ import annotations
@@ -16,32 +16,37 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.config import ConfigError
-from agent.enhance_source import pictures, read
 from agent.enhancement.metrics import Quality, judge
 from agent.launch import with_bar
 from agent.perception.enhance import Enhancer, Variant, enhancer
 from agent.perception.grey_world import Image, classic, local_contrast, white_balance
+from agent.pictures import images_in, read
 
-SIZE = (256, 256)
+OWN_SIZE = "own"  # as --size: each picture as large as it is
+LEAST_PX = 16  # a side; SSIM's window has 11
+NAMED = 5  # pictures without a partner; more are counted
+
+Size = tuple[int, int]  # width, height
 Ways = dict[str, Callable[[Image], Image]]
 Figures = dict[str, dict[str, Quality]]  # picture -> way -> figures
 
 
 def run(
-    raw: Path, reference: Path, variant: Variant, weights: Path | None, native: bool, console: Console
+    raw: Path, reference: Path, variant: Variant, weights: Path | None, size: str, console: Console
 ) -> tuple[Figures, int]:
-    """Print the tables; the figures, and exit code 1 if a picture was skipped."""
-    pairs = paired(raw, reference)
+    """Print the tables; the figures, and exit code 1 if a picture was skipped. Raises ConfigError."""
+    wanted = parse_size(size)
+    pairs, alone = paired(raw, reference)
     way = enhancer(variant, weights)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
-    figures, problems = with_bar(console, "evaluate", lambda show: evaluate(pairs, ways(way, weights), native, show))
+    figures, problems = with_bar(console, "evaluate", lambda show: evaluate(pairs, ways(way, weights), wanted, show))
     if figures:
         console.print(table(figures, way.variant))
         console.print(means(figures))
-    for problem in problems:
+    for problem in [*alone, *problems]:
         console.print(f"skipped: {problem}")
-    return figures, 1 if problems else 0
+    return figures, 1 if problems or alone else 0
 
 
 def ways(way: Enhancer, weights: Path | None) -> Ways:
@@ -53,33 +58,61 @@ def ways(way: Enhancer, weights: Path | None) -> Ways:
     return {**known, way.variant: way.apply}
 
 
-def paired(raw: Path, reference: Path) -> list[tuple[Path, Path]]:
-    """Files of the two folders with the same name; ConfigError unless there are some."""
-    by_name = {path.stem: path for path in pictures(reference)}
-    pairs = [(path, by_name[path.stem]) for path in pictures(raw) if path.stem in by_name]
+def parse_size(text: str) -> Size | None:
+    """WIDTHxHEIGHT, or None for OWN_SIZE. Raises ConfigError."""
+    if text == OWN_SIZE:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= LEAST_PX):
+        raise ConfigError(f"--size {text}: write WIDTHxHEIGHT such as 640x480, {LEAST_PX} at least, or {OWN_SIZE}")
+    return int(width), int(height)
+
+
+def paired(raw: Path, reference: Path) -> tuple[list[tuple[Path, Path]], list[str]]:
+    """Files of the two folders with the same name, and a line for each folder with names that the other lacks.
+
+    Raises ConfigError if there are no pairs.
+    """
+    ours, theirs = ({path.stem: path for path in images_in(folder)} for folder in (raw, reference))
+    pairs = [(path, theirs[stem]) for stem, path in ours.items() if stem in theirs]
     if not pairs:
         raise ConfigError(f"{raw} and {reference}: no two pictures of the same name; give folders that belong together")
-    return pairs
+    alone = []
+    for folder, here, there in ((raw, ours, theirs), (reference, theirs, ours)):
+        names = [path.name for stem, path in here.items() if stem not in there]
+        if names:
+            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+            alone.append(f"{folder}: without a partner in the other folder: {', '.join(names[:NAMED])}{more}")
+    return pairs, alone
 
 
 def evaluate(
-    pairs: list[tuple[Path, Path]], ways: Ways, native: bool, show: Callable[[int, int], None]
+    pairs: list[tuple[Path, Path]], ways: Ways, size: Size | None, show: Callable[[int, int], None]
 ) -> tuple[Figures, list[str]]:
+    """Figures of each pair, and a line for each that cannot be compared."""
     figures: Figures = {}
     problems = []
     for done, (path, wanted) in enumerate(pairs, start=1):
         try:
-            image, target = read(path), read(wanted)
+            image, target = scaled(path, wanted, size)
         except ConfigError as error:
             problems.append(str(error))
         else:
-            size = (target.shape[1], target.shape[0]) if native else SIZE
-            image, target = (
-                np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in (image, target)
-            )
             figures[path.stem] = {name: judge(way(image), target) for name, way in ways.items()}
         show(done, len(pairs))
     return figures, problems
+
+
+def scaled(raw: Path, reference: Path, size: Size | None) -> tuple[Image, Image]:
+    """Both pictures of a pair at one size. Raises ConfigError."""
+    image, target = read(raw), read(reference)
+    if image.shape != target.shape:
+        ours, theirs = (f"{one.shape[1]}x{one.shape[0]}" for one in (image, target))
+        raise ConfigError(f"{raw}: {ours}, but its reference {theirs} pixels; a pair must show the same pixels")
+    if size is None:
+        return image, target
+    small = [np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_AREA), np.uint8) for one in (image, target)]
+    return small[0], small[1]
 
 
 def table(figures: Figures, variant: str) -> Table:

@@ -1,10 +1,11 @@
-"""A source of pictures by name: a folder of photographs, a video file, or the address of a camera."""
+"""A source of pictures by name: an image, a folder of images, a video file, or the address of a camera."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,59 +13,116 @@ import numpy as np
 from agent.config import ConfigError
 from hw.camera import CameraGone, Image, open_camera
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+READ_TIMEOUT_S = 2.0  # a camera that has just been opened takes longer than one that runs
+WHOLE = 0.98  # of the frames that a video announces: files without an index state an estimate
 
 
 class Picture(NamedTuple):
     name: str  # of the file; of a video or a camera the number of the frame, from 0
-    t_s: float | None  # from the first picture on; None in a folder
+    t_s: float | None  # from the first picture on; None for images
     image: Image  # (height, width, 3), blue green red
 
 
 class Pictures(NamedTuple):
     """Walk through `each` once; a camera is open until the walk ends."""
 
+    kind: Literal["images", "video", "camera"]
     each: Iterator[Picture]
     total: int | None  # None where only the end of the source tells
+    rate_hz: float | None = None  # of a video
 
 
-def pictures(source: str, frames: int | None) -> Pictures:
-    """`frames` ends the walk early; a camera needs it. Raises ConfigError, and CameraError as the camera does."""
+def pictures(
+    source: str, frames: int | None, problems: list[str] | None = None, of_camera: int | None = None
+) -> Pictures:
+    """`frames` ends the walk early. A camera never ends: it needs `frames`, or `of_camera` in its place.
+
+    Where `problems` is given, an image of a folder that cannot be read is named in it and passed over, and so is a
+    video that ends before its time; else the walk raises. Raises ConfigError, and CameraError as the camera does.
+    """
     place = Path(source)
     if place.is_dir():
-        paths = sorted(path for path in place.iterdir() if path.suffix.lower() in SUFFIXES)[:frames]
-        if not paths:
-            raise ConfigError(f"{source}: no pictures in it; give a folder with {', '.join(SUFFIXES)} files")
-        return Pictures(_photographs(paths), len(paths))
+        paths = images_in(place)[:frames]
+        return Pictures("images", _images(paths, problems), len(paths))
+    if place.suffix.lower() in IMAGES and place.is_file():
+        return Pictures("images", _images([place], None), 1)
     if place.is_file():
-        return Pictures(_shots(f"video:{source}", frames), frames)
+        rate_hz, count = _announced(place)
+        return Pictures("video", _film(place, frames, count, problems), min(frames or count, count) or None, rate_hz)
     if ":" not in source:
         raise ConfigError(f"{source}: no such file or folder; give one, or the address of a camera (v4l2:/dev/video0)")
-    if frames is None and not source.startswith("video:"):
+    most = frames or of_camera
+    if most is None and not source.startswith("video:"):
         raise ConfigError(f"{source}: a camera never ends; say how many frames with --frames")
-    return Pictures(_shots(source, frames), frames)
+    return Pictures("camera", _shots(source, most), most)
 
 
-def _photographs(paths: list[Path]) -> Iterator[Picture]:
+def images_in(folder: Path) -> list[Path]:
+    """The images of a folder in order of their names. Raises ConfigError if there are none."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; give a folder of images")
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES)
+    if not paths:
+        raise ConfigError(f"{folder}: no pictures in this folder; it needs files that end in {' '.join(IMAGES)}")
+    return paths
+
+
+def read(path: Path) -> Image:
+    """An image file as 8-bit blue green red: 16 bits are scaled by their largest value, grey becomes three equal
+    colours, an alpha plane is left out. Raises ConfigError for one that cannot be read."""
+    raw = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    if raw is None:
+        raise ConfigError(f"{path}: not an image that OpenCV can read; replace it or take it away")
+    if raw.dtype == np.uint8:
+        return np.asarray(raw, np.uint8)
+    if not np.isfinite(raw).all():
+        raise ConfigError(f"{path}: holds values that are not finite; convert it to 8 or 16 bits")
+    top = max(float(raw.max()), 1e-9)
+    return (np.clip(raw, 0, None).astype(np.float64) * (255.0 / top)).round().astype(np.uint8)
+
+
+def _images(paths: list[Path], problems: list[str] | None) -> Iterator[Picture]:
     for path in paths:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise ConfigError(f"{path}: not a picture that OpenCV can read; remove or replace it")
-        yield Picture(path.name, None, np.asarray(image, np.uint8))
+        try:
+            image = read(path)
+        except ConfigError as error:
+            if problems is None:
+                raise
+            problems.append(str(error))
+        else:
+            yield Picture(path.name, None, image)
+
+
+def _announced(path: Path) -> tuple[float, int]:
+    """Frames per second and number of frames, as the file says; 30 and 0 where it does not."""
+    capture = cv2.VideoCapture(str(path))
+    rate_hz, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    return rate_hz if rate_hz > 0 else 30.0, max(count, 0)
+
+
+def _film(path: Path, frames: int | None, count: int, problems: list[str] | None) -> Iterator[Picture]:
+    number = 0
+    for picture in _shots(f"video:{path}", frames):
+        yield picture
+        number += 1
+    if number < WHOLE * min(frames or count, count) and problems is not None:
+        problems.append(f"{path}: ends after {number} of {count} frames; it was cut off, copy or convert it again")
 
 
 def _shots(url: str, frames: int | None) -> Iterator[Picture]:
-    camera, first_ns, number = open_camera(url, Path(), None), None, 0
-    try:
+    first_ns, number = None, 0
+    with closing(open_camera(url, Path(), None)) as camera:
         while frames is None or number < frames:
             try:
-                frame = camera.read()
+                frame = camera.read(timeout_s=READ_TIMEOUT_S)
             except CameraGone:
-                if url.startswith("video:") and number:
+                if not url.startswith("video:"):
+                    raise
+                if number:
                     return  # its end
-                raise
+                raise ConfigError(f"{url}: not one frame can be read; convert it to H.264 in MP4") from None
             first_ns = frame.t_ns if first_ns is None else first_ns
             yield Picture(str(number), (frame.t_ns - first_ns) * 1e-9, frame.image)
             number += 1
-    finally:
-        camera.close()

@@ -61,10 +61,13 @@ def detection(
 ) -> dict[str, Any]:
     """`count` places in each water; writes result.json into `out` and returns its content.
 
-    Raises ConfigError for a sensor that does not exist, or where `out` holds a result already.
+    Raises ConfigError for a sensor or a water that does not exist, or where `out` holds a result already.
     """
     if sensor not in PRESETS:
         raise ConfigError(f"--sensor {sensor}: no such camera; choose one of {', '.join(PRESETS)}")
+    for water in waters:
+        if water not in WATERS:
+            raise ConfigError(f"--water {water}: no such water; choose one of {', '.join(WATERS)}")
     if (out / "result.json").exists():
         raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
     out.mkdir(parents=True, exist_ok=True)
@@ -137,10 +140,12 @@ def figures(group: list[Look]) -> dict[str, Any]:
     }
 
 
-def run(seed: int, count: int, sensor: str, out: Path | None, console: Console) -> dict[str, Any]:
+def run(
+    seed: int, count: int, sensor: str, out: Path | None, console: Console, waters: Sequence[str] | None = None
+) -> dict[str, Any]:
     """Run the experiment into `out` or runs/<UTC>, print the table over all ranges; returns result.json's content."""
     folder = run_folder(out)
-    result = with_bar(console, "places", lambda show: detection(seed, count, sensor, folder, show))
+    result = with_bar(console, "places", lambda show: detection(seed, count, sensor, folder, show, waters or WATERS))
     console.print(table(result))
     console.print(f"written to {folder}")
     return result

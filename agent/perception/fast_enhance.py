@@ -25,8 +25,8 @@ from agent.perception.grey_world import Image
 Floats = NDArray[np.float32]
 
 SMALL_PX = 160 * 120  # that the network sees: near what it was trained on (PSNR falls above), and cheap
-RADIUS = 4  # of the windows, small pixels
-EPSILON = 1e-4  # variance of a colour (full scale 1) below which a window is taken for plain
+RADIUS = 16  # of the windows, small pixels; smaller ones smear the outline of a vivid thing over its surroundings
+EPSILON = 1e-5  # variance of a colour (full scale 1) below which a window is taken for plain
 
 
 class Colours(NamedTuple):
