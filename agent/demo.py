@@ -139,6 +139,8 @@ def dive(
                 break
             processes.check()
             time.sleep(0.1)
+    if not console.is_terminal:
+        console.print()  # a table that was drawn once, into a pipe, has no end of line
     processes.stop(*fleet.robot)
     processes.stop("recorder")
     processes.stop("twin")

@@ -95,7 +95,7 @@ def _seen(state: State, name: str) -> str:
 def disagreement(stories: Sequence[Story], truth_m: Vector | None) -> Figure:
     """Of the stories about one target: the largest distance between two posteriors at a time; with a truth also that
     of each robot from it."""
-    figure = Figure(figsize=(4.6, 3.3), layout="constrained")
+    figure = Figure(figsize=(4.6, 3.5), layout="constrained")
     panel = figure.subplots()
     if truth_m is not None:
         for k, story in enumerate(stories):
@@ -109,7 +109,7 @@ def disagreement(stories: Sequence[Story], truth_m: Vector | None) -> Figure:
     panel.plot(times, apart, color="black", linewidth=1.2, label="disagreement")
     about = stories[0].label.removeprefix(stories[0].robot)  # the target, where there are several
     panel.set(xlabel="time, s", ylabel="mm", title=f"posteriors{about}: error and largest distance", yscale="log")
-    panel.legend(fontsize="small", ncols=2)
+    figure.legend(loc="outside lower center", ncols=5, fontsize="x-small", frameon=False)
     return figure
 
 

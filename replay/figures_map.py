@@ -35,7 +35,7 @@ def above(fleet: Fleet, stories: Sequence[Story], truths_m: Mapping[str, Vector]
     panel.set_aspect("equal")
     panel.set(xlabel="x, m", ylabel="y, m", xlim=(-0.05, length_m + 0.05), ylim=(-0.05, width_m + 0.05))
     if panel.get_legend_handles_labels()[0]:
-        panel.legend(loc="best", fontsize="small")
+        figure.legend(loc="outside lower center", ncols=5, fontsize="small", frameon=False)
     return figure
 
 
@@ -69,7 +69,7 @@ def near_target(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) 
     title = about + r"x̂ as dots, x with its $2\sigma$ ellipse"
     where = "the truth" if truth_m is not None else "the mean of the estimates"
     panel.set(xlabel=f"x from {where}, mm", ylabel="y, mm", title=title)
-    panel.legend(loc="best", fontsize="small")
+    figure.legend(loc="outside lower center", ncols=5, fontsize="small", frameon=False)
     return figure
 
 

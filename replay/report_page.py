@@ -17,6 +17,7 @@ nav a { margin-right: 1em; white-space: nowrap }
 figure { margin: 0; min-width: 0; max-width: 34em } svg { width: 100%; height: auto }
 .wide { overflow-x: auto; margin-bottom: 1.2em } table { border-collapse: collapse; font-variant-numeric: tabular-nums }
 td, th { padding: .25em .7em; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap }
+@media (max-width: 30em) { td, th { padding: .2em .35em; font-size: .85em } th { white-space: normal } }
 td:first-child, th:first-child, #valid td:last-child, #valid th:last-child { text-align: left }
 </style>
 </head>

@@ -11,6 +11,7 @@ from replay.story import Story
 
 Row = list[str]
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
+ERRORS = ["error mm", "% of |x*|", "% of range"]  # before all else: a phone shows the first columns
 
 
 def error_note(run: Run) -> str:
@@ -28,7 +29,7 @@ def error_tables(run: Run) -> list[list[Row]]:
     """What each robot held at the end; and with a truth how far off its priors and posteriors were."""
     if not run.truths_m:
         return [[HEAD, *(_stated(story) for story in run.stories)]]
-    ends = [[*HEAD, "error mm", "% of |x*|", "% of range"], *(_ended(run, story) for story in run.stories)]
+    ends = [[HEAD[0], *ERRORS, *HEAD[1:]], *(_ended(run, story) for story in run.stories)]
     ends += [_told(name, row) for name, row in _silent(run).items()]
     rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
     for target, truth_m in run.truths_m.items():
@@ -50,14 +51,15 @@ def _stated(story: Story) -> Row:
 
 def _ended(run: Run, story: Story) -> Row:
     """The last belief of a robot, and its error where the truth is known."""
-    line = _stated(story)
+    name, *stated = _stated(story)
     truth_m = run.truths_m.get(story.target)
     if story.estimate is None or truth_m is None:
-        return line
+        return [name, *[""] * len(ERRORS), *stated]
     estimate_m, robot = story.estimate[0], run.fleet.robot[story.robot]
     eye_m = (robot.pose.x_m, robot.pose.y_m, run.fleet.tank.surface_m - robot.depth_m)
     relative = relative_percent(estimate_m, truth_m), relative_percent(estimate_m, truth_m, eye_m)
-    return [*line, f"{1e3 * math.dist(estimate_m, truth_m):.2f}", *(f"{percent:.3f}" for percent in relative)]
+    errors = f"{1e3 * math.dist(estimate_m, truth_m):.2f}", *(f"{percent:.3f}" for percent in relative)
+    return [name, *errors, *stated]
 
 
 def _silent(run: Run) -> dict[str, dict[str, object]]:
@@ -69,7 +71,7 @@ def _silent(run: Run) -> dict[str, dict[str, object]]:
 def _told(name: str, row: dict[str, object]) -> Row:
     estimate_m, error_mm = row.get("estimate_m"), row.get("error_mm")
     places = [_mm(x) for x in estimate_m] if isinstance(estimate_m, list) else [""] * 3
-    return [name, *places, "", "", "", f"{error_mm:.2f}" if isinstance(error_mm, float) else ""]
+    return [name, f"{error_mm:.2f}" if isinstance(error_mm, float) else "", "", "", *places]
 
 
 def events(run: Run) -> list[Row]:

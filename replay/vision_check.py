@@ -29,28 +29,54 @@ See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, float | 
 MakeSee = Callable[[Fleet, CameraFit], See]
 
 
+class Limit(NamedTuple):
+    """Differences of one quantity that pass."""
+
+    most: float  # of all frames but the odd ones
+    median: float  # half of the frames are off only if vision has changed
+
+
 class Tolerance(NamedTuple):
-    """Largest difference that passes, by what is compared."""
+    """What passes, by what is compared."""
 
-    centre_px: float
-    radius_px: float
-    clarity: float  # relative
-    peak: float  # lens positions, of the peak of a whole sweep
+    odd: float  # share of frames that may be far off, or show a target that is only just there, or just not
+    centre_px: Limit
+    radius_px: Limit
+    clarity: Limit  # relative
+    peak: Limit  # lens positions, of the peak of a whole sweep
 
 
-LOSSLESS = Tolerance(centre_px=0.01, radius_px=0.01, clarity=1e-4, peak=0.05)  # versions of OpenCV; else bit by bit
-# What compression at quality 90 changed, at worst: 0.26 px, 0.16 px, 6.4 %, 0.44 positions in 883 frames and 99 sweeps
-# of the twin; 0.56 px and 0.80 positions in the painted frames of the tests, which have more texture. About doubled.
-JPEG = Tolerance(centre_px=0.5, radius_px=1.0, clarity=0.12, peak=1.5)
+LOSSLESS = Tolerance(  # versions of OpenCV; else bit by bit
+    odd=0.0,
+    centre_px=Limit(0.01, 0.01),
+    radius_px=Limit(0.01, 0.01),
+    clarity=Limit(1e-4, 1e-4),
+    peak=Limit(0.05, 0.05),
+)
+# Beside each limit what compression does at most to 99 % of the frames, and to half of them, in any of six recordings
+# of the twin with one ball and with two: 3083 frames, 230 sweeps. Odd were two frames, of a ball half behind another at
+# the edge of the picture, with a score below 0.5.
+JPEG = Tolerance(
+    odd=0.01,
+    centre_px=Limit(0.5, 0.25),  # 0.35, 0.09
+    radius_px=Limit(0.4, 0.15),  # 0.19, 0.05
+    clarity=Limit(0.12, 0.02),  # 0.07, 0.009
+    peak=Limit(1.5, 1.0),  # 0.61, 0.16; 0.78 of the one sweep in the tests' frames, which have more texture
+)
 
 
 class Quantity(NamedTuple):
     """One compared quantity over a recording."""
 
     worst: float
+    most: float  # all but the odd ones are below
     median: float
     compared: int
-    limit: float
+    limit: Limit
+
+    @property
+    def passed(self) -> bool:
+        return self.most <= self.limit.most and self.median <= self.limit.median
 
 
 class VisionCheck(NamedTuple):
@@ -62,19 +88,21 @@ class VisionCheck(NamedTuple):
     missing: int  # found then, not now
     extra: int  # found now, not then
     quantities: dict[str, Quantity]
+    odd: float  # share of frames that may be
 
     @property
     def passed(self) -> bool:
-        within = all(quantity.worst <= quantity.limit for quantity in self.quantities.values())
-        return self.frames > 0 and self.missing == self.extra == 0 and within
+        within = all(quantity.passed for quantity in self.quantities.values())
+        return self.frames > 0 and self.missing + self.extra <= self.odd * self.frames and within
 
     def __str__(self) -> str:
         verdict = "within tolerance" if self.passed else "differs" if self.frames else "holds no frames"
         lines = [f"{self.box.path}: vision {verdict}, {self.frames} frames" + (f", {self.lost} lost" * bool(self.lost))]
         lines += [f"  target {what}: {n}" for what, n in (("missed", self.missing), ("added", self.extra)) if n]
         for name, q in self.quantities.items():
-            worst = f"worst {q.worst:.2g}, median {q.median:.2g}, allowed {q.limit:g}"
-            lines.append(f"  {name}: {worst}, {q.compared} compared" + ("" if q.worst <= q.limit else "  <- too large"))
+            most = f"{1.0 - self.odd:.0%} within {q.most:.2g} ({q.limit.most:g} allowed)"
+            found = f"median {q.median:.2g} ({q.limit.median:g} allowed), {most}, worst {q.worst:.2g}"
+            lines.append(f"  {name}: {found}, {q.compared} compared" + ("" if q.passed else "  <- too large"))
         return "\n".join(lines)
 
     def as_json(self) -> dict[str, Any]:
@@ -82,7 +110,10 @@ class VisionCheck(NamedTuple):
             "file": str(self.box.path),
             "passed": self.passed,
             **{name: getattr(self, name) for name in ("frames", "lost", "missing", "extra")},
-            "quantities": {name: quantity._asdict() for name, quantity in self.quantities.items()},
+            "quantities": {
+                name: {**quantity._asdict(), "limit": quantity.limit._asdict()}
+                for name, quantity in self.quantities.items()
+            },
         }
 
 
@@ -157,11 +188,16 @@ def compare(box: BlackBox, seen: Iterable[Twice]) -> VisionCheck:
             apart["peak, positions"].append(abs(peaks[1] - peaks[0]))
     limits = LOSSLESS if lossless else JPEG
     quantities = {
-        name: Quantity(max(values), float(np.median(values)), len(values), limit)
-        for (name, values), limit in zip(apart.items(), limits, strict=True)
+        name: quantity(values, limits.odd, limit)
+        for (name, values), limit in zip(apart.items(), limits[1:], strict=True)
         if values
     }
-    return VisionCheck(box, frames, lost, missing, extra, quantities)
+    return VisionCheck(box, frames, lost, missing, extra, quantities, limits.odd)
+
+
+def quantity(values: Sequence[float], odd: float, limit: Limit) -> Quantity:
+    most = float(np.quantile(values, 1.0 - odd, method="higher"))  # of fewer than 1 / odd values: the largest
+    return Quantity(max(values), most, float(np.median(values)), len(values), limit)
 
 
 def _peak(frames: Sequence[Sighting], width: float) -> float | None:

@@ -1,4 +1,7 @@
-"""`make bench`: run every bench beside this file, print the table and write bench.json.
+"""`make bench`: run every bench beside this file, or those that are named, print the table and write bench.json.
+
+`python -m tests.bench recording replay` runs bench_recording.py and bench_replay.py; of all other benches bench.json
+keeps the rows it has.
 
 A bench is a file bench_*.py with `run() -> {name: {"value", "unit", "against", "ratio"}}`: medians, and a ratio against
 a stated alternative of the same run, because machines are noisy.
@@ -6,29 +9,45 @@ a stated alternative of the same run, because machines are noisy.
 
 import importlib
 import json
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 HERE = Path(__file__).parent
+OUT = Path("bench.json")
+WIDE = 200  # columns of a table that goes into a file: no cell is cut or folded
 
 
-def main() -> None:
-    console, rows = Console(), {}
-    for path in sorted(HERE.glob("bench_*.py")):
-        with console.status(path.stem):
-            rows.update(importlib.import_module(f"tests.bench.{path.stem}").run())
-    table = Table()
-    table.add_column("what", no_wrap=True)
+def main(names: Sequence[str]) -> int:
+    known = {path.stem.removeprefix("bench_"): path.stem for path in sorted(HERE.glob("bench_*.py"))}
+    if strangers := [name for name in names if name not in known]:
+        sys.stderr.write(f"no such bench: {', '.join(strangers)}; choose {', '.join(known)}\n")
+        return 2
+    console = Console(width=None if sys.stdout.isatty() else WIDE)
+    rows: dict[str, dict] = {}
+    for name in names or known:
+        with console.status(name):
+            rows.update(importlib.import_module(f"tests.bench.{known[name]}").run())
+    console.print(table(rows))
+    kept = json.loads(OUT.read_text(encoding="utf-8")) if names and OUT.exists() else {}
+    OUT.write_text(json.dumps({**kept, **rows}, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def table(rows: dict[str, dict]) -> Table:
+    shown = Table()
+    shown.add_column("what", no_wrap=True)
     for column in ("value", "unit", "against", "ratio"):
-        table.add_column(column, justify="right" if column in ("value", "ratio") else "left")
+        number = column in ("value", "ratio")
+        shown.add_column(column, justify="right" if number else "left", no_wrap=number)
     for name, row in rows.items():
         ratio = "" if row.get("ratio") is None else f"{row['ratio']:.3g}"
-        table.add_row(name, f"{row['value']:.4g}", row["unit"], row.get("against") or "", ratio)
-    console.print(table)
-    Path("bench.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        shown.add_row(name, f"{row['value']:.4g}", row["unit"], row.get("against") or "", ratio)
+    return shown
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))

@@ -1,9 +1,13 @@
-"""How much faster than the dive its recordings are checked: three robots in one process, from file to verdict."""
+"""How much faster than the dive its recordings are checked: three robots in one process, from file to verdict.
+
+In CPU time, which a check is nearly all of: what else runs on the machine does not count.
+"""
 
 from __future__ import annotations
 
 import json
 import statistics
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +22,7 @@ def run() -> dict[str, dict[str, Any]]:
     """Medians over golden logs without frames; reading frames adds what decompressing them costs."""
     rows = {}
     for case in ("three", "three_evidence"):
-        results = [check([GOLDEN / case]) for _ in range(RUNS)]
-        if any(result.exit_code != 0 for result in results):
-            raise RuntimeError(f"{case} is not reproduced: this measures the wrong thing")
-        speed = statistics.median(result.speed for result in results)
+        speed = statistics.median(times_real_time(GOLDEN / case) for _ in range(RUNS))
         against = f"{WANTED:.0f} times, the least that is wanted"
         rows[f"replay_check_{case}"] = {
             "value": speed,
@@ -30,6 +31,16 @@ def run() -> dict[str, dict[str, Any]]:
             "ratio": speed / WANTED,
         }
     return rows
+
+
+def times_real_time(run_folder: Path) -> float:
+    """Seconds of the longest recording over CPU seconds."""
+    began_s = time.process_time()
+    result = check([run_folder])
+    cpu_s = time.process_time() - began_s
+    if result.exit_code != 0:
+        raise RuntimeError(f"{run_folder} is not reproduced: this measures the wrong thing")
+    return max(each.recorded_s for each in result.reruns) / cpu_s
 
 
 if __name__ == "__main__":

@@ -91,14 +91,15 @@ def test_the_page_has_all_figures_and_needs_nothing_else(page: str) -> None:
 
 def test_its_numbers_are_those_of_the_recordings(run: Path, page: str) -> None:
     told = stories(open_boxes([run]))
-    ends = table(page, "errors")
-    assert [row[0] for row in ends] == ["robot", "r1", "r2", "r3"]
-    for story, row in zip(told, ends[1:], strict=True):
-        state = story.beliefs[-1].state
-        assert row[1:4] == [f"{1e3 * x:.2f}" for x in state.posterior_m]
-        assert row[5:7] == [str(state.acquired_t), str(state.t)]
-        assert float(row[7]) == pytest.approx(1e3 * np.linalg.norm(np.subtract(state.posterior_m, TRUTH_M)), abs=0.005)
-        assert float(row[8]) == pytest.approx(float(row[7]) / (10 * np.linalg.norm(TRUTH_M)), abs=0.001)
+    head, *ends = table(page, "errors")
+    assert [row[0] for row in ends] == ["r1", "r2", "r3"]
+    for story, cells in zip(told, ends, strict=True):
+        state, row = story.beliefs[-1].state, dict(zip(head, cells, strict=True))
+        assert [row[f"{axis} mm"] for axis in "xyz"] == [f"{1e3 * x:.2f}" for x in state.posterior_m]
+        assert [row["first view"], row["iterations"]] == [str(state.acquired_t), str(state.t)]
+        error_mm = 1e3 * np.linalg.norm(np.subtract(state.posterior_m, TRUTH_M))
+        assert float(row["error mm"]) == pytest.approx(error_mm, abs=0.005)
+        assert float(row["% of |x*|"]) == pytest.approx(error_mm / (10 * np.linalg.norm(TRUTH_M)), abs=0.001)
     matrix = table(page, "links")
     assert matrix[0] == ["says", "r1", "r2", "r3"]
     for k, row in enumerate(matrix[1:]):
