@@ -14,6 +14,7 @@ from agent.messages import Estimate, Heard, LogLine, Refused, State
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands
+SILENT = "no telemetry"  # the fault with which nobody knows what the motors do
 WAITING = 256  # lines that a terminal has not taken; later ones are left out, the network has them all
 LAST_S = 0.5  # how long the end waits for a terminal
 
@@ -36,6 +37,7 @@ class Aloud:
         self._network, self._write = network, write
         self._lines: queue.Queue[str | None] = queue.Queue(WAITING)
         self._stood_ns: dict[str, int] = {}  # target -> when it was last said where we stand
+        self._heard: dict[str, set[str]] = {}  # target -> neighbours whose word about it is fresh
         self._thread = Thread(target=self._run, name="aloud", daemon=True)
 
     def __enter__(self) -> Self:
@@ -52,8 +54,14 @@ class Aloud:
         if isinstance(message, LogLine):
             self._put(line(message.sent_ns, message.robot, message.level, message.text))
             return
-        before_ns = self._stood_ns.setdefault(message.target, message.sent_ns)
-        if message.sent_ns - before_ns >= AGAIN_NS:
+        before: set[str] = set().union(*self._heard.values())
+        self._heard[message.target] = set(hears(message))
+        now: set[str] = set().union(*self._heard.values())
+        for name in sorted(now ^ before):
+            news = f"hears {name}" if name in now else f"hears {name} no more"
+            self._put(line(message.sent_ns, message.robot, "info" if name in now else "warning", news))
+        stood_ns = self._stood_ns.setdefault(message.target, message.sent_ns)
+        if message.sent_ns - stood_ns >= AGAIN_NS:
             self._stood_ns[message.target] = message.sent_ns
             self._put(line(message.sent_ns, message.robot, "info", standing(message)))
 
@@ -78,7 +86,12 @@ def standing(state: State) -> str:
     if state.posterior_m is not None:
         place = " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) + " mm"
         place += f", sigma {1e3 * state.posterior_sigma_m:.1f} mm" if state.posterior_sigma_m is not None else ""
-    rest = [f"hears {', '.join(hears(state)) or 'nobody'}", "motors on" if state.armed else "motors off", *state.faults]
+    motors = "motors on" if state.armed else "motors off"
+    rest = [
+        f"hears {', '.join(hears(state)) or 'nobody'}",
+        *([] if SILENT in state.faults else [motors]),
+        *state.faults,
+    ]
     return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(rest)}"
 
 

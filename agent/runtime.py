@@ -123,7 +123,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
                 if fault != told.get(what):
                     told[what] = fault
                     text = f"{what}: {fault}"[:400] if fault else f"over: {what}"
-                    network.show(LogLine(robot=name, sent_ns=now_ns, level="error" if fault else "info", text=text))
+                    network.show(LogLine(robot=name, sent_ns=now_ns, level="warning" if fault else "info", text=text))
             box.step(step, now_ns, inputs, outputs)
 
         loop(agent, name, eyes, board, network, black_box, clock, stop, resume)
