@@ -1,8 +1,12 @@
-"""The command line: options in, one call out, errors as one line. Exit 0: done; 1: the answer is no; 2: bad input."""
+"""The command line: options in, one call out, errors as one line.
+
+Exit 0: done; 1: the answer is no; 2: bad input; 128 + n: ended by signal n, 130 by Ctrl-C.
+"""
 
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, cast, get_args
@@ -30,6 +34,7 @@ app.add_typer(train_app, name="train")
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
 Seed = Annotated[int, typer.Option(min=0, help="Which world of the twin.")]
+Port = Annotated[int, typer.Option(min=1024, max=65535, help="WebSocket port on this machine.")]
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")]
 Runs = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of runs, or recordings (MCAP).")]
 OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and figures; runs/<UTC> if not given.")]
@@ -37,7 +42,7 @@ OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and
 
 @app.command(epilog="Example: aucamp demo --robots 3 --seed 1")
 def demo(
-    robots: Annotated[int, typer.Option(help="How many of the fleet's robots.")] = 3,
+    robots: Annotated[int, typer.Option(help="How many: the first ones of the fleet file.")] = 3,
     protocol: Annotated[str, typer.Option(help="How robots agree: evidence, metropolis or paper.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
@@ -46,7 +51,7 @@ def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help="A fleet that ships (tank, two_balls), or a fleet file.")] = "tank",
 ) -> None:
-    """Three robots find a ball in the twin's tank; a table at the end, recordings and summary.json in a folder."""
+    """Robots find a ball in the twin's tank within two minutes; a table at the end, recordings and a report."""
     from agent.demo import demo as dive
     from agent.sweep_depth import sweep_depth
     from replay.report import report
@@ -60,12 +65,12 @@ def demo(
 def agent(
     fleet: FleetFile,
     robot: RobotName,
-    out: Annotated[Path | None, typer.Option(help="Folder of the recording; here if not given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the recording; the current one if not given.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Start the motors; without it they stay off.")] = False,
     lossless: Annotated[bool, typer.Option("--lossless", help="Record camera frames bit by bit, not as JPEG.")] = False,
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
-    """One robot's agent, until Ctrl-C or SIGTERM."""
+    """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
     from agent.runtime import run
 
     run(fleet, robot, out, arm, lossless, view)
@@ -74,9 +79,11 @@ def agent(
 @app.command(epilog="Example: aucamp twin fleet.toml")
 def twin(
     fleet: FleetFile,
-    bench: Annotated[str | None, typer.Option(help="Clamp this robot on the calibration bench instead.")] = None,
+    bench: Annotated[
+        str | None, typer.Option(metavar="ROBOT", help="Clamp this robot on the calibration bench instead.")
+    ] = None,
 ) -> None:
-    """The tank twin: serial ports and cameras for every robot whose devices are `twin:`."""
+    """The tank twin, until Ctrl-C: serial ports and cameras for every robot whose devices are `twin:`."""
     from hw.twin.__main__ import run
 
     raise typer.Exit(run(fleet, bench=bench))
@@ -99,7 +106,7 @@ def record(
 
 @app.command(epilog="Example: aucamp router fleet.toml")
 def router(fleet: FleetFile) -> None:
-    """A place to look from: clients attach to it. The robots do not need it."""
+    """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
     from agent.router import run_router
     from agent.runtime import until_signal
 
@@ -108,8 +115,11 @@ def router(fleet: FleetFile) -> None:
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")
-def view(fleet: FleetFile, port: Annotated[int, typer.Option(help="WebSocket port on this machine.")] = 8765) -> None:
-    """Serve a running fleet's state to Foxglove, on this machine only."""
+def view(
+    fleet: FleetFile,
+    port: Port = 8765,
+) -> None:
+    """Serve a running fleet's state to Foxglove, on this machine only, until Ctrl-C."""
     from agent.runtime import until_signal
     from replay.view import view as serve
 
@@ -187,7 +197,7 @@ def calibrate_run(
 @calibrate_app.command("focus", epilog="Example: aucamp calibrate focus table.csv --out calibration/r1.toml")
 def calibrate_focus(
     table: Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with the columns u_mm and code.")],
-    out: Annotated[Path | None, typer.Option(help="Calibration file whose [focus] is to be written.")] = None,
+    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[focus] is to be written.")] = None,
 ) -> None:
     """Range against sharpest lens position, from a table measured by hand; a plot beside it and a verdict."""
     from agent.experiments.calibrate_focus import run
@@ -201,7 +211,7 @@ def calibrate_camera(
     columns: Annotated[int, typer.Option(min=3, help="Inner corners of the board along its longer side.")] = 14,
     rows: Annotated[int, typer.Option(min=3, help="Inner corners along its shorter side.")] = 9,
     square_mm: Annotated[float, typer.Option(min=0.1, help="Side of a square.")] = 20.0,
-    out: Annotated[Path | None, typer.Option(help="Calibration file whose [camera] is to be written.")] = None,
+    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] is to be written.")] = None,
 ) -> None:
     """Focal length and centre from photographs of a board."""
     from agent.experiments.calibrate_camera import run
@@ -311,7 +321,7 @@ def train_enhance(
         import safetensors  # noqa: F401
         import torch
     except ImportError as error:
-        raise ConfigError("training needs torch: pip install 'aucamp[enhance]'") from error
+        raise ConfigError("training needs torch: pip install 'aucamp[train]'") from error
     from agent.enhancement.command import cross_validation, plan_of, train
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
@@ -418,11 +428,19 @@ def one_of_protocols(text: str) -> Protocol:
     raise ConfigError(f"--protocol {text}: no such protocol; choose {', '.join(get_args(Protocol))}")
 
 
+def leave(number: int, frame: object) -> None:
+    """A signal ends the program as Ctrl-C does, so that what it started ends with it."""
+    raise SystemExit(128 + number)
+
+
 def main() -> None:
     """Run the command line; what a user can cause ends in one line on stderr and exit code 2."""
     from agent.launch import Failed
     from hw.camera import CameraError
 
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored, and means it
+            signal.signal(number, leave)
     try:
         app()
     except (ConfigError, CameraError) as error:
@@ -431,6 +449,11 @@ def main() -> None:
     except Failed as error:
         sys.stderr.write(f"aucamp: {error}\n")
         sys.exit(1)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        sys.stderr.write(f"aucamp: {error.filename}: {error.strerror}; choose a file or folder that can be used\n")
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -11,9 +12,12 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
+from agent.remedies import explain
+
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
+Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
 Colour = Literal["red", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
@@ -63,7 +67,7 @@ class Estimation(Struct, frozen=True, kw_only=True):
 
 
 class Link(Struct, frozen=True, kw_only=True):
-    send_hz: Positive = 10.0
+    send_hz: Annotated[float, Meta(gt=0, le=20)] = 10.0  # at most once a step of the agent
     loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
     loss_seed: int = 0
 
@@ -104,8 +108,8 @@ class Look(Struct, frozen=True, kw_only=True):
 class Robot(Struct, frozen=True, kw_only=True):
     neighbours: tuple[Name, ...] = ()
     listen: str
-    serial: str
-    camera: str
+    serial: Device
+    camera: Device
     pose: Pose
     depth_m: Positive = 0.40  # hover set-point
     look: Look = Look()
@@ -116,7 +120,7 @@ class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
     scene: str = "tank"
-    seed: int = 0
+    seed: Annotated[int, Meta(ge=0)] = 0
     dir: str | None = None
 
 
@@ -165,8 +169,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text file; give the path of a TOML file") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
 
@@ -176,72 +182,127 @@ def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        what, _, where = str(error).partition(" - at `$")
-        key = where.rstrip("`").lstrip(".") or "top level"
-        raise ConfigError(f"{path}: key '{key}': {_remedy(what)}") from None
-
-
-def _remedy(what: str) -> str:
-    if what.startswith("Object contains unknown field"):
-        return f"unknown key {what.rsplit(' ', 1)[-1]}; remove it or correct its spelling"
-    if what.startswith("Object missing required field"):
-        return f"required key {what.rsplit(' ', 1)[-1]} is missing; add it"
-    return what[0].lower() + what[1:] + "; correct the value"
+        raise ConfigError(f"{path}: {explain(error, data, kind)}") from None
 
 
 def _check(fleet: Fleet, path: Path) -> None:
-    """What a type cannot say: the graph is symmetric and the endpoints are distinct and usable."""
+    """What a type cannot say. Raises ConfigError for the first rule that is broken."""
+    for key, remedy in _broken_rules(fleet):
+        raise ConfigError(f"{path}: key '{key}': {remedy}")
+
+
+def _broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Every mistake as (key, what to change)."""
+    for key in _not_finite(msgspec.to_builtins(fleet)):
+        yield key, "not a finite number; correct the value"
     if not fleet.robot:
-        raise ConfigError(f"{path}: key 'robot': the fleet has no robot; add a table [robot.r1]")
+        yield "robot", "the fleet has no robot; add a table [robot.r1]"
     if not fleet.target:
-        raise ConfigError(f"{path}: key 'target': nothing to look for; add a table [target.ball]")
+        yield "target", "nothing to look for; add a table [target.ball]"
+    yield from _tank_rules(fleet)
+    yield from _rate_rules(fleet)
+    for limits in ("pan_limit_deg", "tilt_limit_deg"):
+        lowest, highest = getattr(fleet.body, limits)
+        if lowest >= highest:
+            yield f"body.{limits}", f"{lowest} is not below {highest}; write the lower limit first"
+    for name in fleet.robot:
+        for key, remedy in (*_neighbour_rules(fleet, name), *_place_rules(fleet, name)):
+            yield f"robot.{name}.{key}", remedy
+    yield from _device_rules(fleet)
+
+
+def _not_finite(value: Any, key: str = "") -> Iterator[str]:
+    """Keys of the numbers that are infinite or not a number."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield key
+    if isinstance(value, dict):
+        for name, child in value.items():
+            yield from _not_finite(child, f"{key}.{name}" if key else name)
+    if isinstance(value, list | tuple):
+        for i, child in enumerate(value):
+            yield from _not_finite(child, f"{key}[{i}]")
+
+
+def _tank_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    tank = fleet.tank
+    if tank.surface_m > tank.size_m[2]:
+        yield "tank.surface_m", f"{tank.surface_m} is above the rim; the tank is {tank.size_m[2]} m high"
     wearer: dict[str, str] = {}
     for name, target in fleet.target.items():
+        if 2.0 * target.radius_m > min(tank.size_m):
+            yield f"target.{name}.radius_m", f"{target.radius_m} m does not fit into the tank; correct the value"
         if target.colour in wearer:
-            raise ConfigError(
-                f"{path}: key 'target.{name}.colour': '{wearer[target.colour]}' is {target.colour} too and nobody "
-                f"could tell them apart; give each target its own colour"
-            )
+            other = wearer[target.colour]
+            why = f"'{other}' is {target.colour} too and nobody could tell them apart; give each target its own colour"
+            yield f"target.{name}.colour", why
         wearer[target.colour] = name
-    owner: dict[str, str] = {}
+
+
+def _rate_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    validity_s, send_hz = fleet.estimation.validity_s, fleet.link.send_hz
+    if validity_s * send_hz < 1.0:
+        why = f"{validity_s} s is shorter than the time between two messages, {1.0 / send_hz:.2f} s; make it longer"
+        yield "estimation.validity_s", why
+
+
+def _neighbour_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
+    """The graph is symmetric."""
+    neighbours = fleet.robot[name].neighbours
+    for other in neighbours:
+        if other == name:
+            yield "neighbours", f"'{name}' names itself; remove it"
+        elif other not in fleet.robot:
+            yield "neighbours", f"no robot '{other}'; remove it or add a table [robot.{other}]"
+        elif name not in fleet.robot[other].neighbours:
+            yield "neighbours", f"names '{other}', but '{other}' does not name '{name}'; add '{name}' there"
+    if len(set(neighbours)) != len(neighbours):
+        yield "neighbours", "a name stands twice; remove one"
+
+
+def _place_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
+    """Where a robot is and looks can be."""
+    robot, tank, body = fleet.robot[name], fleet.tank, fleet.body
+    for axis, at_m, size_m in zip("xy", (robot.pose.x_m, robot.pose.y_m), tank.size_m, strict=False):
+        if not 0.0 <= at_m <= size_m:
+            yield (
+                f"pose.{axis}_m",
+                f"{at_m} is outside the tank; write metres from its corner, 0 to {size_m}",
+            )
+    if robot.depth_m > tank.surface_m:
+        yield "depth_m", f"{robot.depth_m} is below the floor; the water is {tank.surface_m} m deep"
+    looks = ("pan", robot.look.pan_deg, body.pan_limit_deg), ("tilt", robot.look.tilt_deg, body.tilt_limit_deg)
+    for axis, at_deg, (lowest, highest) in looks:
+        if not lowest <= at_deg <= highest:
+            yield f"look.{axis}_deg", f"{at_deg} is beyond the gimbal's limit; choose {lowest:g} to {highest:g}"
+
+
+def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Addresses can be used; addresses and devices are each robot's own. Another computer has other devices."""
+    owner: dict[tuple[str, str], str] = {}
     for name, robot in fleet.robot.items():
-        key = f"robot.{name}"
-        for other in robot.neighbours:
-            if other == name:
-                raise ConfigError(f"{path}: key '{key}.neighbours': '{name}' names itself; remove it")
-            if other not in fleet.robot:
-                raise ConfigError(
-                    f"{path}: key '{key}.neighbours': no robot '{other}'; remove it or add a table [robot.{other}]"
-                )
-            if name not in fleet.robot[other].neighbours:
-                raise ConfigError(
-                    f"{path}: key 'robot.{other}.neighbours': '{name}' has '{other}' as a neighbour "
-                    f"but not the other way round; add '{name}'"
-                )
-        if len(set(robot.neighbours)) != len(robot.neighbours):
-            raise ConfigError(f"{path}: key '{key}.neighbours': a name stands twice; remove one")
-        endpoint = _endpoint(robot.listen, f"{path}: key '{key}.listen'")
-        if endpoint in owner:
-            raise ConfigError(
-                f"{path}: key '{key}.listen': {robot.listen} is also the address of "
-                f"'{owner[endpoint]}'; give each robot its own port"
-            )
-        owner[endpoint] = name
-        if not all(math.isfinite(v) for v in (robot.pose.x_m, robot.pose.y_m, robot.pose.yaw_deg)):
-            raise ConfigError(f"{path}: key '{key}.pose': not a finite number; correct the value")
-        if robot.depth_m > fleet.tank.surface_m:
-            raise ConfigError(
-                f"{path}: key '{key}.depth_m': {robot.depth_m} is below the floor; "
-                f"the water is {fleet.tank.surface_m} m deep"
-            )
+        if wrong := _wrong_endpoint(robot.listen):
+            yield f"robot.{name}.listen", wrong
+        for key, device in (("serial", robot.serial), ("camera", robot.camera)):
+            if device.startswith("twin:") and "/" not in device and device != f"twin:{name}":
+                yield f"robot.{name}.{key}", f"'{device}' is not this robot's; write twin:{name}"
+        address = robot.listen.partition("/")[2]
+        host = address.rpartition(":")[0]
+        held = [("listen", address, "port"), ("serial", f"{host} {robot.serial}", "control module")]
+        if robot.camera.startswith(("twin:", "v4l2:")):  # recorded pictures may be looked at by many
+            held.append(("camera", f"{host} {robot.camera}", "camera"))
+        for key, what, kind in held:
+            if (key, what) in owner:
+                text, other = getattr(robot, key), owner[key, what]
+                yield f"robot.{name}.{key}", f"'{text}' is also that of '{other}'; give each robot its own {kind}"
+            owner[key, what] = name
 
 
-def _endpoint(text: str, where: str) -> str:
-    """Check a Zenoh endpoint (tcp/HOST:PORT or tls/HOST:PORT) and return its HOST:PORT."""
+def _wrong_endpoint(text: str) -> str | None:
+    """What is wrong with a Zenoh endpoint (tcp/HOST:PORT or tls/HOST:PORT); None if nothing is."""
     protocol, _, address = text.partition("/")
     host, _, port = address.rpartition(":")
     if protocol not in ("tcp", "tls") or not host or not port.isdigit():
-        raise ConfigError(f"{where}: '{text}' is no endpoint; write tcp/HOST:PORT")
+        return f"'{text}' is no endpoint; write tcp/HOST:PORT"
     if not 1024 <= int(port) <= MAX_PORT:
-        raise ConfigError(f"{where}: port {port}; choose one from 1024 to {MAX_PORT}")
-    return address
+        return f"port {port}; choose one from 1024 to {MAX_PORT}"
+    return None

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from agent.aloud import hears
 from agent.config import ConfigError, Fleet, Protocol, dump, load_fleet
 from agent.launch import Crew, crew, fleet_file, free_ports, run_folder, shipped_fleet, temporary_folder, wait_for
 from agent.messages import Refusal, State, decode
@@ -100,7 +103,7 @@ def demo_fleet(
 
 def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> None:
     """Each robot's camera and gimbal on the twin's bench, two at a time."""
-    with console.status("calibrating cameras on the bench: board at known distances"):
+    with meanwhile(console, f"calibrating {len(fleet.robot)} cameras on the twin's bench, two at a time"):
         names = list(fleet.robot)
         for pair in (names[k : k + 2] for k in range(0, len(names), 2)):
             for name in pair:
@@ -115,10 +118,11 @@ def dive(
 ) -> tuple[Histories, dict[str, Any]]:
     """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
     folder = twin_dir(fleet)
-    with console.status("starting the twin"):
+    with meanwhile(console, "starting the twin"):
         processes.start("twin", "twin", str(path))
         wait_for("the twin", (folder / "ready").exists, processes, READY_S)
-    console.print((run / "logs" / "twin.log").read_text(encoding="utf-8").strip())
+    twin_log = run / "logs" / "twin.log"
+    console.print(twin_log.read_text(encoding="utf-8").strip())
     truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     processes.start("recorder", "record", str(path), "--out", str(run / "fleet.mcap"))
     for name in fleet.robot:
@@ -126,7 +130,11 @@ def dive(
     histories: Histories = {target: {name: History([]) for name in fleet.robot} for target in fleet.target}
     shown = [history for of_target in histories.values() for history in of_target.values()]
     until_s = time.monotonic() + duration_s
-    with Observer(fleet, time.monotonic_ns, (STATE,)) as observer, Live(console=console, refresh_per_second=2) as live:
+    console.print(
+        f"diving until the robots have settled, at most {duration_s:.0f} s; what they say is in {run / 'logs'}"
+    )
+    live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
+    with Observer(fleet, time.monotonic_ns, (STATE,)) as observer, live or nullcontext():
         while time.monotonic() < until_s:
             for seen in observer.drain():
                 try:
@@ -134,7 +142,8 @@ def dive(
                     histories[state.target][seen.chunks["robot"]].states.append(state)
                 except (Refusal, KeyError):
                     continue  # a stranger's sample: the recorder has it
-            live.update(progress_table(histories, until_s - time.monotonic()))
+            if live is not None:
+                live.update(progress_table(histories, until_s - time.monotonic()))
             if settled(shown, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
                 break
             processes.check()
@@ -144,7 +153,20 @@ def dive(
     processes.stop(*fleet.robot)
     processes.stop("recorder")
     processes.stop("twin")
+    for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:
+        console.print(complaint)
     return histories, truth
+
+
+@contextmanager
+def meanwhile(console: Console, what: str) -> Iterator[None]:
+    """Says what takes long: beside a spinner on a terminal, as a line in a pipe."""
+    if console.is_terminal:
+        with console.status(what):
+            yield
+    else:
+        console.print(what)
+        yield
 
 
 def progress_table(histories: Histories, left_s: float) -> Table:
@@ -168,7 +190,7 @@ def progress_row(state: State | None) -> tuple[str, ...]:
         "-" if state.acquired_t is None else str(state.acquired_t),
         " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "-",
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
-        " ".join(n.robot for n in state.neighbours if n.used) or "-",
+        " ".join(hears(state)) or "-",
         ", ".join(state.faults) or ("" if state.armed else "motors off"),
     )
 

@@ -51,7 +51,11 @@ class Crew:
         log = self._logs / f"{name}.log"
         with log.open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, "-m", "agent", *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=out
+                [sys.executable, "-m", "agent", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                process_group=0,  # Ctrl-C is for us; we then end the crew in order
             )
         self._children.append(Child(name, process, log))
 
@@ -132,11 +136,17 @@ def fleet_file(name: str) -> Path:
 
 
 def run_folder(out: Path | None) -> Path:
-    """Where a run writes: the folder that was asked for, else runs/<UTC>. Raises ConfigError if it holds anything."""
+    """Where a run writes: the folder that was asked for, else runs/<UTC>. Raises ConfigError if it holds anything
+    or cannot be written."""
     folder = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise ConfigError(f"{folder}: not empty; give --out a new folder, recordings are never overwritten")
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".writable").touch()
+        (folder / ".writable").unlink()
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
 
 

@@ -6,6 +6,7 @@ On the way out the motors go off first, then the last state is shown, then links
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -15,30 +16,27 @@ from typing import Protocol
 
 import msgspec
 
-from agent.config import Fleet, load_fleet, load_robot
+from agent.aloud import Aloud, Network
+from agent.config import ConfigError, Fleet, load_fleet, load_robot
 from agent.core import Agent
 from agent.messages import (
     SCHEMA,
-    Estimate,
-    Heard,
     Inputs,
     Level,
     LogLine,
     Outputs,
-    Refused,
     SetPoint,
     Sighting,
-    State,
     SweepPlan,
     Telemetry,
     encode,
 )
 from agent.perception.enhance import default as default_enhancement
 from agent.perception.vision import Vision
-from agent.ranging.calibration import load_calibration
+from agent.ranging.calibration import Calibration, load_calibration
 from agent.sweep_depth import sweep_depth
 from agent.transport import Transport
-from hw.camera import open_camera
+from hw.camera import known_scheme, open_camera
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
 from hw.stm32 import Stm32, open_port_path
@@ -60,24 +58,20 @@ class Board(Protocol):
     def send(self, set_point: SetPoint, now_ns: int) -> None: ...
 
 
-class Network(Protocol):
-    def drain(self) -> tuple[tuple[Heard, ...], tuple[Refused, ...]]: ...
-    def say(self, estimate: Estimate) -> None: ...
-    def show(self, message: State | LogLine) -> None: ...
-
-
 BlackBox = Callable[[int, int, bytes, bytes | None], None]  # step, now_ns, inputs, outputs; None: the step raised
 
 
 def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool = False, views: bool = True) -> None:
-    """One agent process, from its fleet file until SIGTERM or Ctrl-C. Raises ConfigError before anything moves.
+    """One agent process, from its fleet file until SIGTERM or Ctrl-C. Raises ConfigError or CameraError before
+    anything moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
     `lossless` records frames bit by bit, `views` adds channels for viewers to the recording.
     """
     fleet = load_fleet(fleet_path)
     robot = load_robot(fleet, name, fleet_path)
-    calibration = load_calibration(fleet_path.parent / robot.calibration)
+    known_scheme(robot.camera)
+    calibration = own_calibration(fleet, name, fleet_path)
     offset_ns = time.time_ns() - time.monotonic_ns()
     sockets = twin_dir(fleet)
 
@@ -96,7 +90,8 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
             )
         )
         box = BlackBoxWriter(log, clock, lossless)
-        network = stack.enter_context(Transport(fleet, name, clock))
+        link = stack.enter_context(Transport(fleet, name, clock))
+        network = stack.enter_context(Aloud(link, tell))
         stack.callback(goodbye, agent, network, clock)  # after the motors are off, before the link closes
         size = (fleet.camera.width_px, fleet.camera.height_px)
         way = default_enhancement() if fleet.camera.enhance else None
@@ -118,17 +113,45 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
         if arm:
             board.arm()
         resume = board.arm if arm else lambda: None
+        motors = "motors start when the control module agrees" if arm else "motors stay off (--arm starts them)"
+        tell(f"{name}: {motors}; recording {log.path}; Ctrl-C ends it\n")
 
-        lost: list[str] = []
+        told: dict[str, str | None] = {}
 
         def black_box(step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
-            if log.failed and not lost:
-                lost.append(log.failed)
-                text = f"not recording: {log.failed}"[:400]
-                network.show(LogLine(robot=name, sent_ns=now_ns, level="error", text=text))
+            for what, fault in (("not recording", log.failed), ("no camera", eyes.fault)):
+                if fault != told.get(what):
+                    told[what] = fault
+                    text = f"{what}: {fault}"[:400] if fault else f"over: {what}"
+                    network.show(LogLine(robot=name, sent_ns=now_ns, level="warning" if fault else "info", text=text))
             box.step(step, now_ns, inputs, outputs)
 
         loop(agent, name, eyes, board, network, black_box, clock, stop, resume)
+    tell(f"{name}: stopped; {f'not recorded to the end: {log.failed}' if log.failed else f'recorded {log.path}'}\n")
+
+
+def tell(text: str) -> None:
+    """To the person who started it, at once."""
+    sys.stderr.write(text)
+    sys.stderr.flush()
+
+
+def own_calibration(fleet: Fleet, name: str, fleet_path: Path) -> Calibration:
+    """The calibration of a robot's own camera. Raises ConfigError if there is none, or if it is of another camera."""
+    path = fleet_path.parent / fleet.robot[name].calibration
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file; make it with: aucamp calibrate run {fleet_path} --robot {name}")
+    calibration = load_calibration(path)
+    if calibration.robot != name:
+        raise ConfigError(f"{path}: key 'robot': made for '{calibration.robot}', not '{name}'; take that robot's own")
+    made = calibration.camera.width_px, calibration.camera.height_px
+    asked = fleet.camera.width_px, fleet.camera.height_px
+    if made != asked:
+        raise ConfigError(
+            f"{path}: made for pictures of {made[0]}x{made[1]}, [camera] of {fleet_path} has {asked[0]}x{asked[1]}; "
+            f"calibrate again, or correct width_px and height_px"
+        )
+    return calibration
 
 
 def loop(
@@ -200,7 +223,7 @@ def act(outputs: Outputs, eyes: Eyes, board: Board, network: Network, now_ns: in
 
 @contextmanager
 def until_signal() -> Iterator[Event]:
-    """An event that SIGTERM and Ctrl-C set; a second one interrupts whatever still runs."""
+    """An event that Ctrl-C, SIGTERM and a terminal that is closed set; a second one interrupts whatever still runs."""
     stop = Event()
 
     def handle(number: int, frame: object) -> None:
@@ -208,7 +231,10 @@ def until_signal() -> Iterator[Event]:
             raise KeyboardInterrupt
         stop.set()
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    ours = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup means it
+        ours.append(signal.SIGHUP)
+    before = {number: signal.signal(number, handle) for number in ours}
     try:
         yield stop
     finally:

@@ -71,10 +71,7 @@ def open_camera(url: str, twin_dir: Path, size: tuple[int, int] | None) -> Camer
     size: (width, height) that the calibration is for, in pixels; None takes what comes.
     Raises CameraError for a wrong address or another size, CameraGone if nothing answers there now.
     """
-    scheme, colon, place = url.partition(":")
-    if scheme not in SCHEMES or not colon or not place:
-        known = ", ".join(f"{name}:{what}" for name, what in SCHEMES.items())
-        raise CameraError(f"camera '{url}': no such kind of camera; write one of {known}")
+    scheme, place = known_scheme(url)
     camera = _open(scheme, place, twin_dir, size)
     if size is not None and camera.size != size:
         camera.close()
@@ -83,6 +80,15 @@ def open_camera(url: str, twin_dir: Path, size: tuple[int, int] | None) -> Camer
             "correct width_px and height_px under [camera]"
         )
     return camera
+
+
+def known_scheme(url: str) -> tuple[str, str]:
+    """SCHEME and PLACE of an address. Raises CameraError for one that no backend serves."""
+    scheme, _, place = url.partition(":")
+    if scheme not in SCHEMES or not place:
+        known = ", ".join(f"{name}:{what}" for name, what in SCHEMES.items())
+        raise CameraError(f"camera '{url}': no such kind of camera; write one of {known}")
+    return scheme, place
 
 
 SCHEMES = {"twin": "ROBOT", "stack": "DIR", "video": "FILE", "v4l2": "/dev/video0 or NAME"}  # scheme -> what follows it

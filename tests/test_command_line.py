@@ -16,11 +16,12 @@ TANK = str(Path(agent.__file__).parent / "fleets" / "tank.toml")
 MISTAKES = [
     (["agent", "nowhere.toml", "--robot", "r1"], "no such file"),
     (["agent", TANK, "--robot", "r9"], "the file has r1, r2"),
-    (["agent", TANK, "--robot", "r1"], "calibration/r1.toml: no such file"),
+    (["agent", TANK, "--robot", "r1"], "r1.toml: no such file; make it with: aucamp calibrate run"),
     (["demo", "--robots", "9"], "choose 1 to 5"),
     (["demo", "--robots", "0"], "choose 1 to 5"),
     (["demo", "--protocol", "gossip"], "no such protocol"),
     (["demo", "--out", "/proc"], "not empty"),
+    (["demo", "--out", "/proc/new"], "/proc/new: cannot be written"),
     (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),
     (["depth-map", "nowhere/"], "nowhere"),
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
@@ -93,3 +94,23 @@ def test_free_ports_are_free_and_below_the_ephemeral_range() -> None:
     assert first not in ports
     assert len(set(ports)) == 3
     assert max(ports) <= 32767
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_ends_a_command_and_the_processes_that_it_started(number: int, code: int, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "agent", "calibrate", "run", TANK, "--robot", "r1", "--out", "r1.toml"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as calibration:
+        deadline_s = time.monotonic() + 20.0
+        while not (benches := children(calibration.pid)):
+            assert time.monotonic() < deadline_s and calibration.poll() is None
+            time.sleep(0.05)
+        calibration.send_signal(number)
+        assert calibration.wait(10) == code
+        assert b"Traceback" not in calibration.stderr.read()
+    assert not any(Path(f"/proc/{pid}").exists() for pid in benches)
+    assert not any(tmp_path.iterdir())

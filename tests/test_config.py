@@ -29,11 +29,28 @@ def test_a_fleet_may_look_for_several_things(tmp_path) -> None:
 
 
 MISTAKES = {
-    "unknown key": (("radius_m = 0.07", "radius_m = 0.07\nshape = 'round'"), "target", "shape", "remove"),
-    "wrong type": (("radius_m = 0.07", "radius_m = 'big'"), "target", "float", "correct"),
-    "missing key": (("radius_m = 0.07", ""), "target", "radius_m", "add"),
-    "out of range": (("radius_m = 0.07", "radius_m = -1.0"), "target", "> 0", "correct"),
-    "not a number": (("x_m = 0.30", "x_m = nan"), "robot.r1.pose", "finite", "correct"),
+    "unknown key": (("radius_m = 0.07", "radius_m = 0.07\nshape = 'round'"), "'target.ball'", "shape", "remove"),
+    "wrong type": (("radius_m = 0.07", "radius_m = 'big'"), "'target.ball.radius_m'", "float", "correct"),
+    "missing key": (("radius_m = 0.07", ""), "'target.ball'", "radius_m", "add"),
+    "out of range": (("radius_m = 0.07", "radius_m = -1.0"), "'target.ball.radius_m'", "> 0", "correct"),
+    "no choice": (("radius_m = 0.07", "radius_m = 0.07\ncolour = 'blue'"), "'blue'", "one of green, red, yellow"),
+    "not a number": (("x_m = 0.30", "x_m = nan"), "'robot.r1.pose.x_m'", "finite", "correct"),
+    "infinite": (("size_m = [1.5,", "size_m = [inf,"), "'tank.size_m[0]'", "finite", "correct"),
+    "outside the tank": (("x_m = 1.25", "x_m = 125.0"), "'robot.r2.pose.x_m'", "outside the tank", "0 to 1.5"),
+    "water over the rim": (("surface_m = 0.5", "surface_m = 5.0"), "'tank.surface_m'", "rim", "0.8"),
+    "millimetres": (("radius_m = 0.07", "radius_m = 70.0"), "'target.ball.radius_m'", "does not fit"),
+    "beyond the gimbal": (("pan_deg = -60.0", "pan_deg = -160.0"), "'robot.r2.look.pan_deg'", "-90 to 90"),
+    "limits swapped": (("[estimation]", "[body]\ntilt_limit_deg = [30, -60]\n[estimation]"), "body.tilt", "first"),
+    "messages too seldom": (("[estimation]", "[link]\nsend_hz = 1\n[estimation]"), "validity_s", "1.00 s", "longer"),
+    "faster than steps": (("[estimation]", "[link]\nsend_hz = 50\n[estimation]"), "'link.send_hz'", "<= 20"),
+    "another's twin": (('camera = "twin:r2"', 'camera = "twin:r1"'), "'robot.r2.camera'", "write twin:r2"),
+    "one board for two": (
+        ('serial = "twin:r1"', 'serial = "/dev/ttyACM0"', 'serial = "twin:r2"', 'serial = "/dev/ttyACM0"'),
+        "'robot.r2.serial'",
+        "also that of 'r1'",
+        "own control module",
+    ),
+    "bad name of a robot": (("[robot.r5]", "[robot.R5]"), "'robot.R5'", "small letters", "correct"),
     "unknown neighbour": (
         ('neighbours = ["r2", "r3", "r4", "r5"]', 'neighbours = ["r9"]'),
         "r1.neighbours",
@@ -54,17 +71,20 @@ MISTAKES = {
         "own colour",
     ),
     "no target": (('[target.ball]\ndetector = "ball"\nradius_m = 0.07', "[target]"), "key 'target'", "add a table"),
-    "bad name": (('fleet = "tank"', 'fleet = "Tank 3"'), "fleet", "regex", "correct"),
+    "bad name": (('fleet = "tank"', 'fleet = "Tank 3"'), "'fleet'", "small letters", "correct"),
     "not TOML": (('fleet = "tank"', "fleet = tank"), "fleet.toml", "not valid TOML", "line 4"),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_mistake(tmp_path, mistake: str) -> None:
-    (old, new), *expected = MISTAKES[mistake]
-    assert old in TANK
+    changes, *expected = MISTAKES[mistake]
+    text = TANK
+    for old, new in zip(changes[::2], changes[1::2], strict=True):
+        assert old in text
+        text = text.replace(old, new, 1)
     with pytest.raises(ConfigError) as caught:
-        load(tmp_path, TANK.replace(old, new, 1))
+        load(tmp_path, text)
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith(str(tmp_path / "fleet.toml"))
@@ -72,7 +92,17 @@ def test_mistake(tmp_path, mistake: str) -> None:
         assert part in message, message
 
 
-def test_missing_file_and_directory(tmp_path) -> None:
-    for path in (tmp_path / "none.toml", tmp_path):
+def test_robots_of_two_computers_may_name_the_same_port(tmp_path) -> None:
+    text = TANK.replace("tcp/127.0.0.1:17402", "tcp/192.168.7.12:17402")
+    for name in ("r1", "r2"):
+        text = text.replace(f'"twin:{name}"', '"/dev/ttyACM0"', 1)
+    fleet = load(tmp_path, text)
+    assert fleet.robot["r1"].serial == fleet.robot["r2"].serial
+
+
+def test_what_is_no_toml_file(tmp_path) -> None:
+    picture = tmp_path / "picture.toml"
+    picture.write_bytes(bytes(range(256)))
+    for path in (tmp_path / "none.toml", tmp_path, picture):
         with pytest.raises(ConfigError, match=str(path)):
             load_fleet(path)

@@ -54,7 +54,7 @@ def run(fleet_path: Path, *, bench: str | None = None) -> int:
     except KeyboardInterrupt:
         return 0
     except (ConfigError, CameraError) as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"aucamp: {error}\n")
         return 2
     finally:
         for number, handler in before.items():
@@ -72,7 +72,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
     dive = Dive(fleet, robots, time.monotonic_ns(), waves=scene.waves, events=scene.event)
     runs = interpreter()
-    sys.stdout.write(f"twin: the firmware runs under {runs}\n")
+    sys.stdout.write(f"twin: {', '.join(robots)} in scene {scene.name}, firmware under {runs}, files in {folder}\n")
     dive.boards = [
         Board(name, folder, tare_pa, interpreter=runs) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)
     ]

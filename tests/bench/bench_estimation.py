@@ -7,8 +7,6 @@ from random import Random
 from statistics import median
 from typing import Any
 
-import msgspec
-
 from agent.estimation.evidence import Evidence
 from agent.estimation.face import Estimator, Prior
 from agent.estimation.mailbox import Mailbox
@@ -16,6 +14,7 @@ from agent.estimation.metropolis import Metropolis
 from agent.estimation.paper import Paper
 from agent.estimation.validate import Bounds
 from agent.messages import Epoch, Estimate, decode, encode
+from tests.sample_messages import estimate
 
 NEIGHBOURS = (3, 10, 50)
 ITERATIONS = 12
@@ -85,20 +84,7 @@ def _robot(kind: str, name: str, names: list[str]) -> Estimator:
 
 
 def _say(robot: Estimator, src: str, dst: str, seq: int, now_ns: int, sizes: list[int]) -> bytes:
-    word = msgspec.structs.replace(
-        Estimate(
-            fleet="tank",
-            src=src,
-            dst=dst,
-            incarnation=1,
-            seq=seq,
-            sent_ns=now_ns,
-            target="ball",
-            t=robot.t,
-            valid=robot.valid,
-        ),
-        **robot.say(dst, now_ns)._asdict(),
-    )
+    word = estimate(src, dst, seq=seq, sent_ns=now_ns, t=robot.t, valid=robot.valid, **robot.say(dst, now_ns)._asdict())
     payload = encode(word)
     sizes.append(len(payload))
     return payload

@@ -26,7 +26,7 @@ from mcap.writer import Writer
 from agent import topics
 from agent.config import Fleet, dump, load_fleet
 from agent.launch import free_ports
-from agent.messages import Estimate, Inputs, NeighbourState, Outputs, SetPoint, Sighting, State, Telemetry, encode
+from agent.messages import Estimate, Inputs, NeighbourState, Outputs, SetPoint, Sighting, State, encode
 from agent.session import peer_config
 from replay.backlog import Backlog, Entry
 from replay.black_box_writer import FROM_BOARD, TO_BOARD
@@ -34,6 +34,7 @@ from replay.derive import Derive
 from replay.frames import FRAME, VISION, picture
 from replay.log import LogWriter, read
 from replay.recover import STEP_IN, STEP_OUT, recover
+from tests.sample_messages import estimate, telemetry
 
 FLEET = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
 SECONDS = 20
@@ -79,8 +80,8 @@ def black_box() -> Iterator[Entry]:
             yield entry(VISION, now_ns, n, encode(seen))
         yield entry(STEP_IN, now_ns, n, encode(Inputs(telemetry=readings, sightings=sightings)))
         shown = state("r1", n, now_ns) if n % 4 == 0 else None
-        says = (estimate("r1", "r2", n, now_ns), estimate("r1", "r3", n, now_ns)) if n % 2 == 0 else ()
-        outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=shown, says=says)
+        letters = (says("r1", "r2", n, now_ns), says("r1", "r3", n, now_ns)) if n % 2 == 0 else ()
+        outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=shown, says=letters)
         yield entry(STEP_OUT, now_ns, n, encode(outputs))
 
 
@@ -92,7 +93,7 @@ def traffic(robots: int, cameras: int) -> Iterator[Entry]:
         for k, name in enumerate(names):
             for other in (names[k - 1], names[(k + 1) % robots]):
                 key = topics.key(topics.LINK, fleet="tank", src=name, dst=other)
-                yield entry(f"/zenoh/{key}", now_ns, n, encode(estimate(name, other, n, now_ns)))
+                yield entry(f"/zenoh/{key}", now_ns, n, encode(says(name, other, n, now_ns)))
             if n % 2 == 0:
                 key = topics.key(topics.STATE, fleet="tank", robot=name)
                 yield entry(f"/zenoh/{key}", now_ns, n, encode(state(name, n, now_ns)))
@@ -246,38 +247,9 @@ def sighting(n: int, now_ns: int) -> Sighting:
     )
 
 
-def telemetry(now_ns: int) -> Telemetry:
-    return Telemetry(
-        t_ns=now_ns,
-        board_us=1,
-        depth_m=0.4,
-        roll_deg=0.1,
-        pitch_deg=0.2,
-        sensor_depth_m=(0.4, 0.41, 0.4, 0.39),
-        pulses_us=(1500,) * 8,
-        servos_us=(1500,) * 4,
-        battery_v=14.1,
-        armed=True,
-        ladder=0,
-        flags=0,
-        loop_us=900,
-    )
-
-
-def estimate(src: str, dst: str, n: int, now_ns: int) -> Estimate:
-    return Estimate(
-        fleet="tank",
-        src=src,
-        dst=dst,
-        incarnation=1,
-        seq=n,
-        sent_ns=now_ns,
-        target="ball",
-        t=n,
-        valid=True,
-        x_m=(0.76, 0.56, 0.07),
-        cov_m2=(1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6),
-    )
+def says(src: str, dst: str, n: int, now_ns: int) -> Estimate:
+    about = {"x_m": (0.76, 0.56, 0.07), "cov_m2": (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)}
+    return estimate(src, dst, seq=n, sent_ns=now_ns, t=n, valid=True, **about)
 
 
 def state(robot: str, n: int, now_ns: int) -> State:

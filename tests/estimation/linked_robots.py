@@ -7,6 +7,7 @@ from agent.estimation.face import Prior
 from agent.estimation.mailbox import Mailbox
 from agent.estimation.validate import Bounds
 from agent.messages import Estimate, decode, encode
+from tests.sample_messages import estimate
 
 COV = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
 SECOND_NS = 1_000_000_000
@@ -55,20 +56,9 @@ class Net:
 
     def letter(self, src, dst) -> bytes:
         robot = self.robots[src]
-        return encode(
-            Estimate(
-                fleet="tank",
-                src=src,
-                dst=dst,
-                incarnation=self.start[src],
-                seq=self.seq,
-                sent_ns=self.now_ns,
-                target="ball",
-                t=robot.t,
-                valid=robot.valid,
-                **robot.say(dst, self.now_ns)._asdict(),
-            )
-        )
+        about = {"incarnation": self.start[src], "seq": self.seq, "sent_ns": self.now_ns}
+        word = robot.say(dst, self.now_ns)._asdict()
+        return encode(estimate(src, dst, t=robot.t, valid=robot.valid, **about, **word))
 
     def deliver(self, src, dst, payload):
         return self.robots[dst].hear(self.boxes[dst].put(src, decode(payload, Estimate), self.now_ns))

@@ -10,7 +10,7 @@ from agent.estimation.mailbox import Mailbox
 from agent.estimation.metropolis import Metropolis
 from agent.experiments.graphs import graph, metropolis_weights
 from agent.experiments.lockstep import Swarm
-from agent.messages import Estimate
+from tests.sample_messages import estimate
 
 COV = (4e-4, 0.0, 0.0, 4e-4, 0.0, 4e-4)
 SECOND_NS = 1_000_000_000
@@ -58,20 +58,7 @@ def test_the_first_sample_of_a_late_and_lone_robot_keeps_its_covariance() -> Non
 def test_weights_follow_the_larger_degree_and_the_rest_stays_with_the_robot(degree, weight) -> None:
     robot, box = alone()
     robot.tick(prior(0.0), box, 0)
-    letter = Estimate(
-        fleet="tank",
-        src="r2",
-        dst="r1",
-        incarnation=1,
-        seq=0,
-        sent_ns=0,
-        target="ball",
-        t=1,
-        valid=True,
-        x_m=(1.0, 0.0, 0.0),
-        cov_m2=COV,
-        degree=degree,
-    )
+    letter = estimate(t=1, valid=True, x_m=(1.0, 0.0, 0.0), cov_m2=COV, degree=degree)
     box.put("r2", letter, 0)
     update = robot.tick(prior(0.0), box, 0)
     assert update.alpha == 0.5

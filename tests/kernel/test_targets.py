@@ -1,8 +1,6 @@
 """Two targets, scripted steps: each has its own mailbox, estimator and valid set, and nothing passes between them."""
 
 import math
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -10,13 +8,11 @@ from agent.config import load_fleet
 from agent.core import Agent
 from agent.launch import fleet_file
 from agent.messages import Estimate, Heard, Inputs, State, decode, encode
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "network"))
-from scripted_agent import CALIBRATION, Motors, Script
+from tests.kernel.stepped_swarm import START_NS, steps
+from tests.network.scripted_agent import CALIBRATION
 
 WHERE_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}
 FLEET = load_fleet(fleet_file("two_balls"))
-START_NS, STEP_NS = 10**18, 50_000_000
 
 
 def swarm(
@@ -26,30 +22,11 @@ def swarm(
 
     `visible`: robot -> the targets that exist for its camera. `loss`: targets about which no message arrives.
     """
-    now = [START_NS]
-    agents = {name: Agent(FLEET, name, CALIBRATION, incarnation=7) for name in FLEET.robot}
-    scripts = {
-        name: Script(FLEET, name, lambda: now[0], {t: x for t, x in WHERE_M.items() if t in visible[name]})
-        for name in agents
-    }
-    motors = {name: Motors(script) for name, script in scripts.items()}
-    post: dict[str, list[Heard]] = {name: [] for name in agents}
-    shown: dict[str, dict[str, list[State]]] = {name: {target: [] for target in WHERE_M} for name in agents}
-    for _ in range(round(seconds * 20)):
-        now[0] += STEP_NS
-        for name, agent in agents.items():
-            telemetry, _ = motors[name].drain()
-            inputs = Inputs(telemetry=tuple(telemetry), sightings=tuple(scripts[name].drain()), heard=tuple(post[name]))
-            post[name] = []
-            outputs = agent.step(inputs, now[0])
-            motors[name].send(outputs.set_point, now[0])
-            if outputs.sweep:
-                scripts[name].plan(outputs.sweep)
-            for said in outputs.says:
-                if said.target not in loss:
-                    post[said.dst].append(Heard(arrived_ns=now[0], src=name, payload=encode(said)))
-            if outputs.state:
-                shown[name][outputs.state.target].append(outputs.state)
+    seen = {robot: {t: x for t, x in WHERE_M.items() if t in names} for robot, names in visible.items()}
+    shown: dict[str, dict[str, list[State]]] = {name: {target: [] for target in WHERE_M} for name in FLEET.robot}
+    for name, _, outputs in steps(FLEET, round(seconds * 20), seen, lambda said: said.target not in loss):
+        if outputs.state:
+            shown[name][outputs.state.target].append(outputs.state)
     return shown
 
 

@@ -13,29 +13,20 @@ from pathlib import Path
 
 from agent.config import dump, load_fleet
 from agent.core import Agent
-from agent.messages import Sighting, Telemetry
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.messages import Sighting
+from agent.ranging.calibration import Calibration
 from agent.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
 from agent.runtime import goodbye, loop, run_facts, until_signal
 from agent.transport import Transport
 from replay.black_box_writer import BlackBoxWriter
 from replay.log import LogWriter
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # it is run as a script, too
+from tests.known_lens import CAMERA
+from tests.known_lens import PLAIN as FOCUS
+from tests.sample_messages import telemetry
+
 TARGET_M = (0.76, 0.56, 0.07)
-FOCUS = FocusFit(
-    u_inf_m=-0.01,
-    b_m=130.0,
-    rho0=100.0,
-    covariance=(1e-6, 0.0, 0.0, 1e-2, 0.0, 1e-2),
-    noise=0.5,
-    width=60.0,
-    lowest=180,
-    highest=900,
-    r2=1.0,
-    rmse_m=0.001,
-    held_out_rmse_m=0.001,
-)
-CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 CALIBRATION = Calibration(robot="any", made="2026-01-01", source="script", focus=FOCUS, camera=CAMERA)
 
 
@@ -116,24 +107,7 @@ class Motors:
         if now_ns - self.last_ns < 20_000_000:
             return (), ()
         self.last_ns = now_ns
-        depth = self.script.robot.depth_m
-        return (
-            Telemetry(
-                t_ns=now_ns,
-                board_us=0,
-                depth_m=depth,
-                roll_deg=0.0,
-                pitch_deg=0.0,
-                sensor_depth_m=(depth,) * 4,
-                pulses_us=(1500,) * 8,
-                servos_us=(1500,) * 4,
-                battery_v=14.0,
-                armed=True,
-                ladder=0,
-                flags=0,
-                loop_us=0,
-            ),
-        ), ()
+        return (telemetry(now_ns, self.script.robot.depth_m),), ()
 
 
 def main(fleet_path: Path, name: str, out: Path, ahead_s: float = 0.0) -> None:

@@ -20,6 +20,7 @@ from agent.messages import Estimate, LogLine, State, decode, encode, encoding
 from agent.session import observer_config
 from agent.transport import Observer
 from replay.log import read
+from tests.sample_messages import estimate
 
 TARGET_M = (0.76, 0.56, 0.07)
 AGENT = Path(__file__).parent / "scripted_agent.py"
@@ -126,18 +127,7 @@ def test_what_cannot_be_believed_is_refused_counted_logged_and_changes_nothing(t
     with swarm(tmp_path) as it:
         it.start("r1", "r2")
         it.until("agreement", lambda: it.agree("r1", "r2"))
-        honest = Estimate(
-            fleet="tank",
-            src="r3",
-            dst="r1",
-            incarnation=1,
-            seq=1,
-            sent_ns=1,
-            target="ball",
-            t=5,
-            valid=True,
-            x_m=(0.1,) * 3,
-        )
+        honest = estimate("r3", "r1", seq=1, sent_ns=1, t=5, valid=True, x_m=(0.1,) * 3)
         wrong_schema = msgpack.packb({**msgspec.to_builtins(honest), "schema": 99})
         nan = msgpack.packb({**msgspec.to_builtins(honest), "x_m": [math.nan, 0.0, 0.0]})
         far = encode(msgspec.structs.replace(honest, x_m=(50.0, 0.0, 0.0)))

@@ -8,26 +8,15 @@ from msgspec.structs import replace
 
 from agent.config import Body, Pose, Target
 from agent.ranging import cues, fix
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit, at_lens
+from agent.ranging.calibration import Calibration, CameraFit, at_lens
 from agent.ranging.camera_model import Eye, camera_pose, centre_behind_skin_m, pixel, to_camera
 from agent.ranging.cues import Outline
 from agent.ranging.fix import Fix, locate
 from agent.ranging.focus import Refused, lens_position
+from tests.known_lens import FITTED
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0003)
-FOCUS = FocusFit(
-    u_inf_m=-0.001,
-    b_m=136.0,
-    rho0=102.0,
-    covariance=(5.6107e-07, -4.0676e-04, 4.4365e-04, 0.30611, -0.35131, 0.44447),
-    noise=0.7,
-    width=90.0,
-    lowest=215,
-    highest=720,
-    r2=0.999,
-    rmse_m=0.001,
-    held_out_rmse_m=0.001,
-)
+FOCUS = replace(FITTED, noise=0.7)
 CAMERA = CameraFit(
     width_px=640,
     height_px=480,

@@ -5,23 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from agent.ranging.calibration import FocusFit
 from agent.ranging.focus import Peak, Refused, fit_peak, fit_peaks, h, lens_position, range_variance
+from tests.known_lens import FITTED as FIT
 
 SWEEP = np.linspace(0, 1023, 30).round()
-FIT = FocusFit(
-    u_inf_m=-0.001,
-    b_m=136.0,
-    rho0=102.0,
-    covariance=(5.6107e-07, -4.0676e-04, 4.4365e-04, 0.30611, -0.35131, 0.44447),
-    noise=0.5,
-    width=90.0,
-    lowest=215,
-    highest=720,
-    r2=0.999,
-    rmse_m=0.001,
-    held_out_rmse_m=0.001,
-)
 
 
 def curve(x, x0, w, noise=0.0, seed=0):

@@ -23,31 +23,19 @@ from agent.messages import (
     Telemetry,
     encode,
 )
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.calibration import Calibration
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.depth import SweepDepth, SweepFrame
 from replay.log import LogWriter
+from tests.known_lens import CAMERA, PLAIN
+from tests.sample_messages import telemetry
 
 START_NS = 1_767_225_600_000_000_000  # 2026-01-01
 STEP_NS = 50_000_000
 STEPS = 40
 TANK = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
 FLEET = replace(TANK, camera=replace(TANK.camera, sweep_steps=9))
-CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
-FOCUS = FocusFit(
-    u_inf_m=-0.01,
-    b_m=130.0,
-    rho0=100.0,
-    covariance=(1e-6, 0.0, 0.0, 1e-2, 0.0, 1e-2),
-    noise=0.5,
-    width=60.0,
-    lowest=180,
-    highest=900,
-    r2=1.0,
-    rmse_m=0.001,
-    held_out_rmse_m=0.001,
-)
-CALIBRATION = Calibration(robot="r1", made="2026-01-01", source="test", focus=FOCUS, camera=CAMERA)
+CALIBRATION = Calibration(robot="r1", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
 
 
 def write_box(folder: Path, views: bool = True, lossless: bool = False) -> Path:
@@ -77,7 +65,7 @@ def fill(log: LogWriter, now: list[int], lossless: bool = False) -> None:
         box.serial(True, b"\x01telemetry\x00")
         box.serial(False, b"\x02set point\x00")
         box.frame(disc(step)[part[1] : part[1] + part[3], part[0] : part[0] + part[2]], part, sighting)
-        inputs = Inputs(telemetry=(telemetry(now[0]),), sightings=(sighting,))
+        inputs = Inputs(telemetry=(reading(now[0]),), sightings=(sighting,))
         says = LogLine(robot="r1", sent_ns=now[0], level="warning", text=f"step {step}")
         outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=state(now[0], step), log=(says,))
         box.step(step, now[0], encode(inputs), encode(outputs))
@@ -108,20 +96,15 @@ def seen(now_ns: int, step: int) -> Sighting:
     )
 
 
-def telemetry(now_ns: int) -> Telemetry:
-    return Telemetry(
-        t_ns=now_ns,
-        board_us=0,
-        depth_m=0.4,
+def reading(now_ns: int) -> Telemetry:
+    return telemetry(
+        now_ns,
         roll_deg=1.0,
         pitch_deg=-2.0,
         sensor_depth_m=(0.39, 0.4, 0.4, 0.41),
         pulses_us=(1500, 1501, 1502, 1503, 1504, 1505, 1506, 1507),
         servos_us=(1500, 1510, 1520, 1530),
         battery_v=14.5,
-        armed=True,
-        ladder=0,
-        flags=0,
         loop_us=900,
     )
 

@@ -113,7 +113,7 @@ def test_two_twins_do_not_share_a_place(start, fleet_file):
     second = start()
     assert second.wait(START_S) == 2
     error = second.stderr.read()
-    assert error.startswith("error: ")
+    assert error.startswith("aucamp: ")
     assert "another twin" in error
     assert error.count("\n") == 1
 

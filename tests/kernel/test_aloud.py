@@ -1,0 +1,84 @@
+"""What a person at the tank reads while an agent runs."""
+
+import threading
+
+from agent.aloud import AGAIN_NS, Aloud, standing
+from agent.messages import LogLine, NeighbourState, State
+
+START_NS = 1_700_000_000_000_000_000
+
+
+class Shown:
+    """A network that keeps what it is shown."""
+
+    def __init__(self) -> None:
+        self.messages: list[State | LogLine] = []
+
+    def drain(self) -> tuple[tuple, tuple]:
+        return (), ()
+
+    def say(self, estimate) -> None: ...
+
+    def show(self, message: State | LogLine) -> None:
+        self.messages.append(message)
+
+
+def state(after_ns: int = 0, r2_age_s: float | None = 0.05, **more) -> State:
+    neighbour = NeighbourState(robot="r2", age_s=r2_age_s, valid=True, used=False, heard=9, gaps=0)
+    about = {"fleet": "test", "robot": "r1", "incarnation": 1, "seq": 0, "target": "ball", "knows": "sees", "t": 7}
+    return State(sent_ns=START_NS + after_ns, neighbours=(neighbour,), **{**about, **more})
+
+
+def said(*messages: State | LogLine) -> list[str]:
+    """The lines of a session in which these were shown, without the time of day."""
+    lines: list[str] = []
+    network = Shown()
+    with Aloud(network, lines.append) as aloud:
+        for message in messages:
+            aloud.show(message)
+    assert network.messages == list(messages)  # all of it is published all the same
+    return [line.split(" ", 1)[1].rstrip("\n") for line in lines]
+
+
+def test_the_log_is_said_line_by_line() -> None:
+    line = LogLine(robot="r1", sent_ns=START_NS, level="warning", text="no frames")
+    assert said(line, line) == ["r1 warning no frames"] * 2
+
+
+def test_where_it_stands_is_said_every_ten_seconds() -> None:
+    states = [state(int(k * AGAIN_NS / 4)) for k in range(9)]
+    lines = said(*states)
+    assert lines[0] == "r1 info    hears r2"
+    assert len(lines) == 3 and all("sees at iteration 7" in text for text in lines[1:])
+
+
+def test_a_neighbour_that_falls_silent_is_news() -> None:
+    lines = said(state(), state(1, r2_age_s=0.9), state(2, r2_age_s=3.0), state(3, r2_age_s=3.2), state(4))
+    assert lines == ["r1 info    hears r2", "r1 warning hears r2 no more", "r1 info    hears r2"]
+
+
+def test_nobody_claims_to_know_the_motors_of_a_board_that_is_silent() -> None:
+    where = standing(state(posterior_m=(0.76, 0.56, 0.07), posterior_sigma_m=0.0016, armed=True))
+    assert where == "ball: sees at iteration 7, 760.0 560.0 70.0 mm, sigma 1.6 mm; hears r2; motors on"
+    assert "motors" not in standing(state(armed=True, faults=("no telemetry",)))
+
+
+def test_a_terminal_that_is_held_does_not_hold_the_loop() -> None:
+    held = threading.Event()
+    network = Shown()
+    try:
+        with Aloud(network, lambda text: held.wait()) as aloud:
+            for k in range(1000):
+                aloud.show(LogLine(robot="r1", sent_ns=START_NS + k, level="info", text=str(k)))
+            assert len(network.messages) == 1000
+    finally:
+        held.set()
+
+
+def test_a_reader_who_has_gone_is_not_missed() -> None:
+    def gone(text: str) -> None:
+        raise BrokenPipeError
+
+    with Aloud(Shown(), gone) as aloud:
+        for k in range(3):
+            aloud.show(LogLine(robot="r1", sent_ns=START_NS, level="info", text=str(k)))
