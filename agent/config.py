@@ -44,12 +44,17 @@ class Water(Struct, frozen=True, kw_only=True):
 
 
 class Target(Struct, frozen=True, kw_only=True):
-    """What the robots look for. Targets are told apart by their colours."""
+    """What the robots look for: a ball, told from others by its colour, or whatever a box in a picture shows."""
 
-    detector: Literal["ball"] = "ball"
+    detector: Literal["ball", "box"] = "ball"
+    # of a ball
     colour: Colour = "red"
-    radius_m: Positive
+    radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
+    # of a box; files are looked for beside the fleet file
+    picture: str | None = None  # taken by a camera of the fleet
+    box: tuple[float, float, float, float] | None = None  # around the thing in it: x, y, width, height in pixels
+    models: str | None = None  # folder with NanoTrack's two files; without them OpenCV's MIL follows the box
 
 
 class Ranging(Struct, frozen=True, kw_only=True):
@@ -138,7 +143,13 @@ def load_fleet(path: Path) -> Fleet:
     """Read and check a fleet file. Raises ConfigError with one line."""
     fleet = convert(read_toml(path), Fleet, path)
     _check(fleet, path)
-    return fleet
+    return msgspec.structs.replace(fleet, target={name: _found(t, path.parent) for name, t in fleet.target.items()})
+
+
+def _found(target: Target, folder: Path) -> Target:
+    """Its files, which count from the fleet file's folder, by their full paths: copies of the file lie elsewhere."""
+    full = {key: str((folder / name).resolve()) for key in ("picture", "models") if (name := getattr(target, key))}
+    return msgspec.structs.replace(target, **full)
 
 
 def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
@@ -197,6 +208,9 @@ def _check(fleet: Fleet, path: Path) -> None:
         raise ConfigError(f"{path}: key 'target': nothing to look for; add a table [target.ball]")
     wearer: dict[str, str] = {}
     for name, target in fleet.target.items():
+        _check_target(fleet, name, path)
+        if target.detector != "ball":
+            continue
         if target.colour in wearer:
             raise ConfigError(
                 f"{path}: key 'target.{name}.colour': '{wearer[target.colour]}' is {target.colour} too and nobody "
@@ -234,6 +248,24 @@ def _check(fleet: Fleet, path: Path) -> None:
                 f"{path}: key '{key}.depth_m': {robot.depth_m} is below the floor; "
                 f"the water is {fleet.tank.surface_m} m deep"
             )
+
+
+def _check_target(fleet: Fleet, name: str, path: Path) -> None:
+    """A target has what its detector needs, and nothing that belongs to the other one."""
+    target, key = fleet.target[name], f"{path}: key 'target.{name}"
+    belongs = {"radius_m": "ball", "picture": "box", "box": "box", "models": "box"}
+    for one, detector in belongs.items():
+        given = getattr(target, one) is not None
+        if given and detector != target.detector:
+            raise ConfigError(f"{key}.{one}': only a {detector} has one; remove it, or correct the detector")
+        if not given and detector == target.detector and one != "models":
+            raise ConfigError(f"{key}': required key `{one}` is missing; add it")
+    if target.box is not None:
+        x, y, width, height = target.box
+        if not (all(map(math.isfinite, target.box)) and min(x, y) >= 0 and min(width, height) > 0):
+            raise ConfigError(f"{key}.box': {list(target.box)} is no box; write [x, y, width, height], pixels")
+        if fleet.ranging.cues == "size":
+            raise ConfigError(f"{path}: key 'ranging.cues': the size of '{name}' is not known; take 'both' or 'focus'")
 
 
 def _endpoint(text: str, where: str) -> str:

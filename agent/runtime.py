@@ -34,6 +34,7 @@ from agent.messages import (
     encode,
 )
 from agent.perception.enhance import default as default_enhancement
+from agent.perception.seekers import seekers
 from agent.perception.vision import Vision
 from agent.ranging.calibration import load_calibration
 from agent.sweep_depth import sweep_depth
@@ -78,6 +79,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     fleet = load_fleet(fleet_path)
     robot = load_robot(fleet, name, fleet_path)
     calibration = load_calibration(fleet_path.parent / robot.calibration)
+    sought = seekers(fleet, calibration.camera)
     offset_ns = time.time_ns() - time.monotonic_ns()
     sockets = twin_dir(fleet)
 
@@ -106,6 +108,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
             lambda: open_camera(robot.camera, sockets, size),
             fleet,
             calibration.camera,
+            sought,
             epoch_offset_ns=offset_ns,
             on_frame=lambda frame, sightings: box.frame(frame.image, frame.roi, *sightings),
             way=way,

@@ -8,6 +8,7 @@ the calibration.
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 from agent.messages import Sighting, SweepPlan, Telemetry
@@ -21,6 +22,7 @@ WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farth
 HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
 FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
 MOTION_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
+BOX_LIMIT = 0.12  # of a box's diagonal, if that is more: NanoTrack's box of a resting thing jumps by up to 0.06
 TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
 SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should is given up
@@ -117,7 +119,7 @@ class Sweep:
         if len(good) < FOUND_SHARE * len(self._frames):
             return Rejected(f"target seen in {len(good)} of {len(self._frames)} frames")
         for a, b in itertools.pairwise(good):
-            if distance_px(a, b) > MOTION_LIMIT_PX:
+            if distance_px(a, b) > motion_limit_px(b):
                 return Rejected(f"moved {distance_px(a, b):.0f} px between frames")
         turned_deg = max((max(axis) - min(axis) for axis in zip(*self._tilts, strict=True)), default=0.0)
         if turned_deg > TILT_LIMIT_DEG:
@@ -127,13 +129,13 @@ class Sweep:
         if not isinstance(peak, Peak):
             return Rejected(peak.reason)
         sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.position), f.frame))
-        assert sharpest.centre_px is not None and sharpest.radius_px is not None
+        assert sharpest.centre_px is not None
         return Measurement(
             t_ns=sharpest.t_ns,
             focus=peak.position,
             sigma=peak.sigma,
             width=peak.width,
-            outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus),
+            outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
             score=peak.quality,
         )
 
@@ -152,6 +154,10 @@ def track_positions(peak: float, width: float, span: float = TRACK_SPAN) -> tupl
 def spread(first: float, last: float, steps: int) -> tuple[int, ...]:
     """`steps` whole lens positions from first to last, rising."""
     return tuple(round(first + (last - first) * k / (steps - 1)) for k in range(steps))
+
+
+def motion_limit_px(sighting: Sighting) -> float:
+    return max(MOTION_LIMIT_PX, BOX_LIMIT * math.hypot(*(sighting.size_px or (0.0, 0.0))))
 
 
 def distance_px(a: Sighting, b: Sighting) -> float:

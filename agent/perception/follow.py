@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from agent.config import ConfigError
 from agent.perception.engines import Engine
-from agent.perception.likeness import Box, Image, Looks, likeness, remember, renewed, search
+from agent.perception.likeness import ANY_SCALE, NEAR_SCALES, Box, Image, Looks, likeness, remember, renewed, search
 
 HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
 HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
@@ -30,13 +30,20 @@ class Followed(NamedTuple):
 
 
 class Follower:
-    """Give it every frame of one size; it begins to follow at start()."""
+    """Give it every frame of one size; it begins to follow at start(), or to look around at expect()."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._looks: Looks | None = None
         self._box = Box(0, 0, 0, 0)
         self._lost = True
+        self._scales: tuple[float, ...] = NEAR_SCALES
+
+    def expect(self, picture: Image, box: Box) -> None:
+        """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
+        ConfigError as start() does."""
+        check_box(box, (picture.shape[1], picture.shape[0]))
+        self._looks, self._box, self._lost, self._scales = remember(picture, box), box, True, ANY_SCALE
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
@@ -45,9 +52,9 @@ class Follower:
         self._looks, self._box, self._lost = remember(image, box), box, False
 
     def look(self, image: Image) -> Followed:
-        """Where it is in the next picture. Raises RuntimeError before start()."""
+        """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
         if self._looks is None:
-            raise RuntimeError("call start() before look()")
+            raise RuntimeError("call start() or expect() before look()")
         return self._search(image, self._looks) if self._lost else self._follow(image, self._looks)
 
     def _follow(self, image: Image, looks: Looks) -> Followed:
@@ -62,11 +69,11 @@ class Follower:
         return Followed(box, min(score, max(alike, 0.0)), lost=False)
 
     def _search(self, image: Image, looks: Looks) -> Followed:
-        box, alike = search(looks, image, self._box)
+        box, alike = search(looks, image, self._box, self._scales)
         if alike < FOUND_LIKE:
             return Followed(self._box, 0.0, lost=True)
         self._engine.start(image, box)
-        self._box, self._lost = box, False
+        self._box, self._lost, self._scales = box, False, NEAR_SCALES
         return Followed(box, alike, lost=False)
 
 
