@@ -18,6 +18,7 @@ from agent.perception.likeness import ANY_SCALE, NEAR_SCALES, Box, Image, Looks,
 HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
 HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
 FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
+FIRST_LIKE = 0.70  # the same in any size: to 0.58, grey stone before a grey floor; with the thing mostly above 0.75
 MAX_GROWTH = 1.5  # of the area, from frame to frame
 MAX_STEP = 1.0  # of the box's diagonal, from frame to frame
 MIN_SIDE_PX = 8  # of a box that can be followed
@@ -37,19 +38,20 @@ class Follower:
         self._looks: Looks | None = None
         self._box = Box(0, 0, 0, 0)
         self._lost = True
-        self._scales: tuple[float, ...] = NEAR_SCALES
+        self._seen = False
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
         ConfigError as start() does."""
         check_box(box, (picture.shape[1], picture.shape[0]))
-        self._looks, self._box, self._lost, self._scales = remember(picture, box), box, True, ANY_SCALE
+        self._looks, self._box, self._lost, self._seen = remember(picture, box), box, True, False
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
         check_box(box, (image.shape[1], image.shape[0]))
         self._engine.start(image, box)
         self._looks, self._box, self._lost = remember(image, box), box, False
+        self._seen = True
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
@@ -69,11 +71,11 @@ class Follower:
         return Followed(box, min(score, max(alike, 0.0)), lost=False)
 
     def _search(self, image: Image, looks: Looks) -> Followed:
-        box, alike = search(looks, image, self._box, self._scales)
-        if alike < FOUND_LIKE:
+        box, alike = search(looks, image, self._box, NEAR_SCALES if self._seen else ANY_SCALE)
+        if alike < (FOUND_LIKE if self._seen else FIRST_LIKE):
             return Followed(self._box, 0.0, lost=True)
         self._engine.start(image, box)
-        self._box, self._lost, self._scales = box, False, NEAR_SCALES
+        self._box, self._lost, self._seen = box, False, True
         return Followed(box, alike, lost=False)
 
 
