@@ -5,7 +5,6 @@ One line a frame on standard output; with --out also the pictures, with the box 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ from rich.console import Console
 from agent.config import ConfigError
 from agent.launch import with_bar
 from agent.perception.engines import load_engine
-from agent.perception.follow import Follower
+from agent.perception.follow import Follower, parse_box
 from agent.perception.likeness import Box
 from agent.perception.seekers import BoxSeeker, Found, boxed
 from agent.pictures import Picture, Pictures, pictures
@@ -74,17 +73,6 @@ def follow(
         show(annotated(picture.image, now, box), picture.name)
         progress(k + 1, found.total or k + 2)
     return now is not None
-
-
-def parse_box(text: str) -> Box:
-    """X,Y,W,H in pixels. Raises ConfigError."""
-    try:
-        box = Box(*(float(side) for side in text.split(",")))
-    except (TypeError, ValueError):
-        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
-    if not all(math.isfinite(side) for side in box):
-        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
-    return box
 
 
 def line(picture: Picture, now: Found | None, last: Box) -> str:

@@ -90,11 +90,22 @@ def steady(before: Box, after: Box) -> bool:
     return 1.0 / MAX_GROWTH <= growth <= MAX_GROWTH and step <= MAX_STEP
 
 
+def parse_box(text: str) -> Box:
+    """X,Y,W,H in pixels. Raises ConfigError."""
+    try:
+        box = Box(*(float(side) for side in text.split(",")))
+    except (TypeError, ValueError):
+        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
+    if not all(math.isfinite(side) for side in box):
+        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
+    return box
+
+
 def check_box(box: Box, size: tuple[int, int]) -> None:
     """Raises ConfigError for a box too small to follow or not inside a picture of size (width, height)."""
     inside = box.x >= 0 and box.y >= 0 and box.x + box.width <= size[0] and box.y + box.height <= size[1]
     if not inside or not usable(box):
         raise ConfigError(
-            f"--box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
+            f"box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
             f"at least {MIN_SIDE_PX} pixels wide and high"
         )
