@@ -133,11 +133,12 @@ def depth_map(
     out: Annotated[Path, typer.Option(help="Picture to write; the numbers go beside it as .csv.")] = Path("depth.png"),
     block: Annotated[int, typer.Option(min=8, help="Side of a block, pixels.")] = 50,
     calibration: Annotated[Path | None, typer.Option(help="Calibration file: gives metres.")] = None,
+    box: Annotated[str | None, typer.Option(help="Range of the thing in this box too: X,Y,W,H in pixels.")] = None,
 ) -> None:
     """How far each part of the view is, from the focus position at which it is sharpest."""
     from agent.depth_map import run
 
-    terminal().print(run(source, out, block, calibration))
+    terminal().print(run(source, out, block, calibration, box=box))
 
 
 @app.command("track", epilog="Example: aucamp track dive.mp4 --box 210,140,90,60 --out followed.mp4")

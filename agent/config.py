@@ -48,12 +48,17 @@ class Water(Struct, frozen=True, kw_only=True):
 
 
 class Target(Struct, frozen=True, kw_only=True):
-    """What the robots look for. Targets are told apart by their colours."""
+    """What the robots look for: a ball, told from others by its colour, or whatever a box in a picture shows."""
 
-    detector: Literal["ball"] = "ball"
+    detector: Literal["ball", "box"] = "ball"
+    # of a ball
     colour: Colour = "red"
-    radius_m: Positive
+    radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
+    # of a box; files are looked for beside the fleet file
+    picture: str | None = None  # taken by a camera of the fleet
+    box: tuple[float, float, float, float] | None = None  # around the thing in it: x, y, width, height in pixels
+    models: str | None = None  # folder with NanoTrack's two files; without them OpenCV's MIL follows the box
 
 
 class Ranging(Struct, frozen=True, kw_only=True):
@@ -142,7 +147,13 @@ def load_fleet(path: Path) -> Fleet:
     """Read and check a fleet file. Raises ConfigError with one line."""
     fleet = convert(read_toml(path), Fleet, path)
     _check(fleet, path)
-    return fleet
+    return msgspec.structs.replace(fleet, target={name: _found(t, path.parent) for name, t in fleet.target.items()})
+
+
+def _found(target: Target, folder: Path) -> Target:
+    """Its files, which count from the fleet file's folder, by their full paths: copies of the file lie elsewhere."""
+    full = {key: str((folder / name).resolve()) for key in ("picture", "models") if (name := getattr(target, key))}
+    return msgspec.structs.replace(target, **full)
 
 
 def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
@@ -229,13 +240,34 @@ def _tank_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         yield "tank.surface_m", f"{tank.surface_m} is above the rim; the tank is {tank.size_m[2]} m high"
     wearer: dict[str, str] = {}
     for name, target in fleet.target.items():
-        if 2.0 * target.radius_m > min(tank.size_m):
-            yield f"target.{name}.radius_m", f"{target.radius_m} m does not fit into the tank; correct the value"
+        yield from _target_rules(fleet, name)
+        if target.detector != "ball":
+            continue
         if target.colour in wearer:
             other = wearer[target.colour]
             why = f"'{other}' is {target.colour} too and nobody could tell them apart; give each target its own colour"
             yield f"target.{name}.colour", why
         wearer[target.colour] = name
+
+
+def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
+    """A target has what its detector needs, and nothing that belongs to the other one."""
+    target, key = fleet.target[name], f"target.{name}"
+    belongs = {"radius_m": "ball", "picture": "box", "box": "box", "models": "box"}
+    for one, detector in belongs.items():
+        given = getattr(target, one) is not None
+        if given and detector != target.detector:
+            yield f"{key}.{one}", f"only a {detector} has one; remove it, or correct the detector"
+        if not given and detector == target.detector and one != "models":
+            yield key, f"required key `{one}` is missing; add it"
+    if target.radius_m is not None and 2.0 * target.radius_m > min(fleet.tank.size_m):
+        yield f"{key}.radius_m", f"{target.radius_m} m does not fit into the tank; correct the value"
+    if target.box is not None:
+        x, y, width, height = target.box
+        if not (min(x, y) >= 0 and min(width, height) > 0):
+            yield f"{key}.box", f"{list(target.box)} is no box; write [x, y, width, height], pixels"
+        if fleet.ranging.cues == "size":
+            yield "ranging.cues", f"the size of '{name}' is not known; take 'both' or 'focus'"
 
 
 def _rate_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:

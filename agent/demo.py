@@ -80,6 +80,8 @@ def demo_fleet(
     fleet = load_fleet(path)
     if not 1 <= robots <= len(fleet.robot):
         raise ConfigError(f"--robots {robots}: {path.name} has {len(fleet.robot)}; choose 1 to {len(fleet.robot)}")
+    if boxes := [name for name, target in fleet.target.items() if target.detector == "box"]:
+        raise ConfigError(f"{path.name}: the demo judges places of balls alone; remove the target '{boxes[0]}'")
     names = list(fleet.robot)[:robots]
     ports = free_ports(robots)
     kept = {

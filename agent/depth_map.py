@@ -18,11 +18,15 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from agent.config import ConfigError
+from agent.depth_box import MIN_RISE, BoxRange, as_json, box_clarity, box_range
+from agent.launch import Failed
 from agent.perception.breathing import measure_growth
 from agent.perception.clarity import grid, luminance, tenengrad_grid
+from agent.perception.follow import check_box, parse_box
+from agent.perception.likeness import Box
 from agent.perception.peaks import block_peaks
 from agent.ranging.calibration import Calibration, load_calibration
-from agent.ranging.focus import MIN_POSITIONS, Array, Method, h
+from agent.ranging.focus import MIN_POSITIONS, Array, Method, Refused, h
 from hw.camera import Camera, CameraError, Image, nearest, open_camera
 from hw.camera_files import StackCamera
 
@@ -35,7 +39,6 @@ SETTLE_S = 0.05
 MIN_BLOCK_PX = 8  # smaller ones hold more noise than texture
 MIN_QUALITY = 0.96  # of a block's peak: over many blocks a wrong one costs more than a missing one
 MAX_GROWTH = 0.2  # of the picture in one sweep: beyond it it is not breathing
-MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
 
 OnStep = Callable[[int, int], None]  # lens positions done, in all
 
@@ -46,6 +49,7 @@ class Sweep(NamedTuple):
     sharp: Image  # (height, width, 3), each block from the frame in which it is sharpest
     growth: float  # of the picture from the first position to the last, relative
     reference: int  # the position whose picture is largest; blocks are squares there, and smaller in the others
+    boxed: Array | None = None  # (n,) clarity in the middle of the box, drawn in the largest picture
 
 
 class DepthMap(NamedTuple):
@@ -59,6 +63,7 @@ class DepthMap(NamedTuple):
     range_m: Array | None  # z-depth from the gimbal pivot; NaN where there is none. None without a calibration
     sharp: Image
     growth: float
+    thing: BoxRange | Refused | None = None  # what is in the box, if there is one
 
 
 def depth_map(
@@ -69,47 +74,65 @@ def depth_map(
     calibration: Calibration | None,
     progress: OnStep,
     growth: float | None = None,
+    box: Box | None = None,
 ) -> DepthMap:
     """Sweep `source` (a camera address, or a directory of photographs), write the PNG `out` and a CSV beside it.
 
-    block: edge in pixels. growth: see `sweep`. Raises CameraError and ConfigError, each one line.
+    block: edge in pixels. growth: see `sweep`. box: around one thing, whose range goes into a JSON file beside them.
+    Raises CameraError and ConfigError, each one line.
     """
     if out.suffix.lower() != ".png" or not out.parent.is_dir():
         raise ConfigError(f"{out}: give a name that ends in .png, in a directory that exists")
     camera = open_camera(f"stack:{source}" if Path(source).is_dir() else source, twin_dir, None)
     try:
-        result = measure(sweep(camera, block, progress, growth), block, calibration)
+        taken = sweep(camera, block, progress, growth, box)
     finally:
         camera.close()
+    result = measure(taken, block, calibration)
+    if taken.boxed is not None:
+        result = result._replace(thing=box_range(taken.focus, taken.boxed, calibration))
     try:
         write_csv(result, out.with_suffix(".csv"))
-        draw(result, out)
+        draw(result, out, box)
+        if box is not None and isinstance(result.thing, BoxRange):
+            out.with_suffix(".json").write_text(as_json(box, result.thing), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}; choose another place") from None
     return result
 
 
-def run(source: str, out: Path, block: int, calibration: Path | None, growth: float | None = None) -> str:
-    """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera."""
+def run(
+    source: str, out: Path, block: int, calibration: Path | None, growth: float | None = None, box: str | None = None
+) -> str:
+    """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera.
+
+    Raises Failed where the thing in the box has no single clear peak; the map is written all the same.
+    """
     known = None if calibration is None else load_calibration(calibration)
+    drawn = None if box is None else parse_box(box)
     with Progress(transient=True) as bar:
         task = bar.add_task("focus sweep", total=None)
-        result = depth_map(
-            source, out, block, Path(), known, lambda done, total: bar.update(task, completed=done, total=total), growth
-        )
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        result = depth_map(source, out, block, Path(), known, progress, growth, drawn)
     found, blocks = np.count_nonzero(result.accepted), result.accepted.size
-    return (
+    said = (
         f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: "
         f"{out}, {out.with_suffix('.csv')}"
     )
+    if isinstance(result.thing, Refused):
+        raise Failed(f"box {box}: {result.thing.reason}; the map is in {out}")
+    return said if result.thing is None else f"{said}, {out.with_suffix('.json')}\nin the box: {result.thing}"
 
 
-def sweep(camera: Camera, block: int, progress: OnStep, growth: float | None = None) -> Sweep:
+def sweep(camera: Camera, block: int, progress: OnStep, growth: float | None = None, box: Box | None = None) -> Sweep:
     """Clarity of every block at every lens position, from the lowest upwards: one direction, one hysteresis.
 
     growth: of the picture from the first position to the last, 0.03 for three percent; None measures it, and
-    takes none where the frames do not tell. Raises
-    ConfigError for a block or a growth that cannot be, CameraError for a source without focus.
+    takes none where the frames do not tell. Raises ConfigError for a block, a growth or a box that cannot be,
+    CameraError for a source without focus.
     """
     width, height = camera.size
     if not MIN_BLOCK_PX <= block <= min(width, height):
@@ -118,6 +141,8 @@ def sweep(camera: Camera, block: int, progress: OnStep, growth: float | None = N
         )
     if growth is not None and not abs(growth) <= MAX_GROWTH:
         raise ConfigError(f"growth {growth}: give the share of the picture, -{MAX_GROWTH} to {MAX_GROWTH}")
+    if box is not None:
+        check_box(box, (width, height))
     positions = _positions(camera)
     camera.set_focus(positions[0])
     camera.read(settle_s=HOME_SETTLE_S)
@@ -129,10 +154,10 @@ def sweep(camera: Camera, block: int, progress: OnStep, growth: float | None = N
     scale = np.array(camera.positions) if isinstance(camera, StackCamera) else np.array(focus)
     if growth is None:
         growth = measure_growth([luminance(image) for image in images]) or 0.0  # unknown: as good as any
-    return clarity_of(images, scale, block, growth)
+    return clarity_of(images, scale, block, growth, box)
 
 
-def clarity_of(images: list[Image], focus: Array, block: int, growth: float) -> Sweep:
+def clarity_of(images: list[Image], focus: Array, block: int, growth: float, box: Box | None = None) -> Sweep:
     """The frames of a sweep -> clarity on a grid that grows as they do; growth is linear in the lens position."""
     height, width = images[0].shape[:2]
     size = 1.0 + growth * (focus - focus[0]) / (focus[-1] - focus[0])
@@ -145,7 +170,8 @@ def clarity_of(images: list[Image], focus: Array, block: int, growth: float) -> 
         part = images[best][rows[row] : rows[row + 1], cols[col] : cols[col + 1]]
         place = np.s_[row * block : (row + 1) * block, col * block : (col + 1) * block]
         sharp[place] = cv2.resize(part, (block, block))  # for the eye alone
-    return Sweep(focus, clarity, sharp, growth, reference)
+    boxed = None if box is None else box_clarity(images, size / size[reference], box)
+    return Sweep(focus, clarity, sharp, growth, reference, boxed)
 
 
 def _positions(camera: Camera) -> list[int]:
@@ -211,15 +237,18 @@ def write_csv(result: DepthMap, path: Path) -> None:
             writer.writerow(line)
 
 
-def draw(result: DepthMap, path: Path) -> None:
+def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
     """The picture, everywhere sharp, and beside it the map with its colour bar; hatched: no distance."""
     from matplotlib.figure import Figure  # a second and 30 MB that an agent, which draws nothing, does without
+    from matplotlib.patches import Rectangle
 
     height, width = result.sharp.shape[:2]
     figure = Figure(figsize=(12.0, 0.6 + 5.4 * height / width), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.imshow(result.sharp[..., ::-1])
     left.set_title("each block from its sharpest frame")
+    if box is not None:
+        left.add_patch(Rectangle((box.x, box.y), box.width, box.height, fill=False, color="C3"))
     if result.range_m is not None:
         values, label = result.range_m, "z-depth in metres"
     else:

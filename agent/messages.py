@@ -198,11 +198,12 @@ class Sighting(Message, frozen=True, kw_only=True):
     focus: int | None = None  # lens position, once at rest
     target: Id
     found: bool
-    centre_px: tuple[float, float] | None = None  # where the ray to the target's centre meets the image
-    radius_px: float | None = None  # apparent radius
-    clarity: float | None = None  # Tenengrad per pixel over the inner disc
+    centre_px: tuple[float, float] | None = None  # where the ray to a ball's centre meets the image; middle of a box
+    radius_px: float | None = None  # apparent radius of a ball
+    clarity: float | None = None  # Tenengrad per pixel over a ball's inner disc, or the inner half of a box
     area_px: float | None = None  # pixels that clarity was taken over
-    score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape
+    score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape, or how sure a tracker is of its box
+    size_px: tuple[float, float] | None = None  # width and height of the box around a target that is no ball
 
 
 class Telemetry(Message, frozen=True, kw_only=True):

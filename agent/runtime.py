@@ -32,6 +32,7 @@ from agent.messages import (
     encode,
 )
 from agent.perception.enhance import default as default_enhancement
+from agent.perception.seekers import seekers
 from agent.perception.vision import Vision
 from agent.ranging.calibration import Calibration, load_calibration
 from agent.sweep_depth import sweep_depth
@@ -72,6 +73,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     robot = load_robot(fleet, name, fleet_path)
     known_scheme(robot.camera)
     calibration = own_calibration(fleet, name, fleet_path)
+    sought = seekers(fleet, calibration.camera)
     offset_ns = time.time_ns() - time.monotonic_ns()
     sockets = twin_dir(fleet)
 
@@ -101,6 +103,7 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
             lambda: open_camera(robot.camera, sockets, size),
             fleet,
             calibration.camera,
+            sought,
             epoch_offset_ns=offset_ns,
             on_frame=lambda frame, sightings: box.frame(frame.image, frame.roi, *sightings),
             way=way,

@@ -22,9 +22,9 @@ MIN_BLOCKS = 4  # across and down; less is no map
 def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth | None:
     """The map of one sweep, or None where too few frames show the target, or too little around it.
 
-    Frames without the target are left out: nothing says where they belong.
+    Frames without a ball are left out: nothing says where they belong. A box around something else trembles too much.
     """
-    seen = [frame for frame in frames if frame.sighting.centre_px and frame.sighting.focus is not None]
+    seen = [frame for frame in frames if frame.sighting.radius_px and frame.sighting.focus is not None]
     if len({frame.sighting.focus for frame in seen}) < MIN_POSITIONS:
         return None
     half_x, half_y = (min(_reach(frame, axis) for frame in seen) for axis in (0, 1))

@@ -5,7 +5,6 @@ One line a frame on standard output; with --out also the pictures, with the box 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +16,9 @@ from rich.console import Console
 from agent.config import ConfigError
 from agent.launch import with_bar
 from agent.perception.engines import load_engine
-from agent.perception.follow import Followed, Follower
+from agent.perception.follow import Follower, parse_box
 from agent.perception.likeness import Box
+from agent.perception.seekers import BoxSeeker, Found, boxed
 from agent.pictures import Picture, Pictures, pictures
 from hw.camera import Image
 
@@ -58,7 +58,8 @@ def follow(
     say: Callable[[str], None],
     progress: Callable[[int, int], None],
 ) -> bool:
-    now, size = Followed(box, 1.0, lost=False), None
+    seeker, size = BoxSeeker(follower), None
+    now: Found | None = boxed(box, 1.0)
     for k, picture in enumerate(found.each):
         if size is None:
             size = picture.image.shape
@@ -66,35 +67,26 @@ def follow(
         elif picture.image.shape != size:
             raise ConfigError(f"{picture.name}: not of the size of the first picture; give pictures of one size")
         else:
-            now = follower.look(picture.image)
-        say(line(picture, now))
-        show(annotated(picture.image, now), picture.name)
+            now = seeker.find(picture.image)
+        box = now.box if now else box
+        say(line(picture, now, box))
+        show(annotated(picture.image, now, box), picture.name)
         progress(k + 1, found.total or k + 2)
-    return not now.lost
+    return now is not None
 
 
-def parse_box(text: str) -> Box:
-    """X,Y,W,H in pixels. Raises ConfigError."""
-    try:
-        box = Box(*(float(side) for side in text.split(",")))
-    except (TypeError, ValueError):
-        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
-    if not all(math.isfinite(side) for side in box):
-        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
-    return box
-
-
-def line(picture: Picture, now: Followed) -> str:
+def line(picture: Picture, now: Found | None, last: Box) -> str:
     t_s = "" if picture.t_s is None else f"{picture.t_s:.3f}"
-    return f"{picture.name},{t_s},{','.join(f'{side:.1f}' for side in now.box)},{now.score:.2f},{int(now.lost)}"
+    score = now.score if now else 0.0
+    return f"{picture.name},{t_s},{','.join(f'{side:.1f}' for side in last)},{score:.2f},{int(now is None)}"
 
 
-def annotated(image: Image, now: Followed) -> Image:
+def annotated(image: Image, now: Found | None, last: Box) -> Image:
     """The picture with the box in it: green while it is followed, red where it was lost."""
-    drawn, colour = image.copy(), RED if now.lost else GREEN
-    corners = [(round(x), round(y)) for x, y in ((now.box.x, now.box.y), _far_corner(now.box))]
+    drawn, colour = image.copy(), GREEN if now else RED
+    corners = [(round(x), round(y)) for x, y in ((last.x, last.y), _far_corner(last))]
     cv2.rectangle(drawn, corners[0], corners[1], colour, 2)
-    text = "lost" if now.lost else f"{now.score:.2f}"
+    text = f"{now.score:.2f}" if now else "lost"
     cv2.putText(drawn, text, (corners[0][0], max(corners[0][1] - 6, 14)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
     return drawn
 

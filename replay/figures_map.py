@@ -22,7 +22,7 @@ def above(fleet: Fleet, stories: Sequence[Story], truths_m: Mapping[str, Vector]
     length_m, width_m, _ = fleet.tank.size_m
     panel.add_patch(Rectangle((0, 0), length_m, width_m, fill=False))
     for k, (target, truth_m) in enumerate(truths_m.items()):
-        panel.add_patch(Circle(truth_m[:2], fleet.target[target].radius_m, color="C3", alpha=0.2))
+        panel.add_patch(Circle(truth_m[:2], fleet.target[target].radius_m or 0.0, color="C3", alpha=0.2))
         panel.plot(*truth_m[:2], "+", color="black", markersize=12, label="truth" if k == 0 else None)
     for index, (name, robot) in enumerate(fleet.robot.items()):
         pose, yaw = robot.pose, math.radians(robot.pose.yaw_deg)

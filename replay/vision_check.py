@@ -25,7 +25,7 @@ from replay.blackbox import BlackBox, open_boxes
 from replay.frames import FRAME, MAX_FRAME, VISION, Picture, pixels
 from replay.log import info, parts, read
 
-See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, float | None], Sighting]
+See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, Sighting | None], Sighting]
 MakeSee = Callable[[Fleet, CameraFit], See]
 
 
@@ -142,21 +142,22 @@ def seen_twice(box: BlackBox, make_see: MakeSee) -> Iterator[Twice]:
     """Every frame of a recording in the order in which vision saw them."""
     see = make_see(box.fleet, box.calibration.camera)
     picture: tuple[int, Picture] | None = None
-    sweep, radius_px = ("", 0), None
+    sweep: tuple[str, int] = ("", 0)
+    first: Sighting | None = None  # of the sweep, with its target in it
     for record in read(box.path):
         if record.channel == FRAME:
             picture = record.sequence, decode(record.data, Picture, limit=MAX_FRAME)
         elif record.channel == VISION:
             then = decode(record.data, Sighting)
             if (then.target, then.sweep) != sweep:
-                sweep, radius_px = (then.target, then.sweep), None
+                sweep, first = (then.target, then.sweep), None
             if picture is None or picture[0] != record.sequence:
                 yield Twice(then, None, lossless=False)
             else:
-                now = see(pixels(picture[1]), picture[1].roi, then, radius_px)
+                now = see(pixels(picture[1]), picture[1].roi, then, first)
                 yield Twice(then, now, picture[1].format == "png")
-            if then.sweep and radius_px is None and then.found:
-                radius_px = then.radius_px  # as then: else one difference would spread over its sweep
+            if then.sweep and first is None and then.found:
+                first = then  # not that of now: else one difference would spread over its sweep
 
 
 def compare(box: BlackBox, seen: Iterable[Twice]) -> VisionCheck:

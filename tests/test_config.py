@@ -7,6 +7,7 @@ import pytest
 import agent
 from agent.config import ConfigError, dump, load_fleet
 
+BALL = 'detector = "ball"\nradius_m = 0.07'
 TANK = (Path(agent.__file__).parent / "fleets" / "tank.toml").read_text()
 
 
@@ -26,6 +27,15 @@ def test_a_fleet_may_look_for_several_things(tmp_path) -> None:
     fleet = load(tmp_path, (Path(agent.__file__).parent / "fleets" / "two_balls.toml").read_text())
     assert {name: target.colour for name, target in fleet.target.items()} == {"ball": "red", "buoy": "green"}
     assert load(tmp_path, dump(fleet)) == fleet
+
+
+def test_files_of_a_target_lie_beside_the_fleet_file(tmp_path) -> None:
+    fleet = load(tmp_path, TANK.replace(BALL, 'detector = "box"\npicture = "a/x.png"\nbox = [1, 2, 30, 40]'))
+    target = fleet.target["ball"]
+    assert target.picture == str(tmp_path / "a" / "x.png") and target.models is None and target.radius_m is None
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    assert load(elsewhere, dump(fleet)) == fleet
 
 
 MISTAKES = {
@@ -69,6 +79,26 @@ MISTAKES = {
         "key 'target.fish.colour'",
         "'ball' is red too",
         "own colour",
+    ),
+    "a box without a picture": (
+        (BALL, 'detector = "box"\nbox = [1, 2, 30, 40]'),
+        "target.ball",
+        "`picture` is missing",
+        "add",
+    ),
+    "a ball with a picture": (
+        ("radius_m = 0.07", 'radius_m = 0.07\npicture = "x.png"'),
+        "ball.picture",
+        "only a box",
+        "remove",
+    ),
+    "no box": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 0, 40]'), "target.ball.box", "[x, y, width"),
+    "three numbers": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 3]'), "box", "length 4"),
+    "size of a box": (
+        (BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 3, 4]\n[ranging]\ncues = "size"\n'),
+        "ranging.cues",
+        "'ball' is not known",
+        "'focus'",
     ),
     "no target": (('[target.ball]\ndetector = "ball"\nradius_m = 0.07', "[target]"), "key 'target'", "add a table"),
     "bad name": (('fleet = "tank"', 'fleet = "Tank 3"'), "'fleet'", "small letters", "correct"),

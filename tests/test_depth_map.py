@@ -1,7 +1,10 @@
 """The depth map of a stack with known depths, of a camera, and of the reference stack where it is present."""
 
 import csv
+import json
+import math
 import os
+import sys
 from pathlib import Path
 
 import cv2
@@ -9,9 +12,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.__main__ import main
 from agent.config import ConfigError, dump
+from agent.depth_box import BoxRange, box_clarity, box_range
 from agent.depth_map import depth_map, measure, run, sweep
 from agent.perception.breathing import measure_growth
+from agent.perception.likeness import Box
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
 from hw.camera import CameraError, FocusRange, Frame, Roi
 from hw.camera_files import open_stack
@@ -167,6 +173,65 @@ def test_the_verb_says_what_it_found(planes, tmp_path):
     (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
     said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
     assert said.startswith("18 of 24 blocks") and "map.csv" in said
+
+
+def test_the_thing_in_a_box_has_one_range(planes, tmp_path):
+    focus = msgspec.structs.replace(FOCUS, b_m=0.1, rho0=0.0, covariance=(1e-6, 0.0, 0.0, 0.0, 0.0, 0.0), noise=0.002)
+    (tmp_path / "r1.toml").write_text(dump(msgspec.structs.replace(CALIBRATION, focus=focus)))
+    said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml", box="140,20,80,60")
+    found = json.loads((tmp_path / "map.json").read_text())
+    assert found["box_px"] == [140, 20, 80, 60]
+    assert found["position"] == pytest.approx(0.388, abs=0.1 * 0.05) and 0.0 < found["sigma"] < 0.01
+    assert found["quality"] > 0.95
+    assert found["range_m"] == pytest.approx(0.05 + 0.1 / found["position"])
+    slope = 0.1 / found["position"] ** 2  # dh/drho
+    assert found["range_sigma_m"] == pytest.approx(math.hypot(slope * max(found["sigma"], 0.002), 1e-3))
+    assert said.splitlines()[-1].startswith(f"in the box: {found['range_m']:.4f} m +- ")
+    assert "map.json" in said.splitlines()[0]
+
+
+def test_a_box_keeps_its_piece_of_a_picture_that_grows():
+    lens, focus = Breathing(), np.linspace(1.0, 1022.0, 30).round()
+    images = []
+    for position in focus:
+        lens.position = position
+        images.append(lens.read().image)
+    boxes = [Box(x, x, side, side) for x in (10.0, 190.0) for side in (60.0, 100.0)]
+    spread = []
+    for size in (0.95 + 0.05 * focus / 1023, np.ones(30)):
+        found = [box_range(focus, box_clarity(images, size, box), None) for box in boxes]
+        assert all(isinstance(one, BoxRange) and one.range_m is None for one in found)
+        spread.append(np.ptp([one.position for one in found]))
+    assert spread[0] < 0.5 * spread[1]
+
+
+REFUSALS = {"20,115,80,40": "no texture", "70,10,100,80": "no single peak"}
+
+
+@pytest.mark.parametrize("box", REFUSALS)
+def test_a_thing_without_one_clear_peak_is_refused_in_a_line(planes, tmp_path, box, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["aucamp", "depth-map", str(planes), "--block", "40", "--box", box])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err.strip().splitlines()
+    assert ended.value.code == 1 and said[-1].startswith(f"aucamp: box {box}: ") and REFUSALS[box] in said[-1]
+    assert (tmp_path / "depth.png").exists() and not (tmp_path / "depth.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("box", "expected"),
+    [
+        ("200,10,80,40", "240x160"),
+        ("10,10,0,40", "at least 8 pixels"),
+        ("1,2,3", "four numbers"),
+        ("a", "four numbers"),
+    ],
+)
+def test_a_box_that_cannot_be(planes, tmp_path, box, expected):
+    with pytest.raises(ConfigError, match=expected) as caught:
+        run(str(planes), tmp_path / "map.png", 40, None, box=box)
+    assert "\n" not in str(caught.value) and not (tmp_path / "map.png").exists()
 
 
 def test_a_place_that_cannot_be_written_is_one_line(planes, tmp_path):

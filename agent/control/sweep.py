@@ -9,6 +9,7 @@ keep giving nothing, there is a pause between them: a lens that always moves see
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from agent.ranging.focus import Peak, fit_peak
 
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
 STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
+BOX_LIMIT = 0.12  # of a box's diagonal, if that is more: NanoTrack's box of a resting thing jumps by up to 0.06
 # From the least to the most in a sweep, along the rows or the columns. Clarity is taken where the target is in each
 # frame, so a steady drift costs little: 120 px move the peak by less than its standard deviation, in full and in
 # tracking sweeps at 0.35, 0.6 and 1.0 m (twin). More was not measured. Hovering makes 4 px, waves 40.
@@ -155,13 +157,13 @@ class Sweep:
         if not isinstance(peak, Peak):
             return Rejected(peak.reason)
         sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.position), f.frame))
-        assert sharpest.centre_px is not None and sharpest.radius_px is not None
+        assert sharpest.centre_px is not None
         return Measurement(
             t_ns=sharpest.t_ns,
             focus=peak.position,
             sigma=peak.sigma,
             width=peak.width,
-            outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus),
+            outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
             score=peak.quality,
         )
 
@@ -170,13 +172,17 @@ def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float
     """Why frames that show the target, with roll and pitch meanwhile, do not belong together; None where they do."""
     centres = [frame.centre_px for frame in frames if frame.centre_px is not None]
     step_px = max((span(pair) for pair in itertools.pairwise(centres)), default=0.0)
-    if step_px > STEP_LIMIT_PX:
+    if step_px > max((step_limit_px(frame) for frame in frames), default=0.0):
         return f"moved {step_px:.0f} px between frames"
     if span(centres) > DRIFT_LIMIT_PX:
         return f"moved {span(centres):.0f} px during the sweep"
     if span(tilts_deg) > TILT_LIMIT_DEG:
         return f"tilted by {span(tilts_deg):.1f} degrees during the sweep"
     return None
+
+
+def step_limit_px(sighting: Sighting) -> float:
+    return max(STEP_LIMIT_PX, BOX_LIMIT * math.hypot(*(sighting.size_px or (0.0, 0.0))))
 
 
 def span(points: Sequence[tuple[float, float]]) -> float:

@@ -26,9 +26,10 @@ from agent.config import ConfigError, Cues, Fleet, Pose, Target, load_fleet
 from agent.control.sweep import Measurement, Sweep
 from agent.experiments.posed import PosedRobot, rotation_of
 from agent.launch import shipped_fleet
-from agent.messages import Vector
-from agent.perception.detect import Ball
-from agent.perception.vision import HOMING_S, Vision, around
+from agent.messages import Sighting, Vector
+from agent.perception.region import around
+from agent.perception.seekers import seekers
+from agent.perception.vision import HOMING_S, Vision
 from agent.ranging.calibration import Calibration
 from agent.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, servos_us
 from agent.ranging.cues import distance
@@ -119,12 +120,13 @@ def robot_measurements(
     name, target = next(iter(fleet.target.items()))
     robot = PosedRobot(fleet, ROBOT, sensor)
     known = robot.calibrate()
+    assert target.radius_m is not None  # a ball
     radius_m = target.radius_m + float(rng.normal(0.0, target.radius_sigma_m))
     near = [float(rng.uniform(*CORNER_M)) for _ in range(2)]  # a corner: the rest of the tank is as far as can be
     x, y = (n if rng.random() < 0.5 else side - n for n, side in zip(near, fleet.tank.size_m[:2], strict=True))
     ball_m = (x, y, radius_m)
     robot.dive(WATERS[seed % len(WATERS)], Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3))
-    vision = Vision(_no_camera, fleet, known.camera, epoch_offset_ns=0)
+    vision = Vision(_no_camera, fleet, known.camera, seekers(fleet, known.camera), epoch_offset_ns=0)
     for _ in range(count):
         reach_m = float(rng.uniform(RANGES_M[0], RANGES_M[-1])) if distance_m is None else distance_m
         case = draw(fleet, ball_m, reach_m, rng)
@@ -181,17 +183,17 @@ def sweep(robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: C
     state = Sweep(known.focus, fleet.camera.sweep_steps)
     plan = state.start(0)
     middle = robot.set_focus(round(0.5 * (known.focus.lowest + known.focus.highest)))
-    ball, _ = vision.sight(robot.read(settle_s=HOMING_S), target, middle, 0, -1, None)
+    seen = vision.sight(robot.read(settle_s=HOMING_S), target, middle, 0, -1, None)
     robot.set_focus(plan.focus[0])
     robot.read(settle_s=HOMING_S)
-    radius_px: float | None = None
+    first: Sighting | None = None
     for index, position in enumerate(plan.focus[1:], start=1):
         lens = robot.set_focus(position)
-        frame = robot.read(_part(ball, robot.size), settle_s=fleet.camera.settle_s)
-        ball, sighting = vision.sight(frame, target, lens, plan.sweep, index, radius_px)
-        state.frame(sighting)
-        if radius_px is None and ball is not None:
-            radius_px = ball.radius_px
+        frame = robot.read(around(seen.centre_px, seen.radius_px, robot.size), settle_s=fleet.camera.settle_s)
+        seen = vision.sight(frame, target, lens, plan.sweep, index, first)
+        state.frame(seen)
+        if first is None and seen.found:
+            first = seen
     result = state.finish(10**12)
     return result if isinstance(result, Measurement) else Refused(result.reason if result else "unfinished")
 
@@ -226,10 +228,6 @@ def judge(
         "range_sigma_mm": 1e3 * math.sqrt(reach.variance_m2),
         "focus_share": fix.focus_share,
     }
-
-
-def _part(ball: Ball | None, size: tuple[int, int]) -> Any:
-    return around(ball, size) if ball else None
 
 
 def _no_camera() -> NoReturn:

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 from agent.config import ConfigError
 from agent.perception.engines import Engine
-from agent.perception.likeness import Box, Image, Looks, likeness, remember, renewed, search
+from agent.perception.likeness import ANY_SCALE, NEAR_SCALES, Box, Image, Looks, likeness, remember, renewed, search
 
 HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
 HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
 FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
+FIRST_LIKE = 0.70  # the same in any size: to 0.58, grey stone before a grey floor; with the thing mostly above 0.75
 MAX_GROWTH = 1.5  # of the area, from frame to frame
 MAX_STEP = 1.0  # of the box's diagonal, from frame to frame
 MIN_SIDE_PX = 8  # of a box that can be followed
@@ -30,24 +31,32 @@ class Followed(NamedTuple):
 
 
 class Follower:
-    """Give it every frame of one size; it begins to follow at start()."""
+    """Give it every frame of one size; it begins to follow at start(), or to look around at expect()."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._looks: Looks | None = None
         self._box = Box(0, 0, 0, 0)
         self._lost = True
+        self._seen = False
+
+    def expect(self, picture: Image, box: Box) -> None:
+        """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
+        ConfigError as start() does."""
+        check_box(box, (picture.shape[1], picture.shape[0]))
+        self._looks, self._box, self._lost, self._seen = remember(picture, box), box, True, False
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
         check_box(box, (image.shape[1], image.shape[0]))
         self._engine.start(image, box)
         self._looks, self._box, self._lost = remember(image, box), box, False
+        self._seen = True
 
     def look(self, image: Image) -> Followed:
-        """Where it is in the next picture. Raises RuntimeError before start()."""
+        """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
         if self._looks is None:
-            raise RuntimeError("call start() before look()")
+            raise RuntimeError("call start() or expect() before look()")
         return self._search(image, self._looks) if self._lost else self._follow(image, self._looks)
 
     def _follow(self, image: Image, looks: Looks) -> Followed:
@@ -62,11 +71,11 @@ class Follower:
         return Followed(box, min(score, max(alike, 0.0)), lost=False)
 
     def _search(self, image: Image, looks: Looks) -> Followed:
-        box, alike = search(looks, image, self._box)
-        if alike < FOUND_LIKE:
+        box, alike = search(looks, image, self._box, NEAR_SCALES if self._seen else ANY_SCALE)
+        if alike < (FOUND_LIKE if self._seen else FIRST_LIKE):
             return Followed(self._box, 0.0, lost=True)
         self._engine.start(image, box)
-        self._box, self._lost = box, False
+        self._box, self._lost, self._seen = box, False, True
         return Followed(box, alike, lost=False)
 
 
@@ -81,11 +90,22 @@ def steady(before: Box, after: Box) -> bool:
     return 1.0 / MAX_GROWTH <= growth <= MAX_GROWTH and step <= MAX_STEP
 
 
+def parse_box(text: str) -> Box:
+    """X,Y,W,H in pixels. Raises ConfigError."""
+    try:
+        box = Box(*(float(side) for side in text.split(",")))
+    except (TypeError, ValueError):
+        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
+    if not all(math.isfinite(side) for side in box):
+        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
+    return box
+
+
 def check_box(box: Box, size: tuple[int, int]) -> None:
     """Raises ConfigError for a box too small to follow or not inside a picture of size (width, height)."""
     inside = box.x >= 0 and box.y >= 0 and box.x + box.width <= size[0] and box.y + box.height <= size[1]
     if not inside or not usable(box):
         raise ConfigError(
-            f"--box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
+            f"box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
             f"at least {MIN_SIDE_PX} pixels wide and high"
         )

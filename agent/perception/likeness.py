@@ -18,7 +18,8 @@ Image = NDArray[np.uint8]  # (height, width, 3), blue green red
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
 RIM = 1.3  # of the box is in the picture
 PLAY = 0.15  # of the box: how far a good box may be off
-SCALES = (0.8, 1.0, 1.25)  # in which a lost thing is looked for: it may have come nearer or gone away
+NEAR_SCALES = (0.8, 1.0, 1.25)  # in which a lost thing is looked for: it may have come nearer or gone away
+ANY_SCALE = (0.5, 0.64, 0.8, 1.0, 1.25, 1.56, 1.95)  # and one that has not been seen yet
 
 
 class Box(NamedTuple):
@@ -65,14 +66,15 @@ def likeness(looks: Looks, image: Image, box: Box) -> float:
     return max(float(_correlate(here, patch).max()) for patch in set_of(looks))
 
 
-def search(looks: Looks, image: Image, last: Box) -> tuple[Box, float]:
-    """Where in the whole picture something is most like what is remembered, and how much; sizes around that of `last`.
+def search(looks: Looks, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES) -> tuple[Box, float]:
+    """Where in the whole picture something is most like what is remembered, and how much; `scales` times as large as
+    `last`.
 
     Where the picture is smaller than the thing, the answer is `last`, with -1.
     """
     best, found = -1.0, last
     width, height = _shape(looks)
-    for scale in SCALES:
+    for scale in scales:
         shrink = width / (last.width * RIM * scale)
         size = round(image.shape[1] * shrink), round(image.shape[0] * shrink)
         if size[0] <= width or size[1] <= height:

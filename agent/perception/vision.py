@@ -9,38 +9,33 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from threading import Condition, Thread
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from agent.config import Fleet
 from agent.messages import Sighting, SweepPlan
-from agent.perception.clarity import luminance, tenengrad_disc
 from agent.perception.clear_view import ClearView
-from agent.perception.detect import Ball, find_ball
 from agent.perception.enhance import Enhancer, one_thread
-from agent.ranging.calibration import CameraFit, at_lens
-from agent.ranging.camera_model import INNER_DISC
-from hw.camera import Camera, CameraError, Frame, Roi
+from agent.perception.region import UNSEEN, Clarity, around, box_clarity, disc_clarity
+from agent.perception.seekers import Found, Seeker
+from agent.ranging.calibration import CameraFit
+from hw.camera import Camera, CameraError, Frame
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
 HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
 QUEUE = 256  # sightings nobody has fetched: 8 s of frames at 30 per second
-ROI_MARGIN = 1.15  # of the ball's radius, and
-ROI_BORDER_PX = 24  # the blur at the end of a tracking sweep
 
 
 class Vision:
     """Frames in, Sightings out. Start it once, close it once; the other methods may be called from any thread.
 
-    `open_camera` raises CameraError while there is no camera. `epoch_offset_ns` is added to the monotonic time of a
-    frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must not block. `way`: how frames are
-    enhanced where the fleet file asks for it; by default the best that is installed.
+    `open_camera` raises CameraError while there is no camera. `seekers` has one for each target. `epoch_offset_ns` is
+    added to the monotonic time of a frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must
+    not block. `way`: how frames are enhanced where the fleet file asks for it; by default the best that is installed.
     """
 
     def __init__(
@@ -48,14 +43,15 @@ class Vision:
         open_camera: Callable[[], Camera],
         fleet: Fleet,
         camera: CameraFit,
+        seekers: Mapping[str, Seeker],
         epoch_offset_ns: int,
         on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
         way: Enhancer | None = None,
     ) -> None:
         self._open_camera = open_camera
         self._settings = fleet.camera
-        self._targets = fleet.target
-        self._fit = camera
+        self._seekers = seekers
+        self._whole = camera.width_px, camera.height_px
         self._epoch_offset_ns = epoch_offset_ns
         self._on_frame = on_frame
         self.clear = ClearView(way)  # for `[camera] enhance`; counts what it showed raw
@@ -64,7 +60,7 @@ class Vision:
         self._closing = False
         self._out: deque[Sighting] = deque(maxlen=QUEUE)
         self._thread = Thread(target=self._run, name="vision", daemon=True)
-        self._balls: dict[str, Ball | None] = {}  # in the last frame in which each was looked for
+        self._last: dict[str, Sighting] = {}  # of each target, in the last frame in which it was looked for
         self._focus: int | None = None  # as the device reported it
         self.frames = 0
         self.errors = 0  # cameras lost or not to be opened
@@ -124,7 +120,7 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
-            self._look(camera, tuple(self._targets))
+            self._look(camera, tuple(self._seekers))
             self._wait(IDLE_PERIOD_S, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
@@ -132,17 +128,17 @@ class Vision:
             self._sweep(camera, plan)
 
     def _sweep(self, camera: Camera, plan: SweepPlan) -> None:
-        target = plan.target or next(iter(self._targets))
+        target = plan.target or next(iter(self._seekers))
         self._focus = camera.set_focus(plan.focus[0])
         self._wait(HOMING_S, until_plan=True)
-        radius_px: float | None = None  # of this sweep's first ball: areas stay comparable while the blur changes
+        first: Sighting | None = None
         for index, position in enumerate(plan.focus[1:], start=1):
             if self._closing or self._plan is not None:
                 return
             self._focus = camera.set_focus(position)
-            ball = self._look(camera, (target,), plan.sweep, index, radius_px)
-            if radius_px is None and ball is not None:
-                radius_px = ball.radius_px
+            sighting = self._look(camera, (target,), plan.sweep, index, first)
+            if first is None and sighting.found:
+                first = sighting
 
     def _look(
         self,
@@ -150,22 +146,19 @@ class Vision:
         targets: Sequence[str],
         sweep: int = 0,
         index: int = -1,
-        radius_px: float | None = None,
-    ) -> Ball | None:
-        """Read a frame, find the targets in it and say so; returns the first target's ball.
+        first: Sighting | None = None,
+    ) -> Sighting:
+        """Read a frame, find the targets in it and say so; returns what it says of the first of them.
 
-        A sweep looks for one target, in the part around its last ball. Between sweeps each frame is searched for all
-        of them: who comes into view is noticed, whoever is being measured.
+        A sweep looks for one target, a ball in the part around its last place. Between sweeps each frame is
+        searched for all of them: who comes into view is noticed, whoever is being measured.
         """
-        last = self._balls.get(targets[0])
-        enhance = self._settings.enhance
-        part = sweep and last and not (enhance and self.clear.wants_whole(time.monotonic_ns()))
-        roi = around(last, camera.size) if last and part else None
+        last = self._last.get(targets[0])
+        part = sweep and not (self._settings.enhance and self.clear.wants_whole(time.monotonic_ns()))
+        roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
-        sightings = []
-        for target in targets:
-            self._balls[target], sighting = self.sight(frame, target, self._focus, sweep, index, radius_px)
-            sightings.append(sighting)
+        sightings = [self.sight(frame, target, self._focus, sweep, index, first) for target in targets]
+        self._last.update(zip(targets, sightings, strict=True))
         self.frames += 1
         with self._changed:
             for sighting in sightings:
@@ -173,33 +166,32 @@ class Vision:
                 self._out.append(sighting)
         if self._on_frame is not None:
             self._on_frame(frame, sightings)
-        return self._balls[targets[0]]
+        return sightings[0]
 
     def sight(
-        self, frame: Frame, target: str, focus: int | None, sweep: int, index: int, radius_px: float | None
-    ) -> tuple[Ball | None, Sighting]:
-        """What one frame taken at lens position `focus` shows of a target; `radius_px`: of the sweep's first ball.
+        self, frame: Frame, target: str, focus: int | None, sweep: int, index: int, first: Sighting | None
+    ) -> Sighting:
+        """What one frame taken at lens position `focus` shows of a target; `first`: the sweep's first that found it.
 
         Replay calls it as well.
         """
-        whole = self._fit.width_px, self._fit.height_px
-        image = self.clear.view(frame, whole) if self._settings.enhance else frame.image
-        colour = self._targets[target].colour
-        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour)
-        clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
-        return ball, Sighting(
+        image = self.clear.view(frame, self._whole) if self._settings.enhance else frame.image
+        found = self._seekers[target].find(image, (frame.roi.x, frame.roi.y), focus)
+        clarity, area_px = UNSEEN if found is None else clarity_of(frame, found, first)
+        return Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,
             frame=frame.seq,
             sweep=sweep,
             index=index,
             focus=focus,
             target=target,
-            found=ball is not None,
-            centre_px=ball.centre_px if ball else None,
-            radius_px=ball.radius_px if ball else None,
+            found=found is not None,
+            centre_px=found.centre_px if found else None,
+            radius_px=found.radius_px if found else None,
             clarity=clarity,
             area_px=area_px,
-            score=ball.score if ball else 0.0,
+            score=found.score if found else 0.0,
+            size_px=found.size_px if found else None,
         )
 
     def _wait(self, seconds: float, until_plan: bool) -> None:
@@ -213,22 +205,9 @@ class Vision:
                 self._changed.wait(left)
 
 
-def around(ball: Ball, size: tuple[int, int]) -> Roi | None:
-    """The part of a frame that holds the ball, its outline's blur and a little motion; None: the whole frame."""
-    half = ROI_MARGIN * ball.radius_px + ROI_BORDER_PX
-    left, top = (max(0, int(c - half)) for c in ball.centre_px)
-    right, bottom = (min(s, int(c + half) + 1) for c, s in zip(ball.centre_px, size, strict=True))
-    if left + 16 > right or top + 16 > bottom or (right - left, bottom - top) == size:
-        return None
-    return Roi(left, top, right - left, bottom - top)
-
-
-def disc_clarity(frame: Frame, ball: Ball, radius_px: float) -> tuple[float | None, float | None]:
-    """Clarity on the raw luminance of the inner disc, and its area; (None, None) where the frame shows none of it."""
-    x, y, radius = ball.centre_px[0] - frame.roi.x, ball.centre_px[1] - frame.roi.y, INNER_DISC * radius_px
-    left, top = max(0, int(x - radius) - 2), max(0, int(y - radius) - 2)
-    part: NDArray[np.uint8] = frame.image[top : int(y + radius) + 4, left : int(x + radius) + 4]
-    if min(part.shape[:2]) < 3:
-        return None, None
-    clarity, area_px = tenengrad_disc(luminance(part), (x - left, y - top), radius)
-    return (clarity, area_px) if area_px else (None, None)
+def clarity_of(frame: Frame, found: Found, first: Sighting | None) -> Clarity:
+    """Over a part as large as in the sweep's first frame: areas stay comparable while the blur changes."""
+    if found.size_px is not None:
+        return box_clarity(frame, found.centre_px, (first and first.size_px) or found.size_px)
+    assert found.radius_px is not None  # a ball
+    return disc_clarity(frame, found.centre_px, (first and first.radius_px) or found.radius_px)

@@ -29,16 +29,17 @@ DISAGREE = 5.0  # standard deviations of their difference beyond which focus and
 
 
 class Outline(NamedTuple):
-    """A ball as one frame shows it."""
+    """A ball as one frame shows it, or the box around something else."""
 
-    centre_px: tuple[float, float]  # where the ray to the centre meets the image
-    radius_px: float  # angular radius times the f_px of that lens position
+    centre_px: tuple[float, float]  # where the ray to the ball's centre meets the image; middle of the box
+    radius_px: float | None  # angular radius times the f_px of that lens position; None: no ball
     share: float  # of the outline that was seen, 0 to 1
     lens: float | None  # lens position of that frame
+    size_px: tuple[float, float] | None = None  # width and height of the box; None: a ball
 
 
 class Range(NamedTuple):
-    """From the point where rays meet to the ball's centre."""
+    """From the point where rays meet to the ball's centre, or to the surface in the middle of the box."""
 
     distance_m: float
     random_m2: float
@@ -64,7 +65,8 @@ def distance(
     focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
     if focus is None:
         return Refused(f"peak at {rho:.0f} is sharp beyond all ranges")
-    return focus if cues == "focus" else fuse(focus, size_range(camera, outline, ball))
+    alone = cues == "focus" or ball.radius_m is None
+    return focus if alone else fuse(focus, size_range(camera, outline, ball))
 
 
 def focus_range(
@@ -76,7 +78,10 @@ def focus_range(
     ball: Target,
     tilt_rad: float = 0.0,
 ) -> Range | None:
-    """The skin's z-depth from the pivot is h(rho); the centre lies behind it on the same ray. None beyond the pole."""
+    """The skin's z-depth from the pivot is h(rho); the centre lies behind it on the same ray. None beyond the pole.
+
+    Of a thing without known shape the skin is all there is.
+    """
     u_m = h(fit, rho)
     if u_m is None:
         return None
@@ -86,7 +91,7 @@ def focus_range(
     travel = rho - fit.rho0
     lens2 = fit.width**2 * ((SAG * math.sin(tilt_rad)) ** 2 + WARMTH**2)
     return Range(
-        skin_m + centre_behind_skin_m(skin_m, ball.radius_m),
+        skin_m + (0.0 if ball.radius_m is None else centre_behind_skin_m(skin_m, ball.radius_m)),
         random / (m_z * m_z),
         (systematic + (fit.b_m / travel**2) ** 2 * lens2) / (m_z * m_z),
     )
@@ -98,6 +103,7 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     Systematic: d / tan(theta) times the edge's bias in radians, d times the scale's relative error, d / R times the
     ball's tolerance, and where rays meet.
     """
+    assert ball.radius_m is not None and outline.radius_px is not None  # see distance()
     f_px = at_lens(camera, outline.lens).f_px
     theta = outline.radius_px / f_px
     d = ball.radius_m / math.sin(theta)

@@ -1,9 +1,9 @@
-"""One measurement of a ball as a place in the world, with a 3x3 covariance in two parts.
+"""One measurement of a target as a place in the world, with a 3x3 covariance in two parts.
 
 x = p + a o + d r: p the gimbal's pivot, a the optical axis along which rays meet o = ahead_m before it, r the unit
-ray through the ball's centre, d the distance along it. To first order the error of x is the sum of independent ones:
-along r that of d; across it pixel and gimbal; about the body's centre the error of its attitude; and that of its
-place. What averages out over measurements and what does not are kept apart.
+ray through the ball's centre or the middle of a box, d the distance along it. To first order the error of x is the sum
+of independent ones: along r that of d; across it pixel and gimbal; about the body's centre the error of its attitude;
+and that of its place. What averages out over measurements and what does not are kept apart.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
 HEIGHT_SIGMA_M = 0.0007  # pressure: what the tare leaves, and the drift of four sensors in the first minutes
 HEADING_SIGMA_DEG = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
 LEVEL_SIGMA_DEG = 0.1  # roll and pitch: drift and noise of pressure over a base of 0.26 m
+BOX_NOISE = 0.05  # of a box's width and height: trackers tremble by so much, and people draw no better
 CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
 
 
@@ -52,6 +53,8 @@ def locate(
 ) -> Fix | Refused:
     """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
 
+    Of what is in a box: the point of its surface behind the middle of the box.
+
     Refused where the wanted cues have no range, or contradict each other.
     """
     axis = apply(eye.rotation, (0.0, 0.0, 1.0))
@@ -67,7 +70,9 @@ def locate(
     gimbal = math.radians(camera.noise_deg) ** 2
     turns = [(_cross(axis_, r), d.distance_m**2 * gimbal) for axis_ in (right, down)]
     along_x, along_y = (_slope_shift(e, r, m_e, m[2], d) for e, m_e in ((right, m[0]), (down, m[1])))
-    shifts = [(_combine(sx, along_x, sy, along_y), px2) for sx, sy in slopes_per_px(camera, m)]
+    pushed = [_combine(sx, along_x, sy, along_y) for sx, sy in slopes_per_px(camera, m)]  # by a pixel right, and down
+    shifts = [(push, px2) for push in pushed]
+    boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
     arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
     level, heading = math.radians(LEVEL_SIGMA_DEG) ** 2, math.radians(HEADING_SIGMA_DEG) ** 2
     attitude = [
@@ -81,7 +86,7 @@ def locate(
     return Fix(
         (x, y, z),
         _sum([(r, d.random_m2), *turns, *shifts]),
-        _sum([(r, d.systematic_m2), *attitude, *place]),
+        _sum([(r, d.systematic_m2), *attitude, *place, *boxed]),
         d.focus_share,
     )
 

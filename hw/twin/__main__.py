@@ -122,9 +122,12 @@ def _close_together(devices: list[Board | FrameServer]) -> None:
 
 
 def _targets_m(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, tuple[float, float, float]]:
-    """Where each target is, world frame. Raises ConfigError when the scene has none, or two, like it."""
+    """Where each ball is, world frame: nothing says which solid is in a box. Raises ConfigError when the scene has
+    none, or two, like it."""
     found = {}
     for name, target in fleet.target.items():
+        if target.detector != "ball":
+            continue
         like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.colour)]
         if len(like) != 1:
             what = f"{target.colour} {target.detector}"

@@ -14,7 +14,7 @@ from numba import njit
 from agent.perception.clarity import grid, tenengrad_grid
 from agent.perception.detect import find_ball
 from agent.perception.peaks import block_peaks
-from agent.perception.vision import around, disc_clarity
+from agent.perception.region import around, disc_clarity
 from agent.ranging.calibration import CameraFit
 from agent.ranging.focus import fit_peak, fit_peaks
 from hw.camera import Frame, Roi
@@ -41,7 +41,7 @@ def measure() -> dict[str, dict]:
     one, x = curves[40].tolist(), positions.tolist()
 
     read_s = median_s(lambda: frame.image.sum())
-    roi = around(found, (640, 480)) or frame.roi
+    roi = around(found.centre_px, found.radius_px, (640, 480)) or frame.roi
     part = frame._replace(image=frame.image[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width].copy(), roi=roi)
     part_s = median_s(lambda: see(part) or see(frame))
     full_s = median_s(lambda: see(frame))
@@ -63,7 +63,7 @@ def measure() -> dict[str, dict]:
 def see(frame: Frame) -> object:
     """A frame to what a sighting says of it."""
     ball = find_ball(frame.image, CAMERA, (frame.roi.x, frame.roi.y))
-    return ball and disc_clarity(frame, ball, ball.radius_px)
+    return ball and disc_clarity(frame, ball.centre_px, ball.radius_px)
 
 
 def sweep_rows(image: np.ndarray) -> dict[str, dict]:

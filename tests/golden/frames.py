@@ -33,14 +33,14 @@ def paint(fleet, out: Path, start_ns: int, step_ns: int) -> None:
     box = Part(out / "r1.mcap")
     attachments = {"fleet.toml": dump(fleet), "calibration.toml": dump(CALIBRATION)}
     box.start(run_facts(fleet, "r1", start_ns), attachments)
-    radius_px = None
+    first = None
     for n, k in enumerate(POSITIONS):
         focus, now_ns = round(sharp + k * STEP), start_ns + n * step_ns
         image = ball_frame(CENTRE_M, abs(focus - sharp) * PX_PER_POSITION)[y : y + height, x : x + width]
         target = next(iter(fleet.target))
         then = Sighting(t_ns=now_ns, frame=n, sweep=1, index=n + 1, focus=focus, target=target, found=False)
-        then = see(image, PART, then, radius_px)
-        radius_px = radius_px or then.radius_px
+        then = see(image, PART, then, first)
+        first = first or then
         for channel, data in ((FRAME, picture(image, PART, then, False)), (VISION, encode(then))):
             box.add(Entry(channel, now_ns, now_ns, n, data, "msgpack", {}))
     box.finish("aucamp.end", {"cause": "clean"})

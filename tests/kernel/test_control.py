@@ -70,6 +70,16 @@ def test_full_then_tracking_around_the_peak_stamped_with_the_sharpest_frame() ->
     assert result.focus == pytest.approx(440.0, abs=1.0)
 
 
+def test_a_box_may_tremble_in_proportion_to_its_size() -> None:
+    for width_px, kind in ((80.0, Rejected), (240.0, Measurement)):
+        sweep = Sweep(FIT, 30)
+        box = {"radius_px": None, "size_px": (width_px, 100.0), "centre_px": lambda k: (320.0 + 20.0 * (k % 2), 240.0)}
+        frames(sweep, sweep.start(0), 431.0, **box)
+        result = sweep.finish(S)
+        assert isinstance(result, kind)
+    assert result.outline.radius_px is None and result.outline.size_px == (240.0, 100.0)
+
+
 def test_rejections_and_return_to_a_full_sweep() -> None:
     sweep = Sweep(FIT, 30)
     frames(sweep, sweep.start(0), 431.0)

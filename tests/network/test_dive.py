@@ -9,14 +9,17 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import msgspec
+import numpy as np
 import pytest
 
-from agent.config import dump, load_fleet
+from agent.config import Target, dump, load_fleet
 from agent.launch import crew, temporary_folder, wait_for
-from agent.messages import State, decode
+from agent.messages import Sighting, State, decode
 from agent.topics import STATE
 from agent.transport import Observer
+from replay.frames import FRAME, MAX_FRAME, VISION, Picture, pixels
 from replay.log import info, read
 
 pytestmark = pytest.mark.timeout(280)
@@ -119,6 +122,60 @@ def test_a_killed_twin_is_noticed_and_the_agents_talk_on(run: Path, tmp_path) ->
                 process.kill()
                 process.wait()
     assert not processes_with(str(path))
+
+
+def test_a_thing_in_a_box_is_found_measured_and_told(run: Path, tmp_path) -> None:
+    """The ball, as something that nobody has a detector for: its near surface is what the lens can tell."""
+    image, box = first_view(run / "r1.mcap")
+    cv2.imwrite(str(tmp_path / "thing.png"), image)
+    truth_m = json.loads((run / "summary.json").read_text())["truth_m"]
+    with temporary_folder() as folder, crew(tmp_path / "logs") as processes:
+        fleet = load_fleet(run / "fleet.toml")
+        two = {
+            name: msgspec.structs.replace(robot, neighbours=tuple({"r1", "r2"} - {name}))
+            for name, robot in fleet.robot.items()
+            if name in ("r1", "r2")
+        }
+        thing = Target(detector="box", picture=str(tmp_path / "thing.png"), box=box)
+        twin = msgspec.structs.replace(fleet.twin, dir=str(folder))
+        fleet = msgspec.structs.replace(fleet, target={"thing": thing}, robot=two, twin=twin)
+        path = run / "thing.toml"
+        path.write_text(dump(fleet))
+        processes.start("twin", "twin", str(path))
+        wait_for("the twin", (folder / "ready").exists, processes, 60.0)
+        for name in two:
+            processes.start(name, "agent", str(path), "--robot", name, "--out", str(tmp_path), "--arm")
+        newest: dict[str, State] = {}
+        deadline = time.monotonic() + 40.0
+        with Observer(fleet, time.monotonic_ns, (STATE,)) as observer:
+            while not (len(newest) == 2 and all(state.posterior_m for state in newest.values())):
+                assert time.monotonic() < deadline, newest
+                processes.check()
+                for seen in observer.drain():
+                    newest[seen.chunks["robot"]] = decode(seen.payload, State)
+                time.sleep(0.02)
+    assert newest["r1"].knows == "sees" and newest["r1"].prior_m is not None
+    pose = fleet.robot["r1"].pose
+    out = np.array(newest["r1"].prior_m) - truth_m
+    towards = np.array([pose.x_m, pose.y_m, 0.1]) - truth_m
+    assert np.linalg.norm(out) == pytest.approx(0.067, abs=0.008)  # the skin of 70 mm, over the middle of the box
+    assert out @ towards > 0.9 * np.linalg.norm(out) * np.linalg.norm(towards)
+    assert math.dist(newest["r2"].posterior_m, newest["r1"].posterior_m) < 0.02
+
+
+def first_view(file: Path) -> tuple[np.ndarray, tuple[float, float, float, float]]:
+    """The first whole frame of a recording that shows the ball, and a box around it, drawn as a person would."""
+    picture = None
+    for record in read(file):
+        if record.channel == FRAME:
+            picture = decode(record.data, Picture, limit=MAX_FRAME)
+        elif record.channel == VISION and picture is not None and not picture.sweep:
+            seen = decode(record.data, Sighting)
+            if seen.found and seen.centre_px and seen.radius_px:
+                (u, v), side = seen.centre_px, 2.0 * seen.radius_px
+                x, y = max(0.0, u - side / 2), max(0.0, v - side / 2)
+                return pixels(picture), (x, y, min(side, 640 - x), min(side, 480 - y))
+    raise AssertionError("the ball was never seen")
 
 
 def processes_with(text: str) -> list[str]:

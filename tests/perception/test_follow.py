@@ -110,5 +110,5 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
         load_engine(tmp_path / "none.onnx", other)
     with pytest.raises(ConfigError, match="both"):
         load_engine(other, None)
-    with pytest.raises(ConfigError, match="cannot run"):
+    with pytest.raises(ConfigError, match="is not nanotrack_backbone_sim"):
         load_engine(other, other)

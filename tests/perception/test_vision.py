@@ -11,6 +11,7 @@ from agent.config import Camera as CameraSettings
 from agent.config import Fleet, Pose, Robot, Target
 from agent.messages import SweepPlan
 from agent.perception import vision
+from agent.perception.seekers import seekers
 from agent.perception.vision import QUEUE, Vision
 from agent.ranging.focus import Peak, fit_peak
 from hw.camera import CameraError, CameraGone, FocusRange, Frame, Roi
@@ -92,7 +93,7 @@ def worker(monkeypatch):
             robot={"r1": robot},
             camera=CameraSettings(settle_s=settle_s),
         )
-        out = Vision(open_camera, fleet, CAMERA, 5_000, on_frame)
+        out = Vision(open_camera, fleet, CAMERA, seekers(fleet, CAMERA), 5_000, on_frame)
         started.append(out)
         out.start()
         return out

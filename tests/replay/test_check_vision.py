@@ -33,13 +33,13 @@ def recorded(out: Path, lossless: bool, lost: int | None = None, change=lambda s
     sharp = sharp_position(CENTRE_M[2])
     part = Part(out)
     part.start(about.run, about.attachments)
-    radius_px = None
+    first = None
     for k in range(7):
         focus = round(sharp + (k - 3) * 90)
         image = ball_frame(CENTRE_M, blur_px=abs(focus - sharp) * PX_PER_POSITION)
         then = Sighting(t_ns=k + 1, frame=k, sweep=1, index=k + 1, focus=focus, target="ball", found=False)
-        then = see(image, WHOLE, then, radius_px)
-        radius_px = radius_px or then.radius_px
+        then = see(image, WHOLE, then, first)
+        first = first or then
         if k != lost:
             part.add(Entry(FRAME, k, k, k, picture(image, WHOLE, then, lossless), "msgpack", {}))
         part.add(Entry(VISION, k, k, k, encode(change(then)), "msgpack", {}))
@@ -104,7 +104,7 @@ def test_vision_that_sees_something_else_is_noticed(tmp_path: Path, change, name
 
 def test_a_target_that_is_missed_now_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = recorded(tmp_path / "r1.mcap", lossless=True)
-    monkeypatch.setattr("agent.perception.vision.find_ball", lambda *_, **__: None)
+    monkeypatch.setattr("agent.perception.seekers.find_ball", lambda *_, **__: None)
     (found,) = check_vision([file], see_again)
     assert not found.passed
     assert found.missing == 7

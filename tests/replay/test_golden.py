@@ -42,7 +42,7 @@ def test_todays_vision_sees_what_the_golden_frames_say() -> None:
 
 
 def test_vision_that_looks_elsewhere_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.perception.vision.INNER_DISC", 1.0)
+    monkeypatch.setattr("agent.perception.region.INNER_DISC", 1.0)
     (found,) = check_vision([GOLDEN / "seen"], see_again)
     assert not found.passed
 

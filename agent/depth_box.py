@@ -1,0 +1,81 @@
+"""The range of one thing in a sweep of the focus: what `aucamp depth-map --box` adds to the map.
+
+Clarity over the middle of the box, as for a target that is followed in one (perception/region.py), against the lens
+position; then the peak and what the calibration makes of it. What the lens focuses is the surface that faces it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.perception.clarity import tenengrad_grid
+from agent.perception.likeness import Box
+from agent.perception.region import INNER_BOX
+from agent.ranging.calibration import Calibration
+from agent.ranging.focus import Array, Refused, fit_peak, h, range_variance
+from hw.camera import Image
+
+MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
+
+
+class BoxRange(NamedTuple):
+    """Position and sigma in lens positions; the range is the z-depth from the gimbal's pivot, if calibrated."""
+
+    position: float
+    sigma: float  # standard deviation
+    quality: float  # of the peak, 0 to 1
+    range_m: float | None = None
+    range_sigma_m: float | None = None
+
+    def __str__(self) -> str:
+        peak = f"sharpest at {self.position:.5g} +- {self.sigma:.2g}, quality {self.quality:.3f}"
+        if self.range_m is None or self.range_sigma_m is None:
+            return peak
+        return f"{self.range_m:.4f} m +- {1e3 * self.range_sigma_m:.1f} mm, {peak}"
+
+
+def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
+    """Clarity per pixel (n,) of the middle of a box in pictures `size` (n,) times as large as the one it is drawn in.
+
+    The box grows with the picture about its centre, to whole pixels, so that it keeps its piece of the scene.
+    """
+    inner = box.grown(INNER_BOX)
+    clarity = np.empty(len(images))
+    for n, (image, scale) in enumerate(zip(images, size, strict=True)):
+        rows = _edges(inner.y, inner.height, image.shape[0], scale)
+        cols = _edges(inner.x, inner.width, image.shape[1], scale)
+        clarity[n] = tenengrad_grid(image, rows, cols)[0, 0]
+    return clarity
+
+
+def box_range(focus: Array, clarity: Array, calibration: Calibration | None) -> BoxRange | Refused:
+    """Where the clarity (n,) at the lens positions (n,) has its one peak; Refused where it has none, or several."""
+    if clarity.max() - np.median(clarity) < MIN_RISE:
+        return Refused("no texture: it is as sharp at every lens position")
+    peak = fit_peak(focus.tolist(), clarity.tolist())
+    if isinstance(peak, Refused):
+        return peak
+    found = BoxRange(peak.position, peak.sigma, peak.quality)
+    if calibration is None:
+        return found
+    range_m = h(calibration.focus, peak.position)
+    if range_m is None:
+        return Refused(f"the peak at {peak.position:.0f} is sharp beyond all ranges of this calibration")
+    sigma_m = math.sqrt(sum(range_variance(calibration.focus, peak.position, peak.sigma)))
+    return found._replace(range_m=range_m, range_sigma_m=sigma_m)
+
+
+def as_json(box: Box, found: BoxRange) -> str:
+    return json.dumps({"box_px": list(box), **found._asdict()}, indent=1) + "\n"
+
+
+def _edges(first: float, length: float, limit: int, scale: float) -> np.ndarray:
+    """First pixel and the one behind the last; both at least 3 apart, within 0 to `limit`."""
+    middle = limit / 2
+    low, high = (round(middle + scale * (edge - middle)) for edge in (first, first + length))
+    return np.array([max(low, 0), min(max(high, low + 3), limit)])
