@@ -8,12 +8,13 @@ the calibration.
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 from agent.messages import Sighting, SweepPlan, Telemetry
 from agent.ranging.calibration import FocusFit
 from agent.ranging.cues import Outline
-from agent.ranging.focus import Peak, fit_peak
+from agent.ranging.focus import Peak, fit_peak, phase_sigma
 
 TRACK_STEPS = 7
 TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
@@ -131,7 +132,7 @@ class Sweep:
         return Measurement(
             t_ns=sharpest.t_ns,
             focus=peak.position,
-            sigma=peak.sigma,
+            sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
             width=peak.width,
             outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus),
             score=peak.quality,

@@ -148,7 +148,8 @@ def put(path: Path, table: str, fields: dict[str, Any]) -> None:
 
 def _fields(fit: FocusFit) -> dict[str, Any]:
     covariance: Symmetric = fit.covariance
-    return {name: getattr(fit, name) for name in fit.__struct_fields__} | {"covariance": list(covariance)}
+    known = {name: getattr(fit, name) for name in fit.__struct_fields__ if getattr(fit, name) is not None}
+    return known | {"covariance": list(covariance)}
 
 
 def _number(path: Path, line: int, column: str, text: str | None) -> float:

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.config import ConfigError, Cues
-from agent.depth_map import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS, DepthMap, clarity_of, measure
+from agent.depth_map import HOME_SETTLE_S, MIN_QUALITY, SETTLE_S, SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.experiments.consistency import robot_measurements
 from agent.experiments.depth_figure import draw
 from agent.experiments.still import StillCamera, View
@@ -29,6 +30,7 @@ from agent.ranging.calibrate import FocusRow, fit_focus
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
 from agent.ranging.depth_of_field import depth_of_field_in_water_m
 from agent.ranging.focus import Array, Method, fit_peaks
+from agent.ranging.sag import TiltedPeak, at_tilt, with_sag
 from hw.camera import Image, Roi
 from hw.twin.lens import PRESETS
 
@@ -44,6 +46,8 @@ FLAT = 0.2  # of the range: a block whose depth spreads less, 5 to 95 percent, h
 
 WALL_M = 1.0 / np.linspace(1.0 / 1.35, 1.0 / 0.22, 12)  # distances of the calibration, equal steps of 1/u
 WALL_REPEATS = 3  # the lens comes back to 1.2 positions (rms) at each step, which is 12 mm at 1.25 m
+SAG_M = (0.36, 0.40, 0.44)  # distances at which the wall is also seen from a camera that looks up and down
+SAG_TILT_DEG = 15.0  # with all of the picture's middle still on the wall
 GROWTH_M = 0.5  # distance of the wall on which focus breathing is measured
 WALL_PX = 400  # side of the picture's middle that sees it
 VIEWS = (
@@ -76,7 +80,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
     if (out / "result.json").exists():
         raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
     out.mkdir(parents=True, exist_ok=True)
-    each = WALL_REPEATS * len(WALL_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
+    each = WALL_REPEATS * len(WALL_M) + 2 * len(SAG_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
     done = 0
 
     def step() -> None:
@@ -92,7 +96,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
         growth = breathing(camera)
         fit = calibrate(camera, growth, step)
         known = Calibration(robot="r1", made="", source="wall", focus=fit, camera=nominal(camera))
-        figures = {"noise": fit.noise, "held_out_rmse_mm": 1e3 * fit.held_out_rmse_m, "growth": growth}
+        figures = {"noise": fit.noise, "held_out_rmse_mm": 1e3 * fit.held_out_rmse_m, "growth": growth, "sag": fit.sag}
         result["calibration"].append({"sensor": sensor, **figures})
         taken = []
         for k in range(len(VIEWS)):
@@ -138,25 +142,39 @@ def breathing(camera: StillCamera) -> float:
 
 
 def calibrate(camera: StillCamera, growth: float, step: Callable[[], None]) -> FocusFit:
-    """The wall square to the camera at known distances, the median of its blocks at each."""
+    """The wall square to the camera at known distances, then looking up and down at it for the lens's sag."""
+    found = []
+    for u_m in np.repeat(WALL_M, WALL_REPEATS).tolist():
+        peak = wall_peak(camera, facing_wall(u_m), growth)
+        if peak is not None:
+            found.append(FocusRow(u_m, *peak))
+        step()
+    tilted = []
+    for u_m in SAG_M:
+        for tilt_deg in (-SAG_TILT_DEG, SAG_TILT_DEG):
+            peak, tilt = wall_peak(camera, facing_wall(u_m, tilt_deg), growth), math.radians(tilt_deg)
+            if peak is not None:
+                tilted.append(TiltedPeak(u_m / math.cos(tilt), peak[0], tilt))
+            step()
+    return with_sag(fit_focus(found), tilted)
+
+
+def wall_peak(camera: StillCamera, view: View, growth: float) -> tuple[float, float] | None:
+    """Median peak and half width of the blocks in the picture's middle. A wall has no edges in depth for the strict
+    gate to find: it would only take blocks away, nearly all of them at the near end, where peaks are widest."""
     width, height = camera.size
     middle = Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
-    focus, found = np.array(positions(camera), float), []
-    for u_m in np.repeat(WALL_M, WALL_REPEATS):
-        camera.view = facing_wall(float(u_m))
-        taken = clarity_of(frames(camera, middle), focus, BLOCK_PX, growth)
-        peaks = fit_peaks(focus, taken.clarity.reshape(len(focus), -1).T)
-        good = peaks.accepted & (peaks.quality >= QUALITY)
-        if good.any():
-            position, width_ = np.median(peaks.position[good]), np.median(peaks.width[good])
-            found.append(FocusRow(float(u_m), float(position), float(width_)))
-        step()
-    return fit_focus(found)
+    focus = np.array(positions(camera), float)
+    camera.view = view
+    taken = clarity_of(frames(camera, middle), focus, BLOCK_PX, growth)
+    peaks = fit_peaks(focus, taken.clarity.reshape(len(focus), -1).T)
+    good = peaks.accepted & (peaks.quality >= MIN_QUALITY)
+    return (float(np.median(peaks.position[good])), float(np.median(peaks.width[good]))) if good.any() else None
 
 
-def facing_wall(u_m: float) -> View:
-    """Square to the wall at the far end of the tank's x axis, `u_m` from it."""
-    return View((1.5 - u_m, 0.6, 0.25), 0.0)
+def facing_wall(u_m: float, tilt_deg: float = 0.0) -> View:
+    """Towards the wall at the far end of the tank's x axis, `u_m` from it."""
+    return View((1.5 - u_m, 0.6, 0.25), 0.0, tilt_deg)
 
 
 def nominal(camera: StillCamera) -> CameraFit:
@@ -181,6 +199,8 @@ def take(camera: StillCamera, k: int, growth: float) -> Taken:
 
 
 def map_of(taken: Taken, known: Calibration, method: Method) -> DepthMap:
+    tilt = math.radians(VIEWS[taken.view].tilt_deg)  # a robot knows it from gimbal and pressure
+    known = replace(known, focus=at_tilt(known.focus, tilt))
     return measure(clarity_of(taken.images, taken.focus, BLOCK_PX, taken.growth), BLOCK_PX, known, method, QUALITY)
 
 
