@@ -8,12 +8,14 @@ never resampled, which would change its clarity.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.progress import Progress
 
@@ -23,6 +25,7 @@ from agent.perception.clarity import grid, luminance, tenengrad_grid
 from agent.perception.peaks import block_peaks
 from agent.ranging.calibration import Calibration, load_calibration
 from agent.ranging.focus import MIN_POSITIONS, Array, Method, h, phase_sigma
+from agent.ranging.sag import at_tilt
 from hw.camera import Camera, CameraError, Image, nearest, open_camera
 from hw.camera_files import StackCamera
 
@@ -90,9 +93,21 @@ def depth_map(
     return result
 
 
-def run(source: str, out: Path, block: int, calibration: Path | None, growth: float | None = None) -> str:
-    """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera."""
+def run(
+    source: str,
+    out: Path,
+    block: int,
+    calibration: Path | None,
+    growth: float | None = None,
+    tilt_deg: float = 0.0,
+) -> str:
+    """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera.
+
+    tilt_deg: how far the camera looks up.
+    """
     known = None if calibration is None else load_calibration(calibration)
+    if known is not None:
+        known = replace(known, focus=at_tilt(known.focus, math.radians(tilt_deg)))
     with Progress(transient=True) as bar:
         task = bar.add_task("focus sweep", total=None)
         result = depth_map(

@@ -8,11 +8,13 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.config import ConfigError, dump
 from agent.depth_map import depth_map, measure, run, sweep
 from agent.perception.breathing import measure_growth
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.focus import h
 from hw.camera import CameraError, FocusRange, Frame, Roi
 from hw.camera_files import open_stack
 
@@ -167,6 +169,21 @@ def test_the_verb_says_what_it_found(planes, tmp_path):
     (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
     said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
     assert said.startswith("18 of 24 blocks") and "map.csv" in said
+
+
+def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
+    far = {}
+    for name, tilt_deg, sag in (("level", 0.0, 0.5), ("down", -30.0, 0.5), ("stiff", -30.0, 0.0)):
+        focus = replace(CALIBRATION.focus, sag=sag, sag_sigma=0.1)
+        (tmp_path / f"{name}.toml").write_text(dump(replace(CALIBRATION, focus=focus)))
+        run(str(planes), tmp_path / f"{name}.png", 40, tmp_path / f"{name}.toml", tilt_deg=tilt_deg)
+        with (tmp_path / f"{name}.csv").open() as file:
+            far[name] = [(float(row["focus"]), float(row["range_m"])) for row in csv.DictReader(file) if row["range_m"]]
+    assert far["stiff"] == far["level"]
+    focus = CALIBRATION.focus
+    for (position, there), (_, level) in zip(far["down"], far["level"], strict=True):
+        assert there == pytest.approx(h(focus, position + 0.25), rel=1e-3)  # it sank away from the sensor by 0.25
+        assert there != level
 
 
 def test_a_place_that_cannot_be_written_is_one_line(planes, tmp_path):
