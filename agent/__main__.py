@@ -134,11 +134,14 @@ def depth_map(
     block: Annotated[int, typer.Option(min=8, help="Side of a block, pixels.")] = 50,
     calibration: Annotated[Path | None, typer.Option(help="Calibration file: gives metres.")] = None,
     box: Annotated[str | None, typer.Option(help="Range of the thing in this box too: X,Y,W,H in pixels.")] = None,
+    tilt: Annotated[
+        float, typer.Option(min=-90, max=90, help="Degrees by which the camera looks up; its lens sags.")
+    ] = 0,
 ) -> None:
     """How far each part of the view is, from the focus position at which it is sharpest."""
     from agent.depth_map import run
 
-    terminal().print(run(source, out, block, calibration, box=box))
+    terminal().print(run(source, out, block, calibration, tilt_deg=tilt, box=box))
 
 
 @app.command("track", epilog="Example: aucamp track dive.mp4 --box 210,140,90,60 --out followed.mp4")

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.perception.breathing import GROWTH_POWER
 from agent.perception.clarity import tenengrad_grid
 from agent.perception.likeness import Box
 from agent.perception.region import INNER_BOX
 from agent.ranging.calibration import Calibration
-from agent.ranging.focus import Array, Refused, fit_peak, h, range_variance
+from agent.ranging.focus import Array, Refused, fit_peak, h, phase_sigma, range_variance
 from hw.camera import Image
 
 MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
@@ -49,24 +50,25 @@ def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
     for n, (image, scale) in enumerate(zip(images, size, strict=True)):
         rows = _edges(inner.y, inner.height, image.shape[0], scale)
         cols = _edges(inner.x, inner.width, image.shape[1], scale)
-        clarity[n] = tenengrad_grid(image, rows, cols)[0, 0]
+        clarity[n] = tenengrad_grid(image, rows, cols)[0, 0] * scale**GROWTH_POWER
     return clarity
 
 
-def box_range(focus: Array, clarity: Array, calibration: Calibration | None) -> BoxRange | Refused:
+def box_range(focus: Array, clarity: Array, box: Box, calibration: Calibration | None) -> BoxRange | Refused:
     """Where the clarity (n,) at the lens positions (n,) has its one peak; Refused where it has none, or several."""
     if clarity.max() - np.median(clarity) < MIN_RISE:
         return Refused("no texture: it is as sharp at every lens position")
     peak = fit_peak(focus.tolist(), clarity.tolist())
     if isinstance(peak, Refused):
         return peak
-    found = BoxRange(peak.position, peak.sigma, peak.quality)
+    sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height))
+    found = BoxRange(peak.position, sigma, peak.quality)
     if calibration is None:
         return found
     range_m = h(calibration.focus, peak.position)
     if range_m is None:
         return Refused(f"the peak at {peak.position:.0f} is sharp beyond all ranges of this calibration")
-    sigma_m = math.sqrt(sum(range_variance(calibration.focus, peak.position, peak.sigma)))
+    sigma_m = math.sqrt(sum(range_variance(calibration.focus, peak.position, sigma)))
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 
 

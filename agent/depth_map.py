@@ -8,25 +8,28 @@ never resampled, which would change its clarity.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.progress import Progress
 
 from agent.config import ConfigError
 from agent.depth_box import MIN_RISE, BoxRange, as_json, box_clarity, box_range
 from agent.launch import Failed
-from agent.perception.breathing import measure_growth
+from agent.perception.breathing import GROWTH_POWER, measure_growth
 from agent.perception.clarity import grid, luminance, tenengrad_grid
 from agent.perception.follow import check_box, parse_box
 from agent.perception.likeness import Box
 from agent.perception.peaks import block_peaks
 from agent.ranging.calibration import Calibration, load_calibration
-from agent.ranging.focus import MIN_POSITIONS, Array, Method, Refused, h
+from agent.ranging.focus import MIN_POSITIONS, Array, Method, Refused, h, phase_sigma
+from agent.ranging.sag import at_tilt
 from hw.camera import Camera, CameraError, Image, nearest, open_camera
 from hw.camera_files import StackCamera
 
@@ -89,8 +92,8 @@ def depth_map(
     finally:
         camera.close()
     result = measure(taken, block, calibration)
-    if taken.boxed is not None:
-        result = result._replace(thing=box_range(taken.focus, taken.boxed, calibration))
+    if box is not None and taken.boxed is not None:
+        result = result._replace(thing=box_range(taken.focus, taken.boxed, box, calibration))
     try:
         write_csv(result, out.with_suffix(".csv"))
         draw(result, out, box)
@@ -102,14 +105,23 @@ def depth_map(
 
 
 def run(
-    source: str, out: Path, block: int, calibration: Path | None, growth: float | None = None, box: str | None = None
+    source: str,
+    out: Path,
+    block: int,
+    calibration: Path | None,
+    growth: float | None = None,
+    tilt_deg: float = 0.0,
+    box: str | None = None,
 ) -> str:
     """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera.
 
-    Raises Failed where the thing in the box has no single clear peak; the map is written all the same.
+    tilt_deg: how far the camera looks up. Raises Failed where the thing in the box has no single clear peak; the map
+    is written all the same.
     """
-    known = None if calibration is None else load_calibration(calibration)
     drawn = None if box is None else parse_box(box)
+    known = None if calibration is None else load_calibration(calibration)
+    if known is not None:
+        known = replace(known, focus=at_tilt(known.focus, math.radians(tilt_deg)))
     with Progress(transient=True) as bar:
         task = bar.add_task("focus sweep", total=None)
 
@@ -158,7 +170,13 @@ def sweep(camera: Camera, block: int, progress: OnStep, growth: float | None = N
 
 
 def clarity_of(images: list[Image], focus: Array, block: int, growth: float, box: Box | None = None) -> Sweep:
-    """The frames of a sweep -> clarity on a grid that grows as they do; growth is linear in the lens position."""
+    """The frames of a sweep -> clarity on a grid that grows as they do; growth is linear in the lens position.
+
+    A picture that grows spreads its gradients over more pixels: energy a pixel falls as size^-2 for texture coarser
+    than a pixel, not at all for texture that is alike at every scale. Left alone this tilts every curve, and the wide
+    ones' peaks most. With GROWTH_POWER the peaks of the twin's wall lie within 0.8 lens positions of the truth from
+    0.29 to 1.35 m; without it they are up to 4.7 off, the nearer the more.
+    """
     height, width = images[0].shape[:2]
     size = 1.0 + growth * (focus - focus[0]) / (focus[-1] - focus[0])
     reference = int(size.argmax())  # nothing of a grid that fits the largest picture leaves the others
@@ -170,6 +188,7 @@ def clarity_of(images: list[Image], focus: Array, block: int, growth: float, box
         part = images[best][rows[row] : rows[row + 1], cols[col] : cols[col + 1]]
         place = np.s_[row * block : (row + 1) * block, col * block : (col + 1) * block]
         sharp[place] = cv2.resize(part, (block, block))  # for the eye alone
+    clarity *= ((size / size[reference]) ** GROWTH_POWER)[:, None, None]
     boxed = None if box is None else box_clarity(images, size / size[reference], box)
     return Sweep(focus, clarity, sharp, growth, reference, boxed)
 
@@ -198,7 +217,7 @@ def measure(
     """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks."""
     count, rows, cols = taken.clarity.shape
     peaks = block_peaks(taken.focus, taken.clarity.reshape(count, rows * cols).T, method)
-    shape = (rows, cols)
+    shape, sigma = (rows, cols), np.hypot(peaks.sigma, phase_sigma(peaks.width, block * block))
     textured = taken.clarity.max(axis=0) - np.median(taken.clarity, axis=0) >= MIN_RISE
     position = peaks.position.reshape(shape)
     accepted = (peaks.accepted & (peaks.quality >= min_quality)).reshape(shape) & textured
@@ -212,7 +231,7 @@ def measure(
     return DepthMap(
         block_px=block,
         position=position,
-        sigma=peaks.sigma.reshape(shape),
+        sigma=sigma.reshape(shape),
         quality=peaks.quality.reshape(shape),
         accepted=accepted,
         range_m=range_m,

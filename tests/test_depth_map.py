@@ -11,6 +11,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.__main__ import main
 from agent.config import ConfigError, dump
@@ -19,6 +20,7 @@ from agent.depth_map import depth_map, measure, run, sweep
 from agent.perception.breathing import measure_growth
 from agent.perception.likeness import Box
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.focus import h
 from hw.camera import CameraError, FocusRange, Frame, Roi
 from hw.camera_files import open_stack
 
@@ -199,7 +201,7 @@ def test_a_box_keeps_its_piece_of_a_picture_that_grows():
     boxes = [Box(x, x, side, side) for x in (10.0, 190.0) for side in (60.0, 100.0)]
     spread = []
     for size in (0.95 + 0.05 * focus / 1023, np.ones(30)):
-        found = [box_range(focus, box_clarity(images, size, box), None) for box in boxes]
+        found = [box_range(focus, box_clarity(images, size, box), box, None) for box in boxes]
         assert all(isinstance(one, BoxRange) and one.range_m is None for one in found)
         spread.append(np.ptp([one.position for one in found]))
     assert spread[0] < 0.5 * spread[1]
@@ -232,6 +234,21 @@ def test_a_box_that_cannot_be(planes, tmp_path, box, expected):
     with pytest.raises(ConfigError, match=expected) as caught:
         run(str(planes), tmp_path / "map.png", 40, None, box=box)
     assert "\n" not in str(caught.value) and not (tmp_path / "map.png").exists()
+
+
+def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
+    far = {}
+    for name, tilt_deg, sag in (("level", 0.0, 0.5), ("down", -30.0, 0.5), ("stiff", -30.0, 0.0)):
+        focus = replace(CALIBRATION.focus, sag=sag, sag_sigma=0.1)
+        (tmp_path / f"{name}.toml").write_text(dump(replace(CALIBRATION, focus=focus)))
+        run(str(planes), tmp_path / f"{name}.png", 40, tmp_path / f"{name}.toml", tilt_deg=tilt_deg)
+        with (tmp_path / f"{name}.csv").open() as file:
+            far[name] = [(float(row["focus"]), float(row["range_m"])) for row in csv.DictReader(file) if row["range_m"]]
+    assert far["stiff"] == far["level"]
+    focus = CALIBRATION.focus
+    for (position, there), (_, level) in zip(far["down"], far["level"], strict=True):
+        assert there == pytest.approx(h(focus, position + 0.25), rel=1e-3)  # it sank away from the sensor by 0.25
+        assert there != level
 
 
 def test_a_place_that_cannot_be_written_is_one_line(planes, tmp_path):

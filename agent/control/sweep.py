@@ -17,7 +17,7 @@ from agent.control.positions import TRACK_SPAN, full_positions, home_position, s
 from agent.messages import Sighting, SweepPlan, Telemetry
 from agent.ranging.calibration import FocusFit
 from agent.ranging.cues import Outline
-from agent.ranging.focus import Peak, fit_peak
+from agent.ranging.focus import Peak, fit_peak, phase_sigma
 
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
 STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
@@ -161,7 +161,7 @@ class Sweep:
         return Measurement(
             t_ns=sharpest.t_ns,
             focus=peak.position,
-            sigma=peak.sigma,
+            sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
             width=peak.width,
             outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
             score=peak.quality,

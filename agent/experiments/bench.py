@@ -3,11 +3,13 @@
 Focus: at each distance one sweep, always towards larger lens positions after homing at the smallest, because play in
 the lens is a constant only for one direction; whoever measures later has to sweep the same way. Camera: a chessboard
 at two distances and several settings of the gimbal, always reached from the side of shorter pulses, for the same
-reason. The board stands upright across the body's x axis; distances count from the gimbal's pivot.
+reason. Sag of the lens: a few more sweeps, looking up and down. The board stands upright across the body's x axis;
+distances count from the gimbal's pivot.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -20,15 +22,17 @@ from agent.config import ConfigError, Fleet
 from agent.messages import Vector
 from agent.perception.clarity import gradient_energy, luminance
 from agent.ranging.calibrate import Corner, FocusRow, fit_camera, fit_focus
-from agent.ranging.calibration import Calibration, FocusFit
-from agent.ranging.focus import Peak, fit_peak, lens_position
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.camera_model import gimbal_deg, servos_us
+from agent.ranging.focus import Peak, fit_peak, lens_position, phase_sigma
+from agent.ranging.sag import TiltedPeak, with_sag
 from hw.camera import Camera, FocusRange, Roi
 
 Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about the pivot (m), pulses of pan and tilt
 Progress = Callable[[int, int], None]  # steps done, steps in all
 
-NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 12  # equal steps of 1/u, as the lens sees them
-SWEEP_PX = 200  # side of the picture's middle that a sweep reads
+NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
+SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: nearly all of the board at the far end
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
@@ -36,26 +40,30 @@ HOMING_S = 0.2  # the lens across its whole range
 COLUMNS, ROWS, SQUARE_M = 14, 9, 0.020  # inner corners of a board of 15 x 10 squares
 BOARD_AT_M = (0.68, 0.85)  # the whole board within 31 degrees, with room for a gimbal that is a degree off
 VIEWS_DEG = ((0.0, 0.0), (-24.0, 0.0), (24.0, 0.0), (0.0, -8.0), (0.0, 8.0), (-16.0, -6.0), (16.0, 6.0))
+SAG_AT_M, SAG_TILTS_DEG = (0.40, 0.43, 0.46), (-20.0, 20.0)  # near: an error of the distance matters least
 BLURS = (-1.5, 0.0, 1.5)  # peak half-widths by which the lens is set off, looking straight: to see the picture grow
 BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 
 def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
     """Run the whole procedure. Raises CalibrationRefused, ConfigError for a camera without focus, CameraError."""
-    total = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)
+    looks = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)
+    total = looks + len(SAG_AT_M) * len(SAG_TILTS_DEG)
     focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, total)))
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
         corners += view
         progress(done + 1, total)
+    seen = fit_camera(corners, fleet.body, camera.size)
+    tilted = tilted_peaks(fleet, camera, seen, place, lambda done, _: progress(looks + done, total))
     centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
     return Calibration(
         robot=robot,
         made=datetime.now(UTC).strftime("%Y-%m-%d"),
         source=f"board of {COLUMNS + 1} x {ROWS + 1} squares before {fleet.robot[robot].camera}",
-        focus=focus,
-        camera=fit_camera(corners, fleet.body, camera.size),
+        focus=with_sag(focus, tilted),
+        camera=seen,
     )
 
 
@@ -70,9 +78,27 @@ def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -
         approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
         peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
         if peak is not None:
-            rows.append(FocusRow(float(u_m), peak.position, peak.width))
+            rows.append(FocusRow(float(u_m), peak.position, peak.width, peak.sigma))
         progress(done, DISTANCES)
     return rows
+
+
+def tilted_peaks(fleet: Fleet, camera: Camera, seen: CameraFit, place: Place, progress: Progress) -> list[TiltedPeak]:
+    """Peaks of the board looking up and down at it: what the lens's own weight does. `seen`: the gimbal's zero."""
+    limits = camera.focus_range()
+    peaks: list[TiltedPeak] = []
+    if limits is None:
+        return peaks
+    body, level_us = fleet.body, servos_us(seen, fleet.body, 0.0, 0.0)
+    for done, (ahead_m, tilt_deg) in enumerate(itertools.product(SAG_AT_M, SAG_TILTS_DEG), start=1):
+        us = level_us[0], servos_us(seen, body, 0.0, tilt_deg)[1]
+        tilt = math.radians(gimbal_deg(seen, body, us)[1])
+        approach(place, (ahead_m, 0.0, ahead_m * math.tan(tilt)), us)
+        peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        if peak is not None:
+            peaks.append(TiltedPeak(ahead_m / math.cos(tilt), peak.position, tilt))
+        progress(done, len(SAG_AT_M) * len(SAG_TILTS_DEG))
+    return peaks
 
 
 def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:
@@ -83,7 +109,8 @@ def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) 
     peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
     """
     width, height = camera.size
-    middle = Roi((width - SWEEP_PX) // 2, (height - SWEEP_PX) // 2, SWEEP_PX, SWEEP_PX)
+    across, down = SWEEP_PX
+    middle = Roi((width - across) // 2, (height - down) // 2, across, down)
     home(camera, limits, middle)
     positions, pictures = [], []
     for position in np.linspace(limits.lowest, limits.highest, steps):
@@ -101,7 +128,10 @@ def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) 
     # Farther from the peak the blur of the edges covers the grain.
     near = [i for i, position in enumerate(positions) if abs(position - rough.position) < FLANKS * rough.width]
     fine = fit_peak([positions[i] for i in near], [float((energies[i] * window).sum()) for i in near])
-    return fine if isinstance(fine, Peak) else None
+    if not isinstance(fine, Peak):
+        return None
+    area_px = float(window.sum() ** 2 / (window * window).sum())  # what is left of the grain at 1.2 m is little
+    return fine._replace(sigma=math.hypot(fine.sigma, phase_sigma(fine.width, area_px)))
 
 
 def edges(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -18,9 +18,11 @@ from agent.config import ConfigError, read_toml
 from agent.messages import Symmetric
 from agent.ranging.calibrate import CalibrationRefused, FocusRow, LeftOut, fit_focus, leave_one_out
 from agent.ranging.calibration import FocusFit
+from agent.ranging.sag import TiltedPeak, with_sag
 
 REQUIRED = ("u_mm", "code")
 OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")
+LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positions, within the noise of a peak
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
 
 
@@ -34,9 +36,9 @@ class PaperGauge(NamedTuple):
 
 def run(table: Path, out: Path | None, console: Console) -> FocusFit:
     """Fit, print, plot beside the table, and put the fit into `out` if given. Raises ConfigError, one line."""
-    rows = read_table(table)
+    rows, tilted = read_table(table)
     try:
-        fit, left_out = fit_focus(rows), leave_one_out(rows)
+        fit, left_out = with_sag(fit_focus(rows), tilted), leave_one_out(rows)
     except CalibrationRefused as error:
         raise ConfigError(f"{table}: {error}") from None
     console.print(result_table(fit, left_out))
@@ -50,8 +52,18 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
     return fit
 
 
-def read_table(path: Path) -> list[FocusRow]:
-    """Rows of a CSV with at least the columns u_mm and code. Raises ConfigError that names line and column."""
+class Measured(NamedTuple):
+    """The rows of a table: those of a level camera, which the curve is fitted to, and the others."""
+
+    level: list[FocusRow]
+    tilted: list[TiltedPeak]
+
+
+def read_table(path: Path) -> Measured:
+    """A CSV with at least the columns u_mm and code. Raises ConfigError that names line and column.
+
+    tilt_deg: how far the camera looked up; u_mm is then counted along its axis.
+    """
     try:
         lines = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -67,16 +79,21 @@ def read_table(path: Path) -> list[FocusRow]:
         values = sorted({line.get(column) or "" for line in lines})
         if len(values) > 1:
             raise ConfigError(f"{path}: column '{column}' mixes {', '.join(values)}; fit each by itself")
-    rows = []
+    rows, tilted = [], []
     for number, line in enumerate(lines, start=2):
         u_mm, code = (_number(path, number, column, line[column]) for column in REQUIRED)
         if u_mm <= 0:
             raise ConfigError(f"{path}: line {number}: u_mm is {u_mm:g}; a range is positive")
+        tilt_deg = _number(path, number, "tilt_deg", line["tilt_deg"]) if line.get("tilt_deg") else 0.0
+        if abs(tilt_deg) > LEVEL_DEG:
+            tilted.append(TiltedPeak(u_mm * 1e-3, code, math.radians(tilt_deg)))
+            continue
         width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
         rows.append(FocusRow(u_mm * 1e-3, code, width))
     known = [row.width for row in rows if math.isfinite(row.width)]
-    typical = float(np.median(known)) if known else 0.1 * (max(r.rho for r in rows) - min(r.rho for r in rows))
-    return [row if math.isfinite(row.width) else row._replace(width=typical) for row in rows]
+    positions = [row.rho for row in rows] or [0.0]
+    typical = float(np.median(known)) if known else 0.1 * (max(positions) - min(positions))
+    return Measured([row if math.isfinite(row.width) else row._replace(width=typical) for row in rows], tilted)
 
 
 def paper_gauge(fit: FocusFit) -> PaperGauge:
@@ -106,6 +123,10 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
         ("b, m", f"{fit.b_m:.5g} ± {sigma[1]:.2g}"),
         ("rho0", f"{fit.rho0:.6g} ± {sigma[2]:.2g}"),
         ("one peak, lens positions", f"± {fit.noise:.3g}"),
+        (
+            "sag looking straight up, lens positions",
+            "not measured" if fit.sag_sigma is None else f"{fit.sag:.3g} ± {fit.sag_sigma:.2g}",
+        ),
         ("k, f (m), c (m) as in the paper", f"{paper.k:.4g}, {paper.f_m:.4g}, {paper.c_m:.4g}"),
         ("R²", f"{fit.r2:.4f}"),
         ("RMSE, mm", f"{1e3 * fit.rmse_m:.2f}"),
@@ -148,7 +169,8 @@ def put(path: Path, table: str, fields: dict[str, Any]) -> None:
 
 def _fields(fit: FocusFit) -> dict[str, Any]:
     covariance: Symmetric = fit.covariance
-    return {name: getattr(fit, name) for name in fit.__struct_fields__} | {"covariance": list(covariance)}
+    known = {name: getattr(fit, name) for name in fit.__struct_fields__ if getattr(fit, name) is not None}
+    return known | {"covariance": list(covariance)}
 
 
 def _number(path: Path, line: int, column: str, text: str | None) -> float:

@@ -30,8 +30,8 @@ from agent.messages import Sighting, Vector
 from agent.perception.region import around
 from agent.perception.seekers import seekers
 from agent.perception.vision import HOMING_S, Vision
-from agent.ranging.calibration import Calibration
-from agent.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, servos_us
+from agent.ranging.calibration import Calibration, at_lens
+from agent.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, pixel, servos_us, to_camera
 from agent.ranging.cues import distance
 from agent.ranging.fix import locate
 from agent.ranging.focus import Refused
@@ -56,6 +56,7 @@ CLEAR_M = 0.10  # from a wall to the middle of a robot
 CORNER_M = (0.20, 0.40)  # from two walls to the ball
 HEIGHT_M = (0.09, 0.30)  # of the camera
 PAN_DEG = 60.0
+OUTLINE = 360  # points on the ball's outline
 EXPECTED = (2.5, 3.5)  # of the mean, for three degrees of freedom
 
 
@@ -132,6 +133,10 @@ def robot_measurements(
         case = draw(fleet, ball_m, reach_m, rng)
         eye = stand(robot, fleet, known, case, ball_m, rng)
         result = sweep(robot, vision, fleet, name, known)
+        if isinstance(result, Refused) and result.reason.startswith("target seen"):
+            arc_deg = outline_deg(known, eye, ball_m)
+            if arc_deg < 360.0:
+                result = Refused(f"ball larger than the frame, {arc_deg:.0f} deg of its outline show: {result.reason}")
         one: dict[str, Any] = {"seed": seed, "distance_m": case.distance_m}
         for cue in get_args(Cues):
             one[cue] = judge(result, eye, known, target, cue, ball_m, case.distance_m)
@@ -196,6 +201,26 @@ def sweep(robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: C
             first = seen
     result = state.finish(10**12)
     return result if isinstance(result, Measurement) else Refused(result.reason if result else "unfinished")
+
+
+def outline_deg(known: Calibration, eye: Eye, ball_m: Vector) -> float:
+    """How much of the ball's outline a frame shows that is taken with the lens at its nearest position.
+
+    The picture is largest there: a ball that is whole at the far end of a sweep may overflow at the near end.
+    """
+    camera = at_lens(known.camera, known.focus.highest if known.focus.b_m > 0.0 else known.focus.lowest)
+    x, y, z = to_camera(eye, ball_m)
+    z -= camera.ahead_m
+    d = math.sqrt(x * x + y * y + z * z)
+    axis, radius_m = np.array((x, y, z)) / d, ball_m[2]  # it lies on the floor
+    theta = math.asin(min(radius_m / d, 1.0))
+    side = np.cross(axis, (0.0, 1.0, 0.0))
+    side /= np.linalg.norm(side)
+    phi = np.linspace(0.0, 2.0 * math.pi, OUTLINE, endpoint=False)[:, None]
+    ring = math.cos(theta) * axis + math.sin(theta) * (np.cos(phi) * side + np.sin(phi) * np.cross(axis, side))
+    seen = [pixel(camera, (a, b, c + camera.ahead_m)) for a, b, c in ring.tolist()]
+    inside = [px and 0.0 <= px[0] <= camera.width_px - 1 and 0.0 <= px[1] <= camera.height_px - 1 for px in seen]
+    return 360.0 * sum(map(bool, inside)) / OUTLINE
 
 
 def judge(

@@ -14,38 +14,33 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.config import ConfigError, Cues
-from agent.depth_map import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS, DepthMap, clarity_of, measure
+from agent.depth_map import SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.experiments.consistency import robot_measurements
 from agent.experiments.depth_figure import draw
 from agent.experiments.still import StillCamera, View
-from agent.launch import Failed
-from agent.perception.breathing import measure_growth
-from agent.perception.clarity import grid, luminance
+from agent.experiments.wall import BLOCK_PX, SAG_M, WALL_M, WALL_REPEATS, breathing, calibrate, frames, positions
+from agent.perception.clarity import grid
 from agent.perception.enhance import enhance
-from agent.ranging.calibrate import FocusRow, fit_focus
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.calibration import Calibration, CameraFit
 from agent.ranging.depth_of_field import depth_of_field_in_water_m
-from agent.ranging.focus import Array, Method, fit_peaks
-from hw.camera import Image, Roi
+from agent.ranging.focus import Array, Method
+from agent.ranging.sag import at_tilt
+from hw.camera import Image
 from hw.twin.lens import PRESETS
 
 Progress = Callable[[int, int], None]  # sweeps done, sweeps in all
 
 SENSORS = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
 METHODS: tuple[Method, ...] = ("matched", "parabola", "argmax")
-BLOCK_PX = 50  # the paper's
 QUALITY = 0.998  # of a block's peak: leaves out most blocks astride an edge in depth, and few others
 RANGES_M = ((0.0, 0.6), (0.6, 1.0), (1.0, 1.5), (0.0, 1.5))
 TARGETS_MM = {(0.0, 1.5): 12.0, (0.0, 0.6): 3.0}
 FLAT = 0.2  # of the range: a block whose depth spreads less, 5 to 95 percent, has one depth that can be called its own
 
-WALL_M = 1.0 / np.linspace(1.0 / 1.35, 1.0 / 0.22, 12)  # distances of the calibration, equal steps of 1/u
-WALL_REPEATS = 3  # the lens comes back to 1.2 positions (rms) at each step, which is 12 mm at 1.25 m
-GROWTH_M = 0.5  # distance of the wall on which focus breathing is measured
-WALL_PX = 400  # side of the picture's middle that sees it
 VIEWS = (
     View((0.30, 0.25, 0.12), 34.0, -8.0),  # the ball half a metre away, the corner behind it
     View((0.62, 0.28, 0.10), 62.0, -4.0),  # the ball close
@@ -76,7 +71,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
     if (out / "result.json").exists():
         raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
     out.mkdir(parents=True, exist_ok=True)
-    each = WALL_REPEATS * len(WALL_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
+    each = WALL_REPEATS * len(WALL_M) + 2 * len(SAG_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
     done = 0
 
     def step() -> None:
@@ -92,7 +87,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
         growth = breathing(camera)
         fit = calibrate(camera, growth, step)
         known = Calibration(robot="r1", made="", source="wall", focus=fit, camera=nominal(camera))
-        figures = {"noise": fit.noise, "held_out_rmse_mm": 1e3 * fit.held_out_rmse_m, "growth": growth}
+        figures = {"noise": fit.noise, "held_out_rmse_mm": 1e3 * fit.held_out_rmse_m, "growth": growth, "sag": fit.sag}
         result["calibration"].append({"sensor": sensor, **figures})
         taken = []
         for k in range(len(VIEWS)):
@@ -110,53 +105,6 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
     result["missed"] = missed(result["cases"])
     (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
-
-
-def positions(camera: StillCamera) -> list[int]:
-    limits = camera.focus_range()
-    return [round(p) for p in np.linspace(limits.lowest, limits.highest, SWEEP_STEPS)]
-
-
-def frames(camera: StillCamera, roi: Roi | None = None) -> list[Image]:
-    """One sweep from the lowest position up."""
-    camera.set_focus(camera.focus_range().lowest)
-    camera.read(roi, settle_s=HOME_SETTLE_S)
-    images = []
-    for position in positions(camera):
-        camera.set_focus(position)
-        images.append(camera.read(roi, settle_s=SETTLE_S).image)
-    return images
-
-
-def breathing(camera: StillCamera) -> float:
-    """Growth of the picture over a sweep, on the wall. Raises Failed where it cannot be measured."""
-    camera.view = facing_wall(GROWTH_M)
-    growth = measure_growth([luminance(image) for image in frames(camera)])
-    if growth is None:
-        raise Failed("the wall's pictures cannot be registered, so focus breathing is unknown; try another --seed")
-    return growth
-
-
-def calibrate(camera: StillCamera, growth: float, step: Callable[[], None]) -> FocusFit:
-    """The wall square to the camera at known distances, the median of its blocks at each."""
-    width, height = camera.size
-    middle = Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
-    focus, found = np.array(positions(camera), float), []
-    for u_m in np.repeat(WALL_M, WALL_REPEATS):
-        camera.view = facing_wall(float(u_m))
-        taken = clarity_of(frames(camera, middle), focus, BLOCK_PX, growth)
-        peaks = fit_peaks(focus, taken.clarity.reshape(len(focus), -1).T)
-        good = peaks.accepted & (peaks.quality >= QUALITY)
-        if good.any():
-            position, width_ = np.median(peaks.position[good]), np.median(peaks.width[good])
-            found.append(FocusRow(float(u_m), float(position), float(width_)))
-        step()
-    return fit_focus(found)
-
-
-def facing_wall(u_m: float) -> View:
-    """Square to the wall at the far end of the tank's x axis, `u_m` from it."""
-    return View((1.5 - u_m, 0.6, 0.25), 0.0)
 
 
 def nominal(camera: StillCamera) -> CameraFit:
@@ -181,6 +129,8 @@ def take(camera: StillCamera, k: int, growth: float) -> Taken:
 
 
 def map_of(taken: Taken, known: Calibration, method: Method) -> DepthMap:
+    tilt = math.radians(VIEWS[taken.view].tilt_deg)  # a robot knows it from gimbal and pressure
+    known = replace(known, focus=at_tilt(known.focus, tilt))
     return measure(clarity_of(taken.images, taken.focus, BLOCK_PX, taken.growth), BLOCK_PX, known, method, QUALITY)
 
 

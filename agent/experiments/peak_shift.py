@@ -20,8 +20,9 @@ from rich.table import Table
 from agent.config import ConfigError
 from agent.depth_map import DepthMap, clarity_of, measure
 from agent.experiments.ball_views import WATERS
-from agent.experiments.depth import BLOCK_PX, QUALITY, VIEWS, WATER, Taken, breathing, take
+from agent.experiments.depth import QUALITY, VIEWS, WATER, Taken, take
 from agent.experiments.still import StillCamera
+from agent.experiments.wall import BLOCK_PX, breathing
 from agent.launch import run_folder, with_bar
 from agent.perception import fast_enhance
 from agent.perception.enhance import enhancer, missing

@@ -22,6 +22,7 @@ ITERATIONS, TOLERANCE = 40, 1e-6
 SMOOTH_PX = 5  # Gaussian before the gradients
 MIN_CORRELATION = 0.7  # of registered frames; noise on blurred frames leaves 0.8
 AGREE = (0.2, 1e-4)  # share of the growth, and growth a step, within which links, across and down, are alike
+GROWTH_POWER = 0.7  # of the picture's size, by which clarity a pixel falls when nothing but the size changes
 MAX_STEP = 0.01  # growth from one frame to the next that is believed: seven times that of a small module
 
 

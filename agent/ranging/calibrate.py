@@ -38,6 +38,7 @@ class FocusRow(NamedTuple):
     u_m: float
     rho: float
     width: float
+    sigma: float = 1.0  # standard deviation of rho beside that of the other rows; the scale is found from the residuals
 
 
 class Corner(NamedTuple):
@@ -55,7 +56,7 @@ class CalibrationRefused(ValueError):
 
 def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
     """u = u_inf + b / (rho - rho0) through the rows, by least squares in rho. Raises CalibrationRefused."""
-    u, rho = (np.array([row[i] for row in rows], float) for i in (0, 1))
+    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
     distances = sorted({float(d) for d in u})
     if len(distances) < MIN_DISTANCES:
         raise CalibrationRefused(f"{len(distances)} distances have a peak; measure at least {MIN_DISTANCES}")
@@ -65,14 +66,15 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
             f"1/u spans {span:.1f} 1/m from {distances[0]:.2f} to {distances[-1]:.2f} m; "
             f"at least {MIN_SPAN_PER_M:.0f} is needed: bring the board nearer"
         )
-    p, normal, weights = _hyperbola(u, rho)
+    trust = float(np.median(sigma)) / sigma  # 1 for the row whose noise is reported
+    p, normal, weights = _hyperbola(u, rho, trust)
     travel = rho - p[2]
     if float((travel * p[1]).min()) <= 0.0:
         raise CalibrationRefused("the pole of the fit lies inside the measurements; check the table for wrong peaks")
-    residual = travel - p[1] / (u - p[0])
+    residual = trust * (travel - p[1] / (u - p[0]))
     noise = max(_scale(weights * residual, 3), NOISE_FLOOR * float(np.ptp(rho)))
     error_m = p[0] + p[1] / travel - u
-    held_out_m = np.concatenate([_held_out_m(u, rho, distance) for distance in distances])
+    held_out_m = np.concatenate([_held_out_m(u, rho, trust, distance) for distance in distances])
     return FocusFit(
         u_inf_m=float(p[0]),
         b_m=float(p[1]),
@@ -97,8 +99,8 @@ class LeftOut(NamedTuple):
 
 def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
     """Per distance, not per row: the rows of one distance share the error of its tape measure."""
-    u, rho = (np.array([row[i] for row in rows], float) for i in (0, 1))
-    errors = ((d, _held_out_m(u, rho, d)) for d in sorted({float(d) for d in u}))
+    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
+    errors = ((d, _held_out_m(u, rho, float(np.median(sigma)) / sigma, d)) for d in sorted({float(d) for d in u}))
     return [LeftOut(d, math.sqrt(float((e * e).mean()))) for d, e in errors]
 
 
@@ -186,20 +188,24 @@ def solve(A: Array, b: Array) -> Array:
     return x
 
 
-def _hyperbola(u: Array, rho: Array) -> tuple[Array, Array, Array]:
-    """(u_inf, b, rho0), normal matrix and weights, started from rho u = u_inf rho + rho0 u + (b - rho0 u_inf)."""
+def _hyperbola(u: Array, rho: Array, trust: Array) -> tuple[Array, Array, Array]:
+    """(u_inf, b, rho0), normal matrix and weights, started from rho u = u_inf rho + rho0 u + (b - rho0 u_inf).
+
+    trust: (n,) one over the standard deviation of each rho.
+    """
     columns = np.stack([rho, u, np.ones_like(u)])
     start = solve(_products(columns, np.ones_like(u)), (columns * (rho * u)).sum(axis=1)[:, None])[:, 0]
     u_inf = min(float(start[0]), 0.9 * float(u.min()))
     p = np.array([u_inf, start[2] + start[1] * u_inf, start[1]])
 
     def residual(p: Array) -> Array:
-        r: Array = p[2] + p[1] / (u - p[0]) - rho
+        r: Array = trust * (p[2] + p[1] / (u - p[0]) - rho)
         return r
 
     def jacobian(p: Array) -> Array:
         near = u - p[0]
-        return np.stack([p[1] / near**2, 1.0 / near, np.ones_like(u)])
+        J: Array = trust * np.stack([p[1] / near**2, 1.0 / near, np.ones_like(u)])
+        return J
 
     return _gauss_newton(p, residual, jacobian)
 
@@ -230,9 +236,9 @@ def _products(J: Array, weights: Array) -> Array:
     return products
 
 
-def _held_out_m(u: Array, rho: Array, distance: float) -> Array:
+def _held_out_m(u: Array, rho: Array, trust: Array, distance: float) -> Array:
     """Errors in range of the rows at one distance, from the fit to all the others."""
     out = u == distance
-    p, _, _ = _hyperbola(u[~out], rho[~out])
+    p, _, _ = _hyperbola(u[~out], rho[~out], trust[~out])
     error: Array = p[0] + p[1] / (rho[out] - p[2]) - u[out]
     return error

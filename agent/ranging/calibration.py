@@ -27,6 +27,8 @@ class FocusFit(Struct, frozen=True, kw_only=True):
     r2: float
     rmse_m: float
     held_out_rmse_m: float
+    sag: float = 0.0  # lens positions by which peaks shift when the camera looks straight up: see `sag.at_tilt`
+    sag_sigma: float | None = None  # standard deviation of that; None: nobody measured it
 
 
 class CameraFit(Struct, frozen=True, kw_only=True):

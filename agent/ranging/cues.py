@@ -17,14 +17,14 @@ from agent.config import Cues, Target
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit, at_lens
 from agent.ranging.camera_model import centre_behind_skin_m, ray
 from agent.ranging.focus import Refused, h, range_variance
+from agent.ranging.sag import at_tilt
 
 # Measured on the twin, three cameras, clear and coastal water, 0.32 to 1.2 m: the radius of a whole, sharp outline is
 # off by 0.05 to 0.12 px (rms), mostly alike from frame to frame: texture at the rim, and blur that gamma makes uneven.
 EDGE_BIAS_PX = 0.09
 EDGE_NOISE_PX = 0.03
 ARC_POWER = 1.5  # an outline of which only a share is seen is worse by share ** -1.5: 0.25 px at a half
-SAG = 0.05  # peak half-widths by which its own weight moves a lens that looks straight up or down: a micrometre
-WARMTH = 0.005  # and by which it moves as the coil warms up: a tenth of that
+WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
 DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
 
 
@@ -82,6 +82,7 @@ def focus_range(
 
     Of a thing without known shape the skin is all there is.
     """
+    fit = at_tilt(fit, tilt_rad)
     u_m = h(fit, rho)
     if u_m is None:
         return None
@@ -89,11 +90,10 @@ def focus_range(
     skin_m = (u_m - camera.ahead_m) / m_z
     random, systematic = range_variance(fit, rho, sigma_rho)
     travel = rho - fit.rho0
-    lens2 = fit.width**2 * ((SAG * math.sin(tilt_rad)) ** 2 + WARMTH**2)
     return Range(
         skin_m + (0.0 if ball.radius_m is None else centre_behind_skin_m(skin_m, ball.radius_m)),
         random / (m_z * m_z),
-        (systematic + (fit.b_m / travel**2) ** 2 * lens2) / (m_z * m_z),
+        (systematic + (fit.b_m / travel**2 * WARMTH * fit.width) ** 2) / (m_z * m_z),
     )
 
 

@@ -8,8 +8,9 @@ class.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,11 @@ MIN_POSITIONS = 5  # one more than the unknowns of the free fit
 MIN_CONTRAST = 0.10  # (max - min) / max of the curve; sensor noise alone makes 0.02 to 0.03 over a 50 px block
 MIN_QUALITY = 0.90  # correlation with the model; pure noise rarely passes 0.8 over a full sweep
 MAX_CLIMB = 0.15  # of the height: what a smoothed curve may rise again on the way down from its top
-NOISE_FLOOR = 0.01  # of the height: few samples can lie on the model by chance, clarity never repeats better
+NOISE_FLOOR = 0.005  # of the height: few samples can lie on the model by chance, clarity never repeats better
+# The picture grows while the lens moves, so every bit of texture wanders over the pixel grid, and the clarity of a
+# region wanders with it, too slowly to show in the residuals. On the twin the peaks of nine parts of one disc differ
+# by 0.41 to 0.55 half-widths over the square root of their pixels, from 0.35 to 1.2 m.
+PHASE = 0.5
 WIDTHS = 8  # of the bank, geometric from a step to the whole span
 REFINEMENTS = 10  # Gauss-Newton steps, shortened ones counted; from the bank four or five suffice
 CONVERGED = 1e-3  # of a step between lens positions
@@ -119,6 +124,11 @@ def fit_peaks(
     if method != "matched":
         x0, variance = _top(x, y, method)
     return Peaks(x0, np.sqrt(variance), w, quality, contrast, inside, single, accepted)
+
+
+def phase_sigma(width: float | Array, area_px: float) -> Any:
+    """Standard deviation, lens positions, that peaks of these half widths owe to the grid under `area_px` pixels."""
+    return PHASE * width / math.sqrt(area_px)
 
 
 def h(fit: FocusFit, rho: float) -> float | None:

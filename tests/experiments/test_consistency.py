@@ -9,6 +9,8 @@ from agent.config import ConfigError, load_fleet
 from agent.experiments import consistency as experiment
 from agent.experiments.consistency_table import refusals, table
 from agent.launch import shipped_fleet
+from agent.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.ranging.camera_model import Eye
 
 BALL_M = (0.3, 0.3, 0.07)
 
@@ -38,6 +40,22 @@ def test_rows_and_table(taken):
     assert table([row]).row_count == 1
     assert refusals([*taken, hidden]) == {"target seen in # of ## frames": 1}
     assert json.loads(json.dumps(row)) == row
+
+
+def test_a_ball_that_overflows_shows_less_of_its_outline():
+    peak = {"noise": 0.5, "width": 90.0, "lowest": 215, "highest": 720}
+    worth = {"r2": 1.0, "rmse_m": 0.001, "held_out_rmse_m": 0.001}
+    focus = FocusFit(u_inf_m=0.0, b_m=136.0, rho0=102.0, covariance=(0.0,) * 6, **peak, **worth)
+    camera = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
+    known = Calibration(robot="r1", made="", source="", focus=focus, camera=camera)
+    ahead = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))  # looks along x
+    arcs = [
+        experiment.outline_deg(known, Eye((0.0, 0.0, 0.07), ahead, (0.0, 0.0, 0.07)), (d, 0.0, 0.07))
+        for d in (0.60, 0.29, 0.25)
+    ]
+    # At 0.25 m the cone's half angle is 16.26 deg, its circle 341 px: it passes the rows 239.5 px from the middle at
+    # 44.6 deg, the columns 319.5 px from it at 20.4 deg. At 0.29 m, 291 px, only the rows: at 55.5 deg.
+    assert arcs == pytest.approx([360.0, 4 * 55.5, 4 * (44.6 - 20.4)], abs=3)
 
 
 def test_places_are_in_the_tank_and_beliefs_about_right():

@@ -7,6 +7,7 @@ import pytest
 
 from agent.config import ConfigError
 from agent.experiments import depth as experiment
+from agent.experiments import wall
 from agent.experiments.depth_figure import draw
 from agent.experiments.still import StillCamera
 from agent.ranging.calibration import Calibration
@@ -23,15 +24,15 @@ def camera():
 
 @pytest.fixture(scope="module")
 def known(camera):
-    distances, experiment.WALL_M = experiment.WALL_M, 1.0 / np.linspace(1.0, 4.5, 6)
-    experiment.WALL_REPEATS, repeats = 1, experiment.WALL_REPEATS
-    fit = experiment.calibrate(camera, 0.043, lambda: None)
-    experiment.WALL_M, experiment.WALL_REPEATS = distances, repeats
+    distances, wall.WALL_M = wall.WALL_M, 1.0 / np.linspace(1.0, 4.5, 6)
+    wall.WALL_REPEATS, repeats = 1, wall.WALL_REPEATS
+    fit = wall.calibrate(camera, 0.043, lambda: None)
+    wall.WALL_M, wall.WALL_REPEATS = distances, repeats
     return Calibration(robot="r1", made="", source="", focus=fit, camera=experiment.nominal(camera))
 
 
 def test_the_camera_is_one_and_its_truth_is_the_wall_s_distance(camera):
-    camera.view = experiment.facing_wall(0.7)
+    camera.view = wall.facing_wall(0.7)
     assert camera.truth_m(500.0) == pytest.approx(0.7, abs=1e-4)
     part = camera.read(Roi(96, 96, 64, 48))
     assert part.image.shape == (48, 64, 3) and camera.set_focus(5000) == 1023
@@ -40,13 +41,14 @@ def test_the_camera_is_one_and_its_truth_is_the_wall_s_distance(camera):
 def test_breathing_is_that_of_the_lens(camera):
     lens = camera.lens
     true = lens.at_position_m(1023) / lens.at_position_m(0) - 1
-    assert experiment.breathing(camera) == pytest.approx(true, rel=0.08)
+    assert wall.breathing(camera) == pytest.approx(true, rel=0.08)
 
 
 def test_calibration_on_the_wall(camera, known):
     fit = known.focus
     assert fit.r2 > 0.999 and fit.held_out_rmse_m < 0.02
     assert lens_position(fit, 0.4) > lens_position(fit, 0.8)
+    assert abs(fit.sag - camera.lens.sag_m / camera.lens.per_position_m) < 3 * fit.sag_sigma < 4
 
 
 def test_one_view(camera, known, tmp_path):

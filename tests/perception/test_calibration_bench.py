@@ -91,6 +91,7 @@ def test_range_is_right_to_a_few_millimetres(measured):
     assert fit.b_m == pytest.approx(PER_DIOPTRE * 1.333, rel=0.05)
     assert fit.rho0 == pytest.approx(POLE, abs=12)
     assert fit.r2 > 0.999
+    assert abs(fit.sag) < 3 * fit.sag_sigma < 6  # the painted lens weighs nothing
 
 
 def test_camera_and_servos_are_right(measured):

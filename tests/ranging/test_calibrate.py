@@ -161,3 +161,20 @@ def test_a_board_of_another_size_is_refused():
     wrong = [c._replace(px=(1.2 * c.px[0] + 0.1 * c.px[1], c.px[1])) for c in corners()]
     with pytest.raises(CalibrationRefused, match="corners miss by"):
         fit_camera(wrong, BODY, (640, 480))
+
+
+def test_rows_that_know_less_pull_less():
+    """Four times the noise on the far rows: weighed by it, the near end is better, and the scale is right."""
+    plain, weighed, noise = [], [], []
+    sigma = np.where(DISTANCES_M > 0.4, 2.0, 0.5)
+    for seed in range(80):
+        rho = 102 + 136 / (DISTANCES_M + 0.001) + np.random.default_rng(seed).normal(0, sigma)
+        fits = [
+            fit_focus([FocusRow(u, r, 90.0, s) for u, r, s in zip(DISTANCES_M, rho, known, strict=True)])
+            for known in (np.ones_like(sigma), 10 * sigma)
+        ]
+        plain.append(h(fits[0], 102 + 136 / 0.301) - 0.3)
+        weighed.append(h(fits[1], 102 + 136 / 0.301) - 0.3)
+        noise.append(fits[1].noise / float(np.median(sigma)))
+    assert np.std(weighed) < 0.8 * np.std(plain)
+    assert np.mean(noise) == pytest.approx(1.0, rel=0.2)

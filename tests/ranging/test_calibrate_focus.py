@@ -83,4 +83,20 @@ def test_a_bad_table_is_one_line(tmp_path: Path, message: str) -> None:
 def test_width_is_taken_where_it_is_given(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("u_mm,code,width\n100,2.06,0.02\n200,1.97,\n")
-    assert [row.width for row in read_table(path)] == [0.02, 0.02]
+    assert [row.width for row in read_table(path).level] == [0.02, 0.02]
+
+
+def test_tilted_rows_tell_the_sag_and_leave_the_curve_alone(tmp_path: Path) -> None:
+    level = "".join(f"{u},{102 + 136e3 / u:.6f},0\n" for u in (220, 260, 320, 400, 520, 750, 1200))
+    tilted = "".join(
+        f"{u},{102 + 136e3 / u + 5.0 * math.sin(math.radians(t)):.6f},{t}\n" for u in (400, 450) for t in (-20, 20)
+    )
+    fits = []
+    for name, lines in (("level", level), ("both", level + tilted)):
+        path = tmp_path / f"{name}.csv"
+        path.write_text("u_mm,code,tilt_deg\n" + lines)
+        fits.append(run(path, tmp_path / f"{name}.toml", quiet()))
+    plain, both = fits
+    assert both.sag == pytest.approx(5.0, abs=0.01) and plain.sag_sigma is None
+    assert (both.u_inf_m, both.b_m, both.rho0) == (plain.u_inf_m, plain.b_m, plain.rho0)
+    assert "sag =" in (tmp_path / "both.toml").read_text() and "sag_sigma" not in (tmp_path / "level.toml").read_text()

@@ -13,6 +13,7 @@ from agent.ranging.camera_model import Eye, camera_pose, centre_behind_skin_m, p
 from agent.ranging.cues import Outline
 from agent.ranging.fix import Fix, locate
 from agent.ranging.focus import Refused, lens_position
+from agent.ranging.sag import UNKNOWN_SAG
 from tests.known_lens import FITTED
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0003)
@@ -126,7 +127,7 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
     of_focus, (ff, fa, aa) = root(matrix(FOCUS.covariance)), CAMERA.scale_covariance
     of_scale = root(np.array([[ff, fa], [fa, aa]]))
     look_up = math.asin(here.rotation[2][2])
-    lens = FOCUS.width * math.hypot(cues.SAG * math.sin(look_up), cues.WARMTH)
+    lens = FOCUS.width * math.hypot(UNKNOWN_SAG * math.sin(look_up), cues.WARMTH)
     angles = np.radians([fix.LEVEL_SIGMA_DEG, fix.LEVEL_SIGMA_DEG, fix.HEADING_SIGMA_DEG])
     place = np.array([fix.PLACE_SIGMA_M, fix.PLACE_SIGMA_M, fix.HEIGHT_SIGMA_M])
     places = []

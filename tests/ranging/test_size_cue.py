@@ -11,6 +11,7 @@ from agent.ranging import cues
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit
 from agent.ranging.cues import Outline, Range, distance, focus_range, fuse, size_range
 from agent.ranging.focus import Refused, lens_position
+from agent.ranging.sag import UNKNOWN_SAG
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0)
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5, lens=300.0, breathing=4.2e-5)
@@ -84,6 +85,6 @@ def test_a_lens_that_looks_down_is_trusted_less():
         focus_range(FOCUS, CAMERA, (319.5, 239.5), lens_position(FOCUS, 0.5), 0.5, BALL, tilt) for tilt in (0.0, -0.6)
     )
     slope = FOCUS.b_m / (lens_position(FOCUS, 0.5) - FOCUS.rho0) ** 2
-    sag_m = slope * cues.SAG * FOCUS.width * math.sin(0.6)
+    sag_m = slope * UNKNOWN_SAG * FOCUS.width * math.sin(0.6)
     assert down.systematic_m2 - level.systematic_m2 == pytest.approx(sag_m**2, rel=1e-6)
     assert down.distance_m == level.distance_m and np.isfinite(down.random_m2)
