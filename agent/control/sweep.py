@@ -21,15 +21,16 @@ from agent.ranging.focus import Peak, fit_peak
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
 STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
 # From the least to the most in a sweep, along the rows or the columns. Clarity is taken where the target is in each
-# frame, so a steady drift costs little: 120 px move the peak by less than its standard deviation, in full and in
-# tracking sweeps at 0.35, 0.6 and 1.0 m (twin). More was not measured. Hovering makes 4 px, waves 40.
+# frame, so a steady drift costs little: 120 px move the peak by less than one lens position, its noise, in full and in
+# tracking sweeps at 0.35, 0.6 and 1.0 m (twin); more was not measured. In its dives half of the tracking sweeps see
+# less than 4 px, and the worst full one saw 97.
 DRIFT_LIMIT_PX = 120.0
 TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
 SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should is given up
 STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
 FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
-FEWEST_STEPS = 8  # of a full sweep that was halved: four fifths of a peak's half width from one to the next
+FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
 FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
 PAUSE_NS = 2_000_000_000
 
