@@ -1,9 +1,10 @@
 """Focus as a state machine: when to look everywhere, when around the last peak, and what a finished sweep gave.
 
 A full sweep looks everywhere, once; tracking sweeps then visit a few positions around the last peak. After two without
-a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far is
-rejected, and the next one repeats it: a full one with half the positions, so that it is over sooner. Where full sweeps
-keep giving nothing, there is a pause between them: a lens that always moves sees nothing sharply for long.
+a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far, or whose
+frames came too slowly, is rejected, and the next one repeats it: a full one with half the positions, so that it is over
+sooner. Where full sweeps keep giving nothing, there is a pause between them: a lens that always moves sees nothing
+sharply for long.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Rejected(NamedTuple):
     """Why a finished sweep gave nothing."""
 
     reason: str
-    moved: bool = False  # the target or the robot: the same again, but quicker, may succeed
+    too_long: bool = False  # target or robot moved, or frames came slowly: fewer positions may succeed
 
 
 class Sweep:
@@ -114,12 +115,12 @@ class Sweep:
         complete = bool(self._frames) and self._frames[-1].index == len(self._plan.focus) - 1
         if not complete and now_ns < self._deadline_ns:
             return None
-        result = self._result() if complete else Rejected("not finished in time")
+        result = self._result() if complete else Rejected("not finished in time", too_long=True)
         self._plan = None
         if isinstance(result, Measurement):
             self._last, self._failures, self._halvings = result, 0, 0
         else:
-            self._failed(result.moved, now_ns)
+            self._failed(result.too_long, now_ns)
         return result
 
     def remark(self) -> str | None:
@@ -132,14 +133,14 @@ class Sweep:
         self._plan, self._last, self._failures = None, None, 0
         self._halvings = self._rest_until_ns = 0
 
-    def _failed(self, moved: bool, now_ns: int) -> None:
+    def _failed(self, too_long: bool, now_ns: int) -> None:
         self._failures += 1
         if self._last is None:
-            self._halvings = self._halvings + 1 if moved else 0
+            self._halvings = self._halvings + 1 if too_long else 0
             if self._failures >= FAILURES_BEFORE_PAUSE:
                 self._rest_until_ns = now_ns + PAUSE_NS
         elif self._failures >= FAILURES_BEFORE_FULL:
-            self._last, self._failures, self._halvings = None, 0, int(moved)
+            self._last, self._failures, self._halvings = None, 0, int(too_long)
 
     def _result(self) -> Measurement | Rejected:
         good = [f for f in self._frames if f.found and f.focus is not None and f.clarity is not None]
@@ -147,7 +148,7 @@ class Sweep:
             return Rejected(f"target seen in {len(good)} of {len(self._frames)} frames")
         moved = how_moved(good, self._tilts)
         if moved is not None:
-            return Rejected(moved, moved=True)
+            return Rejected(moved, too_long=True)
         if self._last is None and not self._remarked:
             self._remark = short_of_infinity(self._fit, [f.focus for f in self._frames if f.focus is not None])
             self._remarked = True
