@@ -75,11 +75,6 @@ class Sweep:
     def running(self) -> bool:
         return self._plan is not None
 
-    @property
-    def focus(self) -> float | None:
-        """Lens position of the last accepted peak."""
-        return None if self._last is None else self._last.focus
-
     def ready(self, now_ns: int) -> bool:
         """Whether the next sweep may start."""
         return not self.running and now_ns >= self._rest_until_ns
