@@ -48,7 +48,7 @@ def decode(data: memoryview, form: Format) -> Image | None:
     """The picture in a buffer's filled part, (height, width, 3) blue green red; None if it is torn."""
     width, height = form.size
     if form.fourcc == MJPG:
-        if not bytes(data[-64:]).rstrip(b"\0").endswith(END_OF_JPEG):  # some drivers pad
+        if not bytes(data).rstrip(b"\0").endswith(END_OF_JPEG):  # some drivers pad
             return None
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         return None if image is None or image.shape != (height, width, 3) else np.asarray(image, np.uint8)

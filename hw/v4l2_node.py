@@ -74,36 +74,48 @@ def find(place: str, system: System = LINUX) -> tuple[Device, Identity]:
 
 
 def _at_path(path: str, system: System) -> tuple[Device, Identity]:
-    try:
-        device = system.attach(path)
-    except OSError as error:
-        kind = CameraError if isinstance(error, PermissionError) else CameraGone
-        remedy = "join the group video" if kind is CameraError else "see v4l2-ctl --list-devices"
-        raise kind(f"{path}: cannot be opened: {error.strerror}; {remedy}") from None
+    device = _opened(path, system)
     try:
         who = identity(device)
         if who.captures:
             return device, who
-        why = f"'{who.card}' gives no pictures here; its other nodes may: see v4l2-ctl --list-devices"
+        why = f"'{who.card}' gives no pictures here; its other nodes may"
     except OSError as error:
-        why = f"not a video device ({error.strerror}); see v4l2-ctl --list-devices"
+        why = f"not a video device ({error.strerror})"
     device.close()
-    raise CameraError(f"{path}: {why}")
+    raise CameraError(f"{path}: {why}; see v4l2-ctl --list-devices")
+
+
+def _opened(path: str, system: System) -> Device:
+    try:
+        return system.attach(path)
+    except PermissionError:
+        raise CameraError(f"{path}: you may not open it; join its group, video on most systems") from None
+    except OSError as error:
+        raise CameraGone(f"{path}: cannot be opened: {error.strerror}; see v4l2-ctl --list-devices") from None
 
 
 def _by_name(name: str, system: System) -> tuple[Device, Identity]:
     found: list[tuple[Device, Identity]] = []
-    there: list[str] = []
+    there: list[str] = []  # what could not be it
     for path in system.nodes():
         try:
-            device, who = _at_path(path, system)
-        except CameraError:  # not a camera, or not ours: somebody else's to complain about
+            device = _opened(path, system)
+        except CameraGone:
             continue
-        there.append(f"'{who.card}' at {who.bus}")
-        if name in (who.card, who.bus):
+        except CameraError as error:
+            there.append(str(error))
+            continue
+        try:
+            who = identity(device)
+        except OSError:  # not a video device, whatever its name
+            who = Identity("", "", captures=False)
+        if who.captures and name in (who.card, who.bus):
             found.append((device, who))
-        else:
-            device.close()
+            continue
+        device.close()
+        if who.captures:
+            there.append(f"'{who.card}' at {who.bus}")
     if len(found) == 1:
         return found[0]
     for device, _ in found:

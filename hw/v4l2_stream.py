@@ -31,9 +31,9 @@ class Picture(NamedTuple):
     middle_ns: int  # of the exposure
 
 
-def clock_is_known(flags: int) -> bool:
-    """Whether a buffer's stamp is of CLOCK_MONOTONIC; other stamps say nothing here."""
-    return flags & v4l2.CLOCK_MASK == v4l2.CLOCK_MONOTONIC
+def clock_is_known(flags: int, stamp_ns: int, arrived_ns: int, period_ns: int) -> bool:
+    """Whether a buffer's stamp is of CLOCK_MONOTONIC, as the driver says and as can be: others say nothing here."""
+    return flags & v4l2.CLOCK_MASK == v4l2.CLOCK_MONOTONIC and stamp_ns <= arrived_ns + period_ns
 
 
 def exposed(flags: int, stamp_ns: int, arrived_ns: int, exposure_ns: int, period_ns: int) -> Exposure:
@@ -42,7 +42,7 @@ def exposed(flags: int, stamp_ns: int, arrived_ns: int, exposure_ns: int, period
     UVC drivers stamp the start. Others stamp the end of the transfer, before which there were, at the earliest, the
     exposure and one period for reading the sensor out. A stamp of an unknown clock is replaced by the arrival.
     """
-    known = clock_is_known(flags)
+    known = clock_is_known(flags, stamp_ns, arrived_ns, period_ns)
     if known and flags & v4l2.TAKEN_MASK == v4l2.TAKEN_AT_START:
         return Exposure(stamp_ns, stamp_ns + exposure_ns // 2)
     took_ns = exposure_ns + period_ns
@@ -87,8 +87,9 @@ class Stream:
             if filled is None:
                 continue
             index, count, flags, stamp_ns = filled
-            when = exposed(flags, stamp_ns, self._clock_ns(), self.exposure_ns, self._form.period_ns)
-            self.clock_known = clock_is_known(flags)
+            arrived_ns, period_ns = self._clock_ns(), self._form.period_ns
+            when = exposed(flags, stamp_ns, arrived_ns, self.exposure_ns, period_ns)
+            self.clock_known = clock_is_known(flags, stamp_ns, arrived_ns, period_ns)
             self._number += 1
             usable = when.began_ns >= not_before_ns and not flags & v4l2.DAMAGED
             image = decode(self._buffers[index][:count], self._form) if usable else None

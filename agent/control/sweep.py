@@ -1,9 +1,10 @@
 """Focus as a state machine: when to look everywhere, when around the last peak, and what a finished sweep gave.
 
 A full sweep looks everywhere, once; tracking sweeps then visit a few positions around the last peak. After two without
-a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far is
-rejected, and the next one repeats it: a full one with half the positions, so that it is over sooner. Where full sweeps
-keep giving nothing, there is a pause between them: a lens that always moves sees nothing sharply for long.
+a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far, or whose
+frames came too slowly, is rejected, and the next one repeats it: a full one with half the positions, so that it is over
+sooner. Where full sweeps keep giving nothing, there is a pause between them: a lens that always moves sees nothing
+sharply for long.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farth
 STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
 BOX_LIMIT = 0.12  # of a box's diagonal, if that is more: NanoTrack's box of a resting thing jumps by up to 0.06
 # From the least to the most in a sweep, along the rows or the columns. Clarity is taken where the target is in each
-# frame, so a steady drift costs little: 120 px move the peak by less than its standard deviation, in full and in
-# tracking sweeps at 0.35, 0.6 and 1.0 m (twin). More was not measured. Hovering makes 4 px, waves 40.
+# frame, so a steady drift costs little: 120 px move the peak by less than one lens position, its noise, in full and in
+# tracking sweeps at 0.35, 0.6 and 1.0 m (twin); more was not measured. In its dives half of the tracking sweeps see
+# less than 4 px, and the worst full one saw 97.
 DRIFT_LIMIT_PX = 120.0
 TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
 SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should is given up
 STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
 FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
-FEWEST_STEPS = 8  # of a full sweep that was halved: four fifths of a peak's half width from one to the next
+FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
 FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
 PAUSE_NS = 2_000_000_000
 
@@ -51,7 +53,7 @@ class Rejected(NamedTuple):
     """Why a finished sweep gave nothing."""
 
     reason: str
-    moved: bool = False  # the target or the robot: the same again, but quicker, may succeed
+    too_long: bool = False  # target or robot moved, or frames came slowly: fewer positions may succeed
 
 
 class Sweep:
@@ -74,11 +76,6 @@ class Sweep:
     @property
     def running(self) -> bool:
         return self._plan is not None
-
-    @property
-    def focus(self) -> float | None:
-        """Lens position of the last accepted peak."""
-        return None if self._last is None else self._last.focus
 
     def ready(self, now_ns: int) -> bool:
         """Whether the next sweep may start."""
@@ -115,12 +112,12 @@ class Sweep:
         complete = bool(self._frames) and self._frames[-1].index == len(self._plan.focus) - 1
         if not complete and now_ns < self._deadline_ns:
             return None
-        result = self._result() if complete else Rejected("not finished in time")
+        result = self._result() if complete else Rejected("not finished in time", too_long=True)
         self._plan = None
         if isinstance(result, Measurement):
             self._last, self._failures, self._halvings = result, 0, 0
         else:
-            self._failed(result.moved, now_ns)
+            self._failed(result.too_long, now_ns)
         return result
 
     def remark(self) -> str | None:
@@ -133,14 +130,14 @@ class Sweep:
         self._plan, self._last, self._failures = None, None, 0
         self._halvings = self._rest_until_ns = 0
 
-    def _failed(self, moved: bool, now_ns: int) -> None:
+    def _failed(self, too_long: bool, now_ns: int) -> None:
         self._failures += 1
         if self._last is None:
-            self._halvings = self._halvings + 1 if moved else 0
+            self._halvings = self._halvings + 1 if too_long else 0
             if self._failures >= FAILURES_BEFORE_PAUSE:
                 self._rest_until_ns = now_ns + PAUSE_NS
         elif self._failures >= FAILURES_BEFORE_FULL:
-            self._last, self._failures, self._halvings = None, 0, int(moved)
+            self._last, self._failures, self._halvings = None, 0, int(too_long)
 
     def _result(self) -> Measurement | Rejected:
         good = [f for f in self._frames if f.found and f.focus is not None and f.clarity is not None]
@@ -148,7 +145,7 @@ class Sweep:
             return Rejected(f"target seen in {len(good)} of {len(self._frames)} frames")
         moved = how_moved(good, self._tilts)
         if moved is not None:
-            return Rejected(moved, moved=True)
+            return Rejected(moved, too_long=True)
         if self._last is None and not self._remarked:
             self._remark = short_of_infinity(self._fit, [f.focus for f in self._frames if f.focus is not None])
             self._remarked = True

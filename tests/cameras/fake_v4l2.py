@@ -50,7 +50,7 @@ class FakeCamera:
         self.stamps = "start"
         self.again = 0  # times that DQBUF finds nothing although something was announced
         self.damage = []  # flags, or callables from bytes to bytes, for the next frames
-        self.silent = self.unplugged = self.in_use = False
+        self.silent = self.unplugged = self.in_use = self.forbidden = False
         self.views = []  # of the buffers, handed out
         self.boot()
 
@@ -243,6 +243,8 @@ class FakeComputer:
     def attach(self, path):
         if path not in self.there:
             raise OSError(errno.ENOENT, "No such file or directory")
+        if self.there[path].forbidden:
+            raise PermissionError(errno.EACCES, "Permission denied")
         self.there[path].opened = True
         return self.there[path]
 

@@ -74,6 +74,12 @@ class TestPlace:
             computer.open("Shallow")
         assert not device.opened
 
+    @pytest.mark.parametrize("place", ["/dev/video7", FakeCamera.card])
+    def test_a_node_that_we_may_not_open_says_which_group(self, computer, device, place):
+        device.forbidden = True
+        with pytest.raises(CameraError, match="/dev/video7: you may not open it; join its group"):
+            computer.open(place)
+
     def test_of_two_with_one_name_the_port_tells(self, computer, device):
         twin = FakeCamera("/dev/video8", computer.clock)
         twin.bus = "usb-0000:00:14.0-2"
@@ -233,6 +239,14 @@ class TestStream:
             assert set_ns + 100_000_000 <= frame.t_ns <= set_ns + 100_000_000 + 3 * FRAME_NS
             assert np.array_equal(frame.image, through_yuyv(scene(position)))
 
+    def test_a_stamp_that_is_yet_to_come_is_not_believed(self, computer, device, caplog):
+        """Flagged as monotonic, but of the wall clock: every old frame would pass for new."""
+        device.late_ns = -(10**18)
+        camera = computer.open()
+        assert "unknown clock" in caplog.text
+        camera.set_focus(20)
+        assert np.array_equal(camera.read().image, through_yuyv(scene(20)))
+
     @pytest.mark.parametrize("stamps", ["unknown", "copy"])
     def test_a_clock_that_is_not_ours_is_said(self, computer, device, stamps, caplog):
         device.stamps = stamps
@@ -240,7 +254,8 @@ class TestStream:
         assert "unknown clock" in caplog.text
 
     def test_when_a_frame_was_exposed(self):
-        """Exposure 10, period 33, stamp 1000, arrival 2000."""
+        """Exposure 10, period 33, stamp 1000, arrival 2000 or 900."""
+        assert exposed(STAMPS["start"], 1000, 900, 10, 33) == (857, 878)  # not even begun when it arrived
         assert exposed(STAMPS["start"], 1000, 2000, 10, 33) == (1000, 1005)
         assert exposed(STAMPS["end"], 1000, 2000, 10, 33) == (957, 978)
         assert exposed(STAMPS["unknown"], 1000, 2000, 10, 33) == (1957, 1978)

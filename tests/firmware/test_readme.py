@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from hw.firmware import parameters, pwm, wire
+from hw.stm32 import Stm32
 
 README = (Path(wire.__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
@@ -33,3 +35,12 @@ def test_every_file_is_copied_to_the_board_but_those_for_a_computer():
     copied = {word for line in lines for word in line.split() if word.endswith(".py")}
     there = {path.name for path in Path(wire.__file__).parent.glob("*.py")}
     assert copied == there - {"__init__.py", "bus.py", "hal_unix.py"}
+
+
+def test_what_is_typed_at_the_bench_is_python_and_the_drivers():
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        compile(block, "README", "exec")
+    asked = set(re.findall(r"board\.(\w+)", README))
+    assert {"start", "tare", "arm", "close"} <= asked <= set(dir(Stm32))

@@ -241,6 +241,18 @@ def test_a_sweep_without_frames_is_given_up() -> None:
     assert not sweep.running
 
 
+def test_where_frames_come_slowly_full_sweeps_are_halved() -> None:
+    sweep, now = Sweep(FIT, 30), 0
+    steps = []
+    for _ in range(3):
+        plan = sweep.start(now)
+        steps.append(len(plan.focus) - 1)
+        now += 8 * S
+        result = sweep.finish(now)
+        assert isinstance(result, Rejected) and "not finished in time" in result.reason
+    assert steps == [30, 15, 8]
+
+
 def test_frames_of_another_sweep_pass_by() -> None:
     sweep = Sweep(FIT, 8)
     old = sweep.start(0)
