@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from threading import Condition, Thread
 
 import cv2
@@ -183,9 +184,9 @@ class Vision:
         Replay calls it as well.
         """
         whole = self._fit.width_px, self._fit.height_px
-        image = self.clear.view(frame, whole) if self._settings.enhance else frame.image
-        colour = self._targets[target].colour
-        ball = find_ball(image, at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), colour)
+        camera, origin_px, colour = at_lens(self._fit, focus), (frame.roi.x, frame.roi.y), self._targets[target].colour
+        find = partial(find_ball, camera=camera, origin_px=origin_px, colour=colour)
+        ball = self.clear.look(find, frame, whole) if self._settings.enhance else find(frame.image)
         clarity, area_px = (None, None) if ball is None else disc_clarity(frame, ball, radius_px or ball.radius_px)
         return ball, Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,
