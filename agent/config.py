@@ -82,7 +82,7 @@ class Camera(Struct, frozen=True, kw_only=True):
     height_px: Annotated[int, Meta(ge=64)] = 480
     settle_s: Positive = 0.05  # lens at rest after a focus command
     sweep_steps: Annotated[int, Meta(ge=8)] = 30
-    enhance: bool = False  # white balance before detection; clarity is always taken on the raw frame
+    enhance: bool = False  # look again, enhanced, where a frame shows no target; clarity is always the raw frame's
 
 
 class Body(Struct, frozen=True, kw_only=True):

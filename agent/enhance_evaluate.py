@@ -37,7 +37,7 @@ def run(
     """Print the tables; the figures, and exit code 1 if a picture was skipped. Raises ConfigError."""
     wanted = parse_size(size)
     pairs, alone = paired(raw, reference)
-    way = enhancer(variant, weights)
+    way = enhancer(variant, weights, budget_ms=None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
     figures, problems = with_bar(console, "evaluate", lambda show: evaluate(pairs, ways(way, weights), wanted, show))

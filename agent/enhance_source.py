@@ -15,7 +15,7 @@ from rich.console import Console
 
 from agent.config import ConfigError
 from agent.launch import with_bar
-from agent.perception.enhance import Enhancer, Variant, enhancer
+from agent.perception.enhance import BUDGET_MS, Enhancer, Variant, enhancer
 from agent.perception.grey_world import Image
 from agent.pictures import Pictures, pictures
 
@@ -49,7 +49,7 @@ def run(
     """Exit code: 0, or 1 if a part of the source could not be read. Raises ConfigError and CameraError, one line."""
     problems: list[str] = []
     found = pictures(source, frames, problems, of_camera=FRAMES)
-    way = enhancer(variant, weights)
+    way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
     target = Target(out, Path(source), side_by_side_with(way) if side_by_side else way.apply)
@@ -86,6 +86,8 @@ def stills(found: Pictures, target: Target, show: Callable[[int, int], None]) ->
         if not cv2.imwrite(str(file), target.show(picture.image)):
             raise ConfigError(f"{file}: cannot be written; choose another folder with --out")
         show(done, found.total or done)
+    if found.total:
+        show(found.total, found.total)  # with those that were skipped
 
 
 def film(found: Pictures, target: Target, show: Callable[[int, int], None]) -> None:

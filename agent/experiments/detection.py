@@ -20,6 +20,7 @@ from rich.table import Table
 from agent.config import ConfigError
 from agent.experiments.ball_views import WATERS, BallView, ball_views
 from agent.launch import run_folder, with_bar
+from agent.perception.clear_view import raw_else_enhanced
 from agent.perception.detect import Ball, find_ball
 from agent.perception.enhance import enhance
 from agent.perception.grey_world import classic
@@ -34,7 +35,9 @@ IMAGES: dict[str, Find] = {
     "raw": find_ball,
     "classic": lambda image, camera: find_ball(classic(image), camera),
     "enhanced": lambda image, camera: find_ball(enhance(image), camera),
-    "raw, else enhanced": lambda image, camera: find_ball(image, camera) or find_ball(enhance(image), camera),
+    "raw, else enhanced": lambda image, camera: raw_else_enhanced(
+        lambda shown: find_ball(shown, camera), image, lambda: enhance(image)
+    ),
 }
 WORLDS = 10  # tanks of each kind of water: its veil differs from tank to tank by a factor of six
 RANGES_M = ((0.25, 0.4), (0.4, 0.8), (0.8, 1.5), (0.25, 1.5))

@@ -1,4 +1,8 @@
-"""What the vision worker looks at when `[camera] enhance = true`: every frame enhanced, none of them late for it.
+"""What the vision worker looks at when `[camera] enhance = true`: the frame, then the frame enhanced, none late for it.
+
+A target is looked for in the frame as it came. Where that shows none it is looked for in the enhanced frame as well,
+and must then be plain to see: enhancement finds colour where there is little, also on things that are no target
+(docs/experiments.md, Detection, has the figures).
 
 An estimate of the colours costs tens of milliseconds, its use on a frame one or two. So a whole frame gives a new
 estimate when one is due, and all others use the newest: the frames and parts of frames of a focus sweep are treated
@@ -10,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Protocol, TypeVar
 
 from agent.perception import fast_enhance
 from agent.perception.enhance import Enhancer, default
@@ -20,6 +25,24 @@ from hw.camera import Frame
 DUE_NS = 200_000_000  # between estimates: each idle frame (0.25 s apart) has its own, a sweep of a second a few
 OLD_NS = 3_000_000_000  # older colours belong to another view: the longest sweep, and no more
 SHARE = 0.25  # of one core that estimates may take; three agents share two cores with twin and firmware
+SURE = 0.6  # score that only an enhanced frame must give; views of the twin's tank without a ball gave 0.51 at most
+
+
+class Scored(Protocol):
+    @property
+    def score(self) -> float: ...  # 0 to 1
+
+
+T = TypeVar("T", bound=Scored)
+
+
+def raw_else_enhanced(find: Callable[[Image], T | None], image: Image, enhanced: Callable[[], Image]) -> T | None:
+    """What `find` sees in the frame as it came, else what it is sure to see in the enhanced one."""
+    found = find(image)
+    if found is not None:
+        return found
+    found = find(enhanced())
+    return found if found is not None and found.score >= SURE else None
 
 
 class ClearView:
@@ -31,13 +54,25 @@ class ClearView:
         self._colours: Colours | None = None
         self._estimated_ns = 0  # time of the frame that gave them
         self._last: tuple[Frame, Image] | None = None
+        self._raw_sufficed = True  # for the last frame that was looked at
         self._rest_s = 0.0  # no estimate before this time of `clock`
         self.frames = 0
         self.raw = 0  # of them, shown as they came
 
     def wants_whole(self, t_ns: int) -> bool:
-        """Whether a frame taken about now should be read whole, because the colours are about to be too old."""
-        return self._way is not None and self._way.estimate is not None and self._age_ns(t_ns) > OLD_NS // 2
+        """Whether a frame taken about now should be read whole: it will be enhanced, and the colours are aging."""
+        estimates = self._way is not None and self._way.estimate is not None
+        return estimates and not self._raw_sufficed and self._age_ns(t_ns) > OLD_NS // 2
+
+    def look(self, find: Callable[[Image], T | None], frame: Frame, whole: tuple[int, int]) -> T | None:
+        """What `find` sees in the frame, or in the part of one; `whole`: (width, height) of the camera."""
+        self._raw_sufficed = True
+
+        def enhanced() -> Image:
+            self._raw_sufficed = False
+            return self.view(frame, whole)
+
+        return raw_else_enhanced(find, frame.image, enhanced)
 
     def view(self, frame: Frame, whole: tuple[int, int]) -> Image:
         """The frame, or the part of one, enhanced if that can be had in time; `whole`: (width, height) of the camera.

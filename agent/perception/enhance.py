@@ -4,7 +4,8 @@
     folded   the same with fewer steps: equal to rounding
     fast     the network on a small picture, its colours carried to the full one
     classic  grey-world white balance and CLAHE: needs neither torch nor weights
-    auto     the most faithful of folded, fast and classic that keeps a budget on this machine, by measurement
+    auto     the first of folded, fast and classic that keeps a budget on this machine, by measurement; fast, or
+             classic where there is no network, for whoever has no budget
 
 Pictures are (height, width, 3) uint8, blue green red. It serves colour and the eye. Clarity is taken on the raw frame:
 a gain that depends on the whole picture changes from one focus position to the next.
@@ -72,7 +73,7 @@ def default() -> Enhancer:
 
     The weights are read at the first call, which takes seconds.
     """
-    return enhancer("auto" if missing(None) else "fast")
+    return enhancer("auto", budget_ms=None)
 
 
 def one_thread() -> None:
@@ -83,9 +84,10 @@ def one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: float = BUDGET_MS) -> Enhancer:
+def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: float | None = BUDGET_MS) -> Enhancer:
     """The way called `variant`, with the shipped weights if none are given; reads the weights and may take seconds.
 
+    `budget_ms` is for `auto`, of one frame; None where nothing waits for the picture.
     Raises ConfigError for weights that cannot be used, and where the network was asked for by name and is not there.
     """
     if variant == "classic":
@@ -96,11 +98,10 @@ def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: 
         return Enhancer("classic", classic, why=f"{lacking}; grey-world and CLAHE instead")
     from agent.perception.lu2net import load
 
-    return (
-        choose(load(weights or shipped_weights()), budget_ms)
-        if variant == "auto"
-        else of(load(weights or shipped_weights()), variant)
-    )
+    net = load(weights or shipped_weights())
+    if variant != "auto":
+        return of(net, variant)
+    return of(net, "fast") if budget_ms is None else choose(net, budget_ms)
 
 
 def of(net: LU2Net, variant: Variant) -> Enhancer:

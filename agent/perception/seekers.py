@@ -38,6 +38,10 @@ class Found(NamedTuple):
 class Seeker(Protocol):
     """Give it frames in the order in which they were taken; parts of them, if any, around where the target was last."""
 
+    @property
+    def remembers(self) -> bool:
+        """Whether it compares a frame with earlier ones, so that all must be treated alike: none enhanced."""
+
     def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens: int | None = None) -> Found | None:
         """The target in an image (height, width, 3) blue green red; None if it is not there.
 
@@ -47,6 +51,8 @@ class Seeker(Protocol):
 
 class BallSeeker:
     """A ball of one colour."""
+
+    remembers = False
 
     def __init__(self, camera: CameraFit, colour: Colour) -> None:
         self._camera, self._colour = camera, colour
@@ -58,6 +64,8 @@ class BallSeeker:
 
 class BoxSeeker:
     """What a follower knows, who has been told to start or to expect something. Wants whole frames of one size."""
+
+    remembers = True
 
     def __init__(self, follower: Follower) -> None:
         self._follower = follower

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from threading import Condition, Thread
 
 import cv2
@@ -175,8 +176,10 @@ class Vision:
 
         Replay calls it as well.
         """
-        image = self.clear.view(frame, self._whole) if self._settings.enhance else frame.image
-        found = self._seekers[target].find(image, (frame.roi.x, frame.roi.y), focus)
+        seeker = self._seekers[target]
+        find = partial(seeker.find, offset_px=(frame.roi.x, frame.roi.y), lens=focus)
+        clear = self._settings.enhance and not seeker.remembers
+        found = self.clear.look(find, frame, self._whole) if clear else find(frame.image)
         clarity, area_px = UNSEEN if found is None else clarity_of(frame, found, first)
         return Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,

@@ -1,7 +1,9 @@
-"""What enhancement of a 640x480 frame costs: plain as stored and with channels last, folded, fast; and in memory.
+"""What enhancement of a 640x480 frame costs: plain as stored and with channels last, folded, fast; memory; fidelity.
 
 All in one loop, so that what else the machine does falls on all alike; with one thread and with two. Times are medians
-of processor time (`cpu`, all threads together) and of the clock. Weights do not matter here: they are drawn.
+of processor time (`cpu`, all threads together) and of the clock, with weights that are drawn: they do not matter here.
+Fidelity is that of the shipped weights on pairs of our own making, large as a frame: PSNR to what the pair should be,
+and to what the plain network paints. (On real pairs: `aucamp enhance --evaluate RAW REFERENCE --size 640x480`.)
 """
 
 import statistics
@@ -17,6 +19,7 @@ import numpy as np
 THREADS = (1, 2)
 REPEATS = 9
 TARGET_MS = 33.0
+PAIRS, SIDE = 6, 480  # for the fidelity; pixels
 
 
 def run() -> dict[str, dict]:
@@ -35,6 +38,33 @@ def run() -> dict[str, dict]:
     for way in ("channels_last", "folded", "fast"):
         peak, base = peak_mb(way), peak_mb("nothing")
         rows[f"enhance_{way}_memory"] = row(peak - base, "MB", "process with torch", peak / base)
+    return rows | fidelity()
+
+
+def fidelity() -> dict[str, dict]:
+    from agent.enhancement import degrade
+    from agent.enhancement.landscapes import landscape
+    from agent.enhancement.metrics import psnr
+    from agent.perception import enhance
+    from agent.perception.lu2net import load
+
+    net = load(enhance.shipped_weights())
+    works = {way: enhance.of(net, way).apply for way in ("plain", "folded", "fast")}
+    to_target: dict[str, list[float]] = {way: [] for way in works}
+    to_plain: dict[str, list[float]] = {way: [] for way in ("folded", "fast")}
+    for k in range(PAIRS):
+        rng = np.random.default_rng(k)
+        raw, target = degrade.pair(*landscape(SIDE, rng), rng)
+        outputs = {way: work(raw) for way, work in works.items()}
+        for way, output in outputs.items():
+            to_target[way].append(psnr(output, target))
+        for way, values in to_plain.items():
+            values.append(psnr(outputs[way], outputs["plain"]))
+    mean_db = {way: statistics.mean(values) for way, values in to_target.items()}
+    rows = {f"enhance_{way}_quality": row(db, "dB", "plain", db / mean_db["plain"]) for way, db in mean_db.items()}
+    for way, values in to_plain.items():
+        finite = [min(value, 99.0) for value in values]  # equal pictures are infinitely alike
+        rows[f"enhance_{way}_likeness"] = row(statistics.median(finite), "dB", "the plain network's picture", None)
     return rows
 
 
@@ -103,5 +133,5 @@ def alone(way: str) -> None:
     print(next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) / 1024)
 
 
-def row(value: float, unit: str, against: str, ratio: float) -> dict:
+def row(value: float, unit: str, against: str, ratio: float | None) -> dict:
     return {"value": value, "unit": unit, "against": against, "ratio": ratio}

@@ -50,6 +50,12 @@ class TestWithTorch:
         assert way.variant == chosen
         assert str(folded_ms) in way.why and (chosen == "folded" or str(fast_ms) in way.why)
 
+    def test_where_nothing_waits_it_is_the_fast_way_on_any_machine(self, net, tmp_path):
+        from agent.perception.lu2net import save
+
+        save(net, tmp_path / "own.safetensors")
+        assert face.enhancer("auto", tmp_path / "own.safetensors", budget_ms=None).variant == "fast"
+
     def test_weights_with_a_wrong_hash(self, net, tmp_path):
         from agent.perception.lu2net import save
 

@@ -1,6 +1,8 @@
+from typing import NamedTuple
+
 import numpy as np
 
-from agent.perception.clear_view import DUE_NS, OLD_NS, SHARE, ClearView
+from agent.perception.clear_view import DUE_NS, OLD_NS, SHARE, SURE, ClearView
 from agent.perception.enhance import Enhancer
 from agent.perception.fast_enhance import Colours
 from hw.camera import Frame, Roi
@@ -55,7 +57,6 @@ def test_without_young_colours_a_frame_is_raw_and_counted():
     clear.view(frame(1), WHOLE)
     assert (clear.view(frame(OLD_NS + 2, PART), WHOLE) == 60).all()
     assert (clear.frames, clear.raw) == (3, 2)
-    assert clear.wants_whole(OLD_NS + 2) and not clear.wants_whole(2)
 
 
 def test_estimates_keep_to_their_share_of_a_core():
@@ -84,3 +85,37 @@ def test_one_frame_for_two_targets_counts_once():
     one = frame(0)
     assert clear.view(one, WHOLE) is clear.view(one, WHOLE)
     assert clear.frames == 1
+
+
+class Seen(NamedTuple):
+    value: int
+    score: float
+
+
+def seen_from(least, score):
+    """Finds something in pictures of at least this brightness."""
+    return lambda image: Seen(int(image[0, 0, 0]), score) if image[0, 0, 0] >= least else None
+
+
+def test_what_the_raw_frame_shows_costs_nothing():
+    clock = Clock()
+    clear = ClearView(doubling(clock), clock)
+    assert clear.look(seen_from(50, 0.1), frame(0), WHOLE) == (60, 0.1)
+    assert clock.now_s == 100.0 and not clear.wants_whole(2 * OLD_NS)
+
+
+def test_what_it_does_not_show_must_be_plain_in_the_enhanced_one():
+    clock = Clock()
+    clear = ClearView(doubling(clock), clock)
+    assert clear.look(seen_from(100, SURE), frame(0), WHOLE) == (120, SURE)
+    assert clear.look(seen_from(100, SURE - 0.01), frame(1), WHOLE) is None
+    assert clear.look(seen_from(200, 1.0), frame(2), WHOLE) is None
+
+
+def test_whole_frames_are_wanted_while_colours_are_needed_and_old():
+    clock = Clock()
+    clear = ClearView(doubling(clock), clock)
+    clear.look(seen_from(100, 1.0), frame(0), WHOLE)
+    assert clear.wants_whole(OLD_NS) and not clear.wants_whole(2)
+    clear.look(seen_from(50, 1.0), frame(OLD_NS), WHOLE)
+    assert not clear.wants_whole(OLD_NS)
