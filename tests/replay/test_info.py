@@ -7,6 +7,7 @@ import pytest
 from mcap.writer import Writer
 from small_box import STEPS, write_box
 
+from agent.config import ConfigError
 from replay.info import describe, info, info_all
 from replay.log import LogWriter
 
