@@ -94,6 +94,7 @@ def recover(path: Path, force: bool = False) -> Recovered:
         part.finish("aucamp.recovered", facts)
     except OSError as error:
         part.abandon()
+        active(part.path).unlink(missing_ok=True)  # half a copy is no use, and takes the room that is missing
         raise ConfigError(f"{part.path}: cannot be written: {error.strerror}; make room there") from None
     return result
 
