@@ -95,7 +95,7 @@ def cloud(robot: str, places_m: NDArray[np.float32], colours: NDArray[np.uint8],
     return PointCloud(
         timestamp=_stamp(t_ns),
         frame_id=f"{robot}/camera",
-        pose=Pose(orientation=Quaternion(w=1.0)),
+        pose=Pose(position=_vector((0.0, 0.0, 0.0)), orientation=Quaternion(w=1.0)),  # Rerun refuses a missing one
         point_stride=POINT_DTYPE.itemsize,
         fields=[
             PackedElementField(name=name, offset=offset, type=NUMBERS[kind])

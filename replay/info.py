@@ -115,6 +115,8 @@ def ending(about: Info) -> str:
     """How the recording ended, in words."""
     if about.recovered:
         return f"mended copy of a torn file: {about.recovered.get('summary', 'no summary')}"
+    if not about.run and not about.channels:
+        return "nothing in it: its writer was killed at once, or something else wrote it"
     if not about.end:
         tail = f"; {about.torn_bytes} bytes cannot be read" if about.torn_bytes else ""
         return f"not finished: still being written, or its writer was killed{tail}; `aucamp replay recover` mends it"
@@ -124,7 +126,8 @@ def ending(about: Info) -> str:
 
 def _lines(about: Info) -> Iterator[str]:
     facts = [f"{name} {about.run[name]}" for name in SHOWN if name in about.run]
-    yield ", ".join(facts) or "written by something else: no aucamp.run in it"
+    if about.channels or facts:
+        yield ", ".join(facts) or "written by something else: no aucamp.run in it"
     yield ending(about)
     dropped = {name: n for name, n in json.loads(about.end.get("dropped", "{}")).items() if n}
     if dropped:

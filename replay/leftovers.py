@@ -16,10 +16,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 
+from replay.claim import claimed
 from replay.names import SUFFIX, parts, recovered
-from replay.recover import QUIET_S, sound
+from replay.recover import sound
 
 logger = logging.getLogger(__name__)
+
+PAUSE_S = 3.0  # who has just started needs the machine for itself
 
 Say = Callable[[str], None]
 
@@ -49,18 +52,17 @@ def leftovers(path: Path) -> list[Path]:
     if not path.parent.is_dir():
         return []
     torn = sorted(file for file in path.parent.iterdir() if name.fullmatch(file.name))
-    return [file for file in torn if not recovered(file).exists()]
+    return [file for file in torn if not recovered(file).exists() and not claimed(file)]
 
 
 @contextmanager
-def mending(files: Sequence[Path], say: Say = logger.warning, quiet_s: float = QUIET_S) -> Iterator[None]:
+def mending(files: Sequence[Path], say: Say = logger.warning, pause_s: float = PAUSE_S) -> Iterator[None]:
     """Mend these files meanwhile, in a process that gives way to all others; `say` gets a line for each.
 
-    Not before `quiet_s` have passed: until then a file may still have a writer. What is not done at the end is left to
-    the next start.
+    Not before `pause_s` have passed. What is not done at the end is left to the next start.
     """
     stop = Event()
-    worker = Thread(target=_mend, args=(files, say, quiet_s, stop), name="mending", daemon=True)
+    worker = Thread(target=_mend, args=(files, say, pause_s, stop), name="mending", daemon=True)
     if files:
         worker.start()
     try:
@@ -71,12 +73,12 @@ def mending(files: Sequence[Path], say: Say = logger.warning, quiet_s: float = Q
             worker.join()
 
 
-def _mend(files: Sequence[Path], say: Say, quiet_s: float, stop: Event) -> None:
+def _mend(files: Sequence[Path], say: Say, pause_s: float, stop: Event) -> None:
     gentle = ["nice", "-n", "19"] if shutil.which("nice") else []
+    stop.wait(pause_s)
     for file in files:
-        if stop.wait(quiet_s):
+        if stop.is_set():
             return
-        quiet_s = 0.0
         command = [*gentle, sys.executable, "-m", "agent", "replay", "recover", str(file)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
             while process.poll() is None:

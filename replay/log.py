@@ -130,7 +130,8 @@ class LogWriter:
         try:
             self._write_all()
         except Exception as error:  # noqa: BLE001 - whatever it is, the robot goes on without its recording
-            self.failed = f"{type(error).__name__}: {error}"
+            why = error.strerror if isinstance(error, OSError) else None
+            self.failed = why or f"{type(error).__name__}: {error}"
             logger.error("%s: recording stopped: %s", active(self._part.path), self.failed)
             self._part.abandon()
 

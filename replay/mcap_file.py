@@ -16,13 +16,14 @@ from typing import IO, Any, NamedTuple
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
+from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from agent.config import ConfigError
 from replay.backlog import Entry
+from replay.claim import claim, claimed
 from replay.environment import version
 from replay.names import active
 
@@ -30,6 +31,7 @@ __all__ = ["Attachment", "Channel", "Message", "Metadata", "Part", "Schema", "Su
 
 CHUNK_BYTES = 256 * 1024  # the format's default, 1 MiB, is minutes of telemetry: all lost when the process is killed
 RECORD_BYTES = 64 * 1024 * 1024  # a longer record is a corrupt length
+SHORTEST = 2 * MAGIC_SIZE + FOOTER_SIZE  # of a finished file
 
 
 class Part:
@@ -37,6 +39,10 @@ class Part:
 
     def __init__(self, path: Path) -> None:
         """Create the file. Raises ConfigError if it cannot be created, or if there is one already."""
+        if path.is_dir():
+            raise ConfigError(f"{path}: is a folder; give the name of a file in it")
+        if claimed(active(path)):
+            raise ConfigError(f"{active(path)}: is being written by another process; give another name")
         for taken in (path, active(path)):
             if taken.exists():
                 raise ConfigError(f"{taken}: exists already; give another name or move it away")
@@ -45,6 +51,7 @@ class Part:
             self._file: IO[bytes] = active(path).open("xb")
         except OSError as error:
             raise ConfigError(f"{active(path)}: cannot be written: {error.strerror}; give another place") from None
+        claim(self._file)
         self.path = path
         self._writer: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._channels: dict[str, int] = {}
@@ -183,6 +190,8 @@ def summary(path: Path) -> Summary | None:
     """
     try:
         with path.open("rb") as file:
+            if file.seek(0, os.SEEK_END) < SHORTEST:
+                return None
             reader = SeekingReader(file, record_size_limit=RECORD_BYTES)
             about = reader.get_summary()
             if about is None or about.statistics is None:

@@ -8,7 +8,6 @@ the process, are kept on a channel of their own.
 from __future__ import annotations
 
 import json
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -17,13 +16,13 @@ from typing import NamedTuple
 from agent.config import ConfigError
 from replay.backlog import Entry
 from replay.backlog import Schema as ChannelSchema
+from replay.claim import claimed
 from replay.info import info
 from replay.mcap_file import Channel, Message, Part, Schema, Tear, records, summary
-from replay.names import SUFFIX, active, recovered, standing
+from replay.names import active, recovered, standing
 
 STEP_IN, STEP_OUT = "/raw/step_in", "/raw/step_out"
 CUT = "/raw/step_in_cut"  # inputs of a step whose outputs are missing
-QUIET_S = 3.0  # a writer flushes three times a second: what has not changed for this long has no writer
 
 
 class Recovered(NamedTuple):
@@ -70,10 +69,10 @@ def recover(path: Path, force: bool = False) -> Recovered:
     if about.complete or about.recovered or not about.channels:
         counts = {name: channel.messages for name, channel in about.channels.items()}
         return Recovered(path, None, counts, size, 0, 0, None, None, None)
-    if not force and being_written(path):
-        raise ConfigError(f"{path}: still being written; end its writer first, or give --force")
+    if not force and claimed(path):
+        raise ConfigError(f"{path}: still being written; end its writer first, or give --force for what is in it now")
     half_done = active(recovered(path))
-    if half_done.exists() and (force or not being_written(half_done)):
+    if half_done.exists() and not claimed(half_done):
         half_done.unlink()  # of a mending that was broken off; the torn file itself is as it was
     part = Part(recovered(path))
     walk = _Walk(path)
@@ -95,6 +94,7 @@ def recover(path: Path, force: bool = False) -> Recovered:
         part.finish("aucamp.recovered", facts)
     except OSError as error:
         part.abandon()
+        active(part.path).unlink(missing_ok=True)  # half a copy is no use, and takes the room that is missing
         raise ConfigError(f"{part.path}: cannot be written: {error.strerror}; make room there") from None
     return result
 
@@ -110,7 +110,7 @@ def sound(path: Path, say: Callable[[str], None]) -> Path:
     if ends is not None and "aucamp.end" in ends.notes:  # finished: no need to walk through it
         return there
     about = info(there)
-    if about.complete or about.recovered or being_written(there):
+    if about.complete or about.recovered or claimed(there):
         if about.recovered:
             say(f"{there}: {about.recovered.get('summary', '')}")
         return there
@@ -121,13 +121,8 @@ def sound(path: Path, say: Callable[[str], None]) -> Path:
     except ConfigError as error:
         say(str(error))
         return there
-    say(f"{there} was torn, mended as {result.out}: {result.summary}")
+    say(f"{there} was torn, mended as {result.out}: {result.summary}" if result.out else f"{there}: {result.summary}")
     return result.out or there
-
-
-def being_written(path: Path) -> bool:
-    """Whether a writer is probably at work on this file."""
-    return path.name.endswith(SUFFIX) and time.time() - path.stat().st_mtime < QUIET_S
 
 
 class _Walk:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 from small_box import STEPS, write_box
 
 from agent.config import ConfigError
@@ -60,7 +61,12 @@ def test_programs_get_the_same(tmp_path: Path) -> None:
 
 def test_a_recording_of_somebody_else_is_no_error(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    path.write_bytes(b"")
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_message(writer.register_channel("/chatter", "json", 0), 1, b"{}", 1)
+        writer.finish()
     assert "written by something else" in describe(path, info(path))
+    assert "/chatter" in describe(path, info(path))
     with pytest.raises(ConfigError, match="cannot be read"):
         info(tmp_path / "none.mcap")

@@ -9,17 +9,19 @@ import pytest
 from small_box import STEPS, write_box
 
 from agent.config import ConfigError
-from replay.info import info
+from replay.claim import claim, claimed
+from replay.info import describe, info
+from replay.leftovers import leftovers
 from replay.log import LogWriter, Record, read
+from replay.mcap_file import Part
+from replay.names import active
 from replay.recover import CUT, STEP_IN, STEP_OUT, recover, recover_all, sound
 
 
 def torn(folder: Path, data: bytes, name: str = "r1.mcap.active") -> Path:
-    """A file that nobody has written to for a minute."""
+    """A file whose writer was killed just now."""
     path = folder / name
     path.write_bytes(data)
-    old_s = time.time() - 60
-    os.utime(path, (old_s, old_s))
     return path
 
 
@@ -107,13 +109,36 @@ def test_a_broken_chunk_costs_only_itself(tmp_path: Path) -> None:
     assert info(result.out).channels["/a"].gaps == 3999 - len(kept) + 1
 
 
-def test_a_file_with_a_writer_is_not_touched(tmp_path: Path) -> None:
-    data = write(tmp_path / "x.mcap", steps(3))[:-20]
-    path = tmp_path / "r1.mcap.active"
-    path.write_bytes(data)
-    with pytest.raises(ConfigError, match="still being written"):
-        recover(path)
-    assert recover(path, force=True).last_step == 2
+def test_a_file_with_a_writer_is_not_touched_however_long_it_is_silent(tmp_path: Path) -> None:
+    path = torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20])
+    os.utime(path, (0, 0))
+    with path.open("rb") as writer:
+        claim(writer)
+        assert leftovers(tmp_path / "r1.mcap") == []
+        with pytest.raises(ConfigError, match="still being written"):
+            recover(path)
+        assert sound(path, pytest.fail) == path
+        with pytest.raises(ConfigError, match="is being written by another process; give another name"):
+            Part(tmp_path / "r1.mcap")
+    assert leftovers(tmp_path / "r1.mcap") == [path]
+    assert recover(path).last_step == 2
+
+
+def test_a_part_claims_its_file_until_it_is_finished_or_given_up(tmp_path: Path) -> None:
+    for number, end in enumerate((lambda part: part.finish("aucamp.end", {}), lambda part: part.abandon())):
+        part = Part(tmp_path / f"{number}.mcap")
+        part.start({}, {})
+        assert claimed(active(part.path))
+        end(part)
+        assert not any(claimed(file) for file in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCA"])
+def test_a_file_with_nothing_in_it_is_said_to_be_so(tmp_path: Path, content: bytes) -> None:
+    path, lines = torn(tmp_path, content, "r1.mcap"), []
+    assert sound(path, lines.append) == path
+    assert lines == [f"{path}: holds no message, nothing to save"]
+    assert "nothing in it" in describe(path, info(path))
 
 
 def test_a_mended_copy_is_never_overwritten(tmp_path: Path) -> None:

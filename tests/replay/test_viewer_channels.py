@@ -216,6 +216,7 @@ def test_rerun_accepts_the_file_and_shows_each_channel_as_what_it_is(box: Path, 
     rows = {topic: status for status, topic in re.findall(r"^(\w+) +\d+ +\d+ +(/\S+)", checked, re.MULTILINE)}
     assert rows == dict.fromkeys(RAW | SCHEMAS.keys(), "ok")
     run([rerun, "mcap", "convert", str(box), "-o", str(tmp_path / "box.rrd")], tmp_path)
+    run([rerun, "rrd", "verify", str(tmp_path / "box.rrd")], tmp_path)
     printed = run([rerun, "rrd", "print", "-v", str(tmp_path / "box.rrd")], tmp_path)
     shown = {(topic, kind) for topic, kind in re.findall(r"(/\S+?)@([\w.]+):", printed)}
     for topic, (_, kind) in SCHEMAS.items():
