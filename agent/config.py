@@ -43,6 +43,8 @@ class Tank(Struct, frozen=True, kw_only=True):
 
 
 class Water(Struct, frozen=True, kw_only=True):
+    """The index is for everybody who bends rays; `kind`, how murky it is, for the twin alone."""
+
     refractive_index: Annotated[float, Meta(ge=1.0, le=1.5)] = 1.333
     kind: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
 
