@@ -294,7 +294,7 @@ def train_enhance(
     ] = None,
     start: Annotated[Path | None, typer.Option(help="Weights to go on from; from scratch if not given.")] = None,
     out: Annotated[Path | None, typer.Option(help="Weights to write; runs/<UTC> if not given.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Batches; 4000 from scratch, 400 from weights.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Batches; 4000 from scratch, 400 from weights.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the weights, of the pairs, of their order.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint beside --out.")] = False,
     everything: Annotated[bool, typer.Option("--all", help="Keep none of --pairs back for validation.")] = False,
