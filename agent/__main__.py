@@ -100,7 +100,9 @@ def record(
     from replay.recorder import record as run
 
     with until_signal() as stop:
-        counts = run(load_fleet(fleet), out, stop, views=view)
+        robots = load_fleet(fleet)
+        complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
+        counts = run(robots, out, stop, views=view)
     terminal().print(", ".join(f"{name} {count}" for name, count in counts.items()))
 
 
@@ -111,7 +113,7 @@ def router(fleet: FleetFile) -> None:
     from agent.runtime import until_signal
 
     with until_signal() as stop:
-        run_router(load_fleet(fleet), stop)
+        run_router(load_fleet(fleet), stop, complain)
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")
@@ -266,6 +268,8 @@ def experiment_localization(
     full: Annotated[bool, typer.Option("--full", help="More draws, losses and robots.")] = False,
 ) -> None:
     """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, a robot that is wrong."""
+    if quick and full:
+        raise ConfigError("--quick and --full contradict each other; give one of them")
     from agent.experiments.localization import localization, table, verdict_table
     from agent.launch import run_folder, with_bar
 
