@@ -212,7 +212,7 @@ def result_table(summary: dict[str, Any], target: str) -> Table:
     for name, row in about["agents"].items():
         table.add_row(
             name,
-            str(row["acquired_iteration"] or "never"),
+            "never" if row["acquired_iteration"] is None else str(row["acquired_iteration"]),
             str(row["iterations"]),
             " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or []),
             " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or []),
