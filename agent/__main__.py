@@ -100,7 +100,9 @@ def record(
     from replay.recorder import record as run
 
     with until_signal() as stop:
-        counts = run(load_fleet(fleet), out, stop, views=view)
+        robots = load_fleet(fleet)
+        complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
+        counts = run(robots, out, stop, views=view)
     terminal().print(", ".join(f"{name} {count}" for name, count in counts.items()))
 
 
@@ -111,7 +113,7 @@ def router(fleet: FleetFile) -> None:
     from agent.runtime import until_signal
 
     with until_signal() as stop:
-        run_router(load_fleet(fleet), stop)
+        run_router(load_fleet(fleet), stop, complain)
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")
@@ -284,6 +286,8 @@ def experiment_localization(
     full: Annotated[bool, typer.Option("--full", help="More draws, losses and robots.")] = False,
 ) -> None:
     """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, a robot that is wrong."""
+    if quick and full:
+        raise ConfigError("--quick and --full contradict each other; give one of them")
     from agent.experiments.localization import localization, table, verdict_table
     from agent.launch import run_folder, with_bar
 
@@ -312,7 +316,7 @@ def train_enhance(
     ] = None,
     start: Annotated[Path | None, typer.Option(help="Weights to go on from; from scratch if not given.")] = None,
     out: Annotated[Path | None, typer.Option(help="Weights to write; runs/<UTC> if not given.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Batches; 4000 from scratch, 400 from weights.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Batches; 4000 from scratch, 400 from weights.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the weights, of the pairs, of their order.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint beside --out.")] = False,
     everything: Annotated[bool, typer.Option("--all", help="Keep none of --pairs back for validation.")] = False,

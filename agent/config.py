@@ -43,6 +43,8 @@ class Tank(Struct, frozen=True, kw_only=True):
 
 
 class Water(Struct, frozen=True, kw_only=True):
+    """The index is for everybody who bends rays; `kind`, how murky it is, for the twin alone."""
+
     refractive_index: Annotated[float, Meta(ge=1.0, le=1.5)] = 1.333
     kind: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
 
@@ -330,11 +332,13 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
 
 
 def _wrong_endpoint(text: str) -> str | None:
-    """What is wrong with a Zenoh endpoint (tcp/HOST:PORT or tls/HOST:PORT); None if nothing is."""
+    """What is wrong with a Zenoh endpoint, tcp/HOST:PORT; None if nothing is."""
     protocol, _, address = text.partition("/")
     host, _, port = address.rpartition(":")
-    if protocol not in ("tcp", "tls") or not host or not port.isdigit():
+    if protocol != "tcp" or not host or not port.isdigit():
         return f"'{text}' is no endpoint; write tcp/HOST:PORT"
+    if host in ("0.0.0.0", "[::]"):
+        return f"neighbours dial it, and {host} is no address to dial; write the computer's own"
     if not 1024 <= int(port) <= MAX_PORT:
         return f"port {port}; choose one from 1024 to {MAX_PORT}"
     return None

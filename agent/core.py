@@ -11,13 +11,14 @@ from agent.control.seek import Seek
 from agent.control.sweep import Measurement, Rejected
 from agent.control.turns import Turns
 from agent.estimation.face import Prior
+from agent.estimation.validate import inside
 from agent.hearing import Hearing
 from agent.messages import Estimate, Inputs, Level, Outputs, SetPoint, State, SweepPlan
 from agent.pursuit import Pursuit
 from agent.ranging.calibration import Calibration
 from agent.ranging.fix import locate
 from agent.ranging.focus import Refused
-from agent.status import Status, inside
+from agent.status import Status
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
@@ -89,7 +90,7 @@ class Agent:
         if isinstance(fix, Refused):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
             return
-        if not inside(fix.position_m, self._fleet.tank):
+        if not inside(fix.position_m, self._fleet.tank.size_m):
             self._note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
             return
         self.pursuit.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))

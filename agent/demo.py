@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -32,6 +33,7 @@ READY_S = 120.0  # the first start compiles the twin's kernels
 SETTLE_ITERATIONS = 30  # after the last robot's first view
 SETTLE_WINDOW = 10
 SETTLE_M = 0.0015
+FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 
 
 def demo(
@@ -105,7 +107,7 @@ def demo_fleet(
 
 def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> None:
     """Each robot's camera and gimbal on the twin's bench, two at a time."""
-    with meanwhile(console, f"calibrating {len(fleet.robot)} cameras on the twin's bench, two at a time"):
+    with meanwhile(console, f"calibrating on the twin's bench, two at a time: {', '.join(fleet.robot)}"):
         names = list(fleet.robot)
         for pair in (names[k : k + 2] for k in range(0, len(names), 2)):
             for name in pair:
@@ -172,10 +174,17 @@ def meanwhile(console: Console, what: str) -> Iterator[None]:
 
 
 def progress_table(histories: Histories, left_s: float) -> Table:
-    """What each robot says of itself and of each target now."""
-    table = Table(title=f"at most {left_s:.0f} s to go", title_justify="left")
-    for column in ("target", "robot", "", "iteration", "first view", "estimate mm", "sigma mm", "hears", "faults"):
-        table.add_column(column)
+    """What each robot says of itself and of each target now, in 80 columns."""
+    table = Table(
+        title=f"at most {left_s:.0f} s to go",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
+    for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", "faults"):
+        least = FAULT_WIDTH if column == "faults" else len(column)
+        table.add_column(column, no_wrap=column not in ("hears", "faults"), min_width=least)
     for target, of_target in histories.items():
         for name, history in of_target.items():
             table.add_row(target, name, *progress_row(history.newest))
@@ -190,7 +199,7 @@ def progress_row(state: State | None) -> tuple[str, ...]:
         state.knows,
         str(state.t),
         "-" if state.acquired_t is None else str(state.acquired_t),
-        " ".join(f"{1e3 * x:7.1f}" for x in state.posterior_m) if state.posterior_m else "-",
+        " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) if state.posterior_m else "-",
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
         " ".join(hears(state)) or "-",
         ", ".join(state.faults) or ("" if state.armed else "motors off"),
@@ -198,25 +207,21 @@ def progress_row(state: State | None) -> tuple[str, ...]:
 
 
 def result_table(summary: dict[str, Any], target: str) -> Table:
-    """Prior and posterior of one target against the truth."""
+    """Prior and posterior of one target against the truth, mm in x, y and z."""
     about = summary["targets"][target]
+    place = ", ".join(f"{x:g}" for x in about["truth_m"])
     table = Table(
-        title=f"{target} at {about['truth_m']} m, protocol {summary['protocol']}, twin seed {summary['seed']}"
+        title=f"{target} at ({place}) m, protocol {summary['protocol']}, twin seed {summary['seed']}",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
     )
-    for column in (
-        "robot",
-        "first view",
-        "iterations",
-        "prior rms mm (x y z)",
-        "posterior error mm (x y z)",
-        "3-D",
-        "%",
-    ):
-        table.add_column(column, justify="right")
+    for column in ("robot", "saw at", "iterations", "prior rms mm", "posterior error mm", "3-D", "%"):
+        table.add_column(column, justify="right", no_wrap=True)
     for name, row in about["agents"].items():
         table.add_row(
             name,
-            str(row["acquired_iteration"] or "never"),
+            "never" if row["acquired_iteration"] is None else str(row["acquired_iteration"]),
             str(row["iterations"]),
             " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or []),
             " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or []),

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from agent.config import Tank
+from agent.estimation.validate import inside
 from agent.messages import Estimate, Heard, Refusal, Refused, decode
 from agent.pursuit import Pursuit
-from agent.status import Status, inside
+from agent.status import Status
 
 
 class Hearing:
@@ -24,7 +25,7 @@ class Hearing:
         for item in heard:
             try:
                 estimate = decode(item.payload, Estimate)
-                if estimate.x_m is not None and not inside(estimate.x_m, self._tank):
+                if estimate.x_m is not None and not inside(estimate.x_m, self._tank.size_m):
                     raise Refusal("place", "estimate outside the tank")
                 pursuit = self._pursuits.get(estimate.target)
                 if pursuit is None:

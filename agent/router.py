@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from agent.config import Fleet
 from agent.session import ROUTER_LISTEN, router_config
 from agent.transport import open_session
 
 
-def run_router(fleet: Fleet, stop: threading.Event, listen: str = ROUTER_LISTEN) -> None:
-    """Dial every robot and serve clients on `listen` until `stop` is set. Raises ConfigError if it cannot listen."""
+def run_router(
+    fleet: Fleet, stop: threading.Event, say: Callable[[str], None] = lambda line: None, listen: str = ROUTER_LISTEN
+) -> None:
+    """Dial every robot and serve clients on `listen` until `stop` is set; `say` gets one line: where to look.
+
+    Raises ConfigError if it cannot listen.
+    """
     with open_session(router_config(fleet, listen), f"router: {listen}"):
+        say(f"consoles attach to {listen}; Ctrl-C ends it")
         stop.wait()

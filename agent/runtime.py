@@ -86,13 +86,15 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         stack.enter_context(mending(leftovers((out or Path()) / f"{name}.mcap")))
-        log = stack.enter_context(
-            black_box_log(
-                out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views, sweep_depth
+        with ExitStack() as links:
+            link = links.enter_context(Transport(fleet, name, clock))  # first: a start that fails leaves no recording
+            log = stack.enter_context(
+                black_box_log(
+                    out or Path(), fleet, name, calibration, run_facts(fleet, name, incarnation), views, sweep_depth
+                )
             )
-        )
+            stack.push(links.pop_all())  # and closed before the recording
         box = BlackBoxWriter(log, clock, lossless)
-        link = stack.enter_context(Transport(fleet, name, clock))
         network = stack.enter_context(Aloud(link, tell))
         stack.callback(goodbye, agent, network, clock)  # after the motors are off, before the link closes
         size = (fleet.camera.width_px, fleet.camera.height_px)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-from agent.config import Tank
 from agent.control.attitude import AttitudeLog
 from agent.estimation.mailbox import Mailbox
 from agent.logbook import Logbook
-from agent.messages import Inputs, NeighbourState, State, Symmetric, Vector
+from agent.messages import Inputs, NeighbourState, State, Symmetric
 from agent.pursuit import Pursuit
 
 NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
-TANK_MARGIN_M = 0.2  # an estimate may lie this far outside before it is nonsense
 
 
 class Status:
@@ -103,11 +101,6 @@ def neighbour_state(mailbox: Mailbox, name: str, used: bool, now_ns: int) -> Nei
         heard=sender.heard,
         gaps=sender.gaps,
     )
-
-
-def inside(x_m: Vector, tank: Tank) -> bool:
-    """Whether a position can be meant: in the tank, or a little outside it."""
-    return all(-TANK_MARGIN_M <= x <= size + TANK_MARGIN_M for x, size in zip(x_m, tank.size_m, strict=True))
 
 
 def sigma_m(covariance_m2: Symmetric) -> float:

@@ -92,7 +92,7 @@ def score(history: History, truth: Vector) -> dict[str, Any]:
         "sigma_m": newest.posterior_sigma_m if newest else None,
         "error_mm": error_mm,
         "error_axis_mm": [(e - x) * 1e3 for e, x in zip(estimate, truth, strict=True)] if estimate else None,
-        "relative_error_percent": 100.0 * error_mm * 1e-3 / distance_m((0, 0, 0), truth) if error_mm else None,
+        "relative_error_percent": None if error_mm is None else 100.0 * error_mm * 1e-3 / distance_m((0, 0, 0), truth),
         "acquired_iteration": newest.acquired_t if newest else None,
         "iterations": newest.t if newest else 0,
         "measurements": newest.measurements if newest else 0,

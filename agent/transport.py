@@ -26,6 +26,12 @@ from agent.topics import LINK, LOG, STATE, TOPICS, Topic
 
 logger = logging.getLogger(__name__)
 
+# What zenoh says when it cannot listen, and what a person can do about it.
+REMEDIES = {
+    "Address already in use": "the address is in use; end that process or take another port",
+    "Cannot assign requested address": "no address of this computer; write one of its own",
+    "failed to lookup address": "no such host; write the computer's address as a number",
+}
 OBSERVED = 4096  # messages an observer keeps between two drains, oldest dropped first: a minute of three robots
 
 
@@ -158,8 +164,9 @@ def open_session(config: str, where: str) -> zenoh.Session:
     try:
         return zenoh.open(zenoh.Config.from_json5(config))
     except zenoh.ZError as error:
-        if "Address already in use" in str(error):
-            raise ConfigError(f"{where}: the address is in use; end that process or take another port") from None
+        for sign, remedy in REMEDIES.items():
+            if sign in str(error):
+                raise ConfigError(f"{where}: {remedy}") from None
         reason = re.sub(r" at /\S+", "", str(error))  # zenoh names the places in its own source
         raise ConfigError(f"{where}: zenoh cannot open it: {reason}") from None
 

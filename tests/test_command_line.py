@@ -27,6 +27,7 @@ MISTAKES = [
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["replay", "report", "nowhere"], "nowhere: cannot be read"),
     (["twin", "nowhere.toml"], "no such file"),
+    (["agent", "strange.toml", "--robot", "r1"], "camera 'rtsp://pool': no such kind of camera"),
 ]
 
 
@@ -34,6 +35,9 @@ MISTAKES = [
     ("arguments", "expected"), MISTAKES, ids=lambda v: " ".join(v)[:40] if isinstance(v, list) else ""
 )
 def test_a_mistake_is_one_line(arguments: list[str], expected: str, tmp_path: Path) -> None:
+    (tmp_path / "strange.toml").write_text(
+        Path(TANK).read_text().replace('camera = "twin:r1"', 'camera = "rtsp://pool"')
+    )
     done = subprocess.run(
         [sys.executable, "-m", "agent", *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=60
     )

@@ -72,6 +72,7 @@ MISTAKES = {
     "twice": (('["r2", "r3", "r4", "r5"]', '["r2", "r2", "r3", "r4", "r5"]'), "r1.neighbours", "twice", "remove"),
     "same port": (("127.0.0.1:17402", "127.0.0.1:17401"), "r2.listen", "r1", "own port"),
     "high port": (("127.0.0.1:17402", "127.0.0.1:40000"), "r2.listen", "40000", "32767"),
+    "every address": (("127.0.0.1:17402", "0.0.0.0:17402"), "r2.listen", "neighbours dial it", "own"),
     "no endpoint": (("tcp/127.0.0.1:17402", "localhost"), "r2.listen", "localhost", "tcp/HOST:PORT"),
     "below the floor": (('serial = "twin:r1"', 'serial = "twin:r1"\ndepth_m = 0.9'), "r1.depth_m", "floor", "0.5"),
     "two of one colour": (

@@ -103,7 +103,7 @@ class Chase:
         self._window.freeze(horizon_ns)
         believable = track is not None and inside(track.x_m, self._me.bounds.tank_m)
         if track is None or ballot is None or not believable:
-            # Nobody has seen it for a whole window: the last place is a better guess than an old speed.
+            # Not seen for a whole window, or out of the tank: the last place is a better guess than an old speed.
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
         shares = _shares(fresh, ballot.group)
         explain = Explain(

@@ -46,7 +46,8 @@ class Post(Generic[Key]):
         return waiting[:limit]
 
     def digest(self, lines: Sequence[Holding], change: int, now_ns: int) -> tuple[Holding, ...]:
-        """The lines that go with this message: all when the table changed or a second has passed, else none."""
+        """The lines that go with this message: all when the table changed or a second has passed, else none; of a
+        table longer than LINES the next part, with every message."""
         if len(lines) > LINES:
             start, self._line = self._line, self._line + LINES
             if self._line >= len(lines):

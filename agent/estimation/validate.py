@@ -9,7 +9,7 @@ from agent.estimation.matrix import apply, inverse, minus, semidefinite, times, 
 from agent.messages import Entry, Sample, Symmetric, Vector
 
 R_FLOOR_M = 0.001  # no camera of ours knows the target better than this in one sample; guards over-confident vision
-MARGIN_M = 0.2  # a sample may lie this far outside the tank before it is nonsense
+MARGIN_M = 0.2  # a place may lie this far outside the tank before it is nonsense
 SLACK = 1e-9  # of the trace: rounding of sums that travelled
 RATE = 3.0  # samples for each iteration of the origin, at most: iterations are not exactly even
 BURST = 600  # samples that may come at once after a partition or through a late relay: ten minutes at 1 Hz

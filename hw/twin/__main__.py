@@ -66,7 +66,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     robots = [name for name, r in fleet.robot.items() if "twin:" in (r.serial[:5], r.camera[:5])]
     if not robots:
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
-    scene = load_scene(fleet.twin.scene)
+    scene = scene_of(fleet)
     targets_m = _targets_m(fleet, scene, fleet_path)
     optics = [_optics(fleet, scene, name) for name in robots]
     Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
@@ -94,13 +94,19 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
-    empty = msgspec.structs.replace(load_scene(fleet.twin.scene), solid=())  # nothing stands before the board
+    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing stands before the board
     bench = Bench(fleet, robot, *_optics(fleet, empty, robot), time.monotonic_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)
     stack.callback(server.close)
     server.start()
     serve(bench, folder / f"{robot}.bench", stop, lambda: _be_ready(folder, stop))
+
+
+def scene_of(fleet: Fleet) -> Scene:
+    """The scene that the fleet file names, filled with the water that it names."""
+    scene = load_scene(fleet.twin.scene)
+    return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
 
 
 def _optics(fleet: Fleet, scene: Scene, robot: str) -> tuple[Lens, Vcm, Painter]:

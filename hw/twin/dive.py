@@ -80,7 +80,8 @@ class Dive:
         self._events = sorted(events, key=lambda event: event.at_s, reverse=True)  # the next is the last
         for event in events:
             if event.robot not in robots:
-                raise ConfigError(f"event at {event.at_s} s: no robot '{event.robot}' dives; name one of {robots}")
+                names = ", ".join(robots)
+                raise ConfigError(f"event at {event.at_s} s: no robot '{event.robot}' dives; name one of {names}")
         self._measure()
 
     @property

@@ -13,6 +13,8 @@ from msgspec import Meta
 from agent.config import Colour, ConfigError, Positive, Struct, convert, read_toml
 from hw.twin.event import KINDS, Event
 
+SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
+
 
 class SceneWater(Struct, frozen=True, kw_only=True):
     preset: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
@@ -47,11 +49,10 @@ class Scene(Struct, frozen=True, kw_only=True):
 
 def load_scene(name: str) -> Scene:
     """A scene that ships with the package, or the path of a TOML file. Raises ConfigError."""
-    path = Path(name) if name.endswith(".toml") else Path(str(resources.files("hw.twin") / "scenes" / f"{name}.toml"))
+    path = Path(name) if name.endswith(".toml") else SCENES / f"{name}.toml"
     if not path.exists():
-        raise ConfigError(
-            f"{path}: no such scene; give a name that ships with the package (tank, two_balls) or the path of a file"
-        )
+        shipped = ", ".join(sorted(scene.stem for scene in SCENES.glob("*.toml")))
+        raise ConfigError(f"scene '{name}': no such scene; give one of {shipped}, or the path of a .toml file")
     data = read_toml(path)
     events = data.get("event", [])
     for i, event in enumerate(events if isinstance(events, list) else []):

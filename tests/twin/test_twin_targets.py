@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from agent.config import ConfigError, load_fleet
 from agent.launch import fleet_file
-from hw.twin.__main__ import _targets_m
+from hw.twin.__main__ import _targets_m, scene_of
 from hw.twin.lens import draw_lens
 from hw.twin.painter import Painter
 from hw.twin.scene import generator, load_scene
@@ -42,3 +42,9 @@ def test_each_ball_has_its_colour_in_the_frame() -> None:
         middle = image[height // 2 - 20 : height // 2 + 20, width // 2 - 20 : width // 2 + 20].mean(axis=(0, 1))
         assert middle.argmax() == strongest
         assert middle[strongest] > 1.3 * np.delete(middle, strongest).max()
+
+
+def test_the_water_is_that_of_the_fleet_file() -> None:
+    murky = replace(FLEET, water=replace(FLEET.water, kind="turbid"))
+    assert scene_of(murky) == replace(SCENE, water=replace(SCENE.water, preset="turbid"))
+    assert scene_of(FLEET) == SCENE

@@ -1,0 +1,62 @@
+"""The demo's tables on a terminal of 80 columns: nothing that matters is cut off."""
+
+import io
+
+from rich.console import Console
+
+from agent.demo import progress_table, result_table
+from agent.messages import NeighbourState, State
+from agent.summary import History
+
+NEIGHBOURS = tuple(NeighbourState(robot=f"r{k}", age_s=0.1, valid=True) for k in (2, 3, 4, 5))
+STATE = State(
+    fleet="tank",
+    robot="r1",
+    incarnation=1,
+    seq=1,
+    sent_ns=1,
+    target="ball",
+    knows="sees",
+    t=146,
+    acquired_t=12,
+    posterior_m=(1.0596, 0.559, 0.07),
+    posterior_sigma_m=0.0019,
+    neighbours=NEIGHBOURS,
+    faults=("no frames", "no telemetry"),
+)
+
+
+def shown(table) -> str:
+    console = Console(width=80, file=io.StringIO())
+    console.print(table)
+    return console.file.getvalue()
+
+
+def test_progress_of_five_robots_shows_estimate_neighbours_and_faults() -> None:
+    text = shown(progress_table({"ball": {"r1": History([STATE]), "r2": History([])}}, 50.0))
+    assert max(map(len, text.splitlines())) <= 80
+    for word in ("sees", "146", "1059.6 559.0 70.0", "1.9", *["r2", "r3", "r4", "r5"], "frames", "telemetry"):
+        assert word in text, word
+    assert text.count("…") == 1  # r2 has said nothing yet; no cell is cut
+
+
+def test_the_result_says_never_only_of_who_never_saw() -> None:
+    row = {
+        "iterations": 50,
+        "prior_rmse_axis_mm": [10.6, 2.7, 1.0],
+        "error_axis_mm": [-10.7, 12.5, -0.4],
+        "error_mm": 16.46,
+        "relative_error_percent": 1.73,
+    }
+    blind = {**row, "prior_rmse_axis_mm": None, "error_axis_mm": None, "error_mm": None, "relative_error_percent": None}
+    agents = {"r1": {**row, "acquired_iteration": 12}, "r2": {**blind, "acquired_iteration": None}}
+    summary = {
+        "protocol": "evidence",
+        "seed": 1,
+        "targets": {"ball": {"truth_m": [0.76, 0.56, 0.07], "agents": agents}},
+    }
+    text = shown(result_table(summary, "ball"))
+    assert max(map(len, text.splitlines())) <= 80 and "…" not in text
+    assert "ball at (0.76, 0.56, 0.07) m" in text
+    r1, r2 = (line for line in text.splitlines() if line.lstrip().startswith("r") and "robot" not in line)
+    assert "never" in r2 and "never" not in r1 and "-10.7 +12.5 -0.4" in r1
