@@ -7,6 +7,7 @@ from fake_v4l2 import FakeComputer
 from agent.config import load_fleet
 from agent.launch import shipped_fleet
 from agent.messages import SweepPlan
+from agent.perception.seekers import seekers
 from agent.perception.vision import Vision
 from agent.ranging.calibration import CameraFit
 from hw import v4l2_calls as v4l2
@@ -26,7 +27,8 @@ def until(vision, enough, seconds=30.0):
 
 def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
     computer = FakeComputer()
-    vision = Vision(computer.open, load_fleet(shipped_fleet()), CAMERA, epoch_offset_ns=0)
+    fleet = load_fleet(shipped_fleet())
+    vision = Vision(computer.open, fleet, CAMERA, seekers(fleet, CAMERA), epoch_offset_ns=0)
     vision.start()
     try:
         vision.plan(SweepPlan(sweep=1, focus=(0, 5, 10)))
