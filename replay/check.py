@@ -59,6 +59,7 @@ class Checked(NamedTuple):
                     "incarnation": each.box.incarnation,
                     "verdict": each.verdict,
                     "steps": each.steps,
+                    "unchecked": each.unchecked,
                     "recorded_s": round(each.recorded_s, 3),
                     "outputs_sha256": each.digest,
                     "fields": {name: _finite(count._asdict()) for name, count in each.fields.items()},
@@ -120,7 +121,9 @@ def text(checked: Checked) -> str:
     if checked.exit_code == 0 and any(each.verdict != "identical" for each in checked.reruns):
         whole = "equal within tolerance"
     steps = sum(each.steps for each in checked.reruns)
-    lines.append(f"{whole}: {steps} steps in {checked.wall_s:.2f} s, {checked.speed:.0f} times real time")
+    unchecked = sum(each.unchecked for each in checked.reruns)
+    rest = f"; {unchecked} steps could not be checked" if unchecked else ""
+    lines.append(f"{whole}: {steps} steps in {checked.wall_s:.2f} s, {checked.speed:.0f} times real time{rest}")
     return "\n".join(lines)
 
 

@@ -190,7 +190,7 @@ def summary(path: Path) -> Summary | None:
     """
     try:
         with path.open("rb") as file:
-            if file.seek(0, os.SEEK_END) < SHORTEST:
+            if os.fstat(file.fileno()).st_size < SHORTEST:
                 return None
             reader = SeekingReader(file, record_size_limit=RECORD_BYTES)
             about = reader.get_summary()

@@ -73,6 +73,11 @@ class Rerun(NamedTuple):
     digest: str  # of all replayed outputs
 
     @property
+    def unchecked(self) -> int:
+        """Steps that are in the file and were not compared."""
+        return max(0, self.box.recorded - self.steps)
+
+    @property
     def passed(self) -> bool:
         return self.verdict in ("identical", "within tolerance")
 

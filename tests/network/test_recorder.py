@@ -209,10 +209,9 @@ def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
     out.unlink()
     recorder = Running(pool, make_fleet({"r1": ()}), out)
     until((tmp_path / "fleet.recovered.mcap").exists, timeout_s=30)
-    until(lambda: len(recorder.warnings) >= 2)
+    until(lambda: any("1 messages kept" in line for line in recorder.warnings), timeout_s=30)
     recorder.end()
     assert f"this one is {tmp_path / 'fleet.2.mcap'}" in recorder.warnings[0]
-    assert any("1 messages kept" in line for line in recorder.warnings[1:])
     assert info(tmp_path / "fleet.2.mcap").complete
     assert [record.data for record in read(tmp_path / "fleet.recovered.mcap")] == [b"x"]
 
