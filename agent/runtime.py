@@ -202,7 +202,7 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
 
 def shown_raw(name: str, eyes: Vision, now_ns: int) -> LogLine:
     """How many frames could not be enhanced in time."""
-    text = f"enhancement: {eyes.clear.raw} of {eyes.clear.frames} frames were shown raw"
+    text = f"enhancement: {eyes.clear.raw} of {eyes.clear.frames} frames that needed it had none in time"
     return LogLine(robot=name, sent_ns=now_ns, level="info", text=text)
 
 

@@ -25,7 +25,7 @@ from hw.camera import Frame
 DUE_NS = 200_000_000  # between estimates: each idle frame (0.25 s apart) has its own, a sweep of a second a few
 OLD_NS = 3_000_000_000  # older colours belong to another view: the longest sweep, and no more
 SHARE = 0.25  # of one core that estimates may take; three agents share two cores with twin and firmware
-SURE = 0.6  # score that only an enhanced frame must give; views of the twin's tank without a ball gave 0.51 at most
+SURE = 0.6  # score of what only an enhanced frame shows: of 38 false balls in 1600 views of the twin it leaves 2
 
 
 class Scored(Protocol):
