@@ -30,7 +30,7 @@ BOX_LIMIT = 0.12  # of a box's diagonal, if that is more: NanoTrack's box of a r
 DRIFT_LIMIT_PX = 120.0
 TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
-SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should is given up
+SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should, and has no more frames, is given up
 STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
 FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
 FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
@@ -99,6 +99,7 @@ class Sweep:
         """Collect a frame of the running sweep; others pass by."""
         if self._plan is not None and sighting.sweep == self._plan.sweep:
             self._frames.append(sighting)
+            self._deadline_ns = max(self._deadline_ns, sighting.t_ns + SLACK_NS)
 
     def telemetry(self, telemetry: Telemetry) -> None:
         """Watch how still the robot is while a sweep runs."""

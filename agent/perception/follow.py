@@ -18,7 +18,7 @@ from agent.perception.likeness import ANY_SCALE, NEAR_SCALES, Box, Image, Looks,
 HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
 HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
 FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
-FIRST_LIKE = 0.70  # the same in any size: to 0.58, grey stone before a grey floor; with the thing mostly above 0.75
+FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
 MAX_GROWTH = 1.5  # of the area, from frame to frame
 MAX_STEP = 1.0  # of the box's diagonal, from frame to frame
 MIN_SIDE_PX = 8  # of a box that can be followed

@@ -74,18 +74,20 @@ def search(looks: Looks, image: Image, last: Box, scales: tuple[float, ...] = NE
     """
     best, found = -1.0, last
     width, height = _shape(looks)
+    beyond = [round(side * (1.0 - 1.0 / RIM) / 2.0) for side in (width, height)]  # of a box at the border, its rim
     for scale in scales:
         shrink = width / (last.width * RIM * scale)
         size = round(image.shape[1] * shrink), round(image.shape[0] * shrink)
-        if size[0] <= width or size[1] <= height:
+        if size[0] + 2 * beyond[0] <= width or size[1] + 2 * beyond[1] <= height:
             continue
-        small = np.asarray(cv2.resize(image, size, interpolation=_interpolation(shrink)), np.uint8)
+        small = cv2.resize(image, size, interpolation=_interpolation(shrink))
+        wide = cv2.copyMakeBorder(small, beyond[1], beyond[1], beyond[0], beyond[0], cv2.BORDER_REPLICATE)
         for patch in set_of(looks):
-            _, alike, _, (x, y) = cv2.minMaxLoc(_correlate(small, patch))
+            _, alike, _, (x, y) = cv2.minMaxLoc(_correlate(np.asarray(wide, np.uint8), patch))
             if alike > best:
                 best = float(alike)
-                part = Box(x / shrink, y / shrink, width / shrink, last.height * RIM * scale)
-                found = part.grown(1.0 / RIM)
+                corner = (x - beyond[0]) / shrink, (y - beyond[1]) / shrink
+                found = Box(*corner, width / shrink, last.height * RIM * scale).grown(1.0 / RIM)
     return found, best
 
 

@@ -80,6 +80,20 @@ def test_a_box_may_tremble_in_proportion_to_its_size() -> None:
     assert result.outline.radius_px is None and result.outline.size_px == (240.0, 100.0)
 
 
+def test_a_slow_sweep_is_waited_for_while_its_frames_come() -> None:
+    sweep = Sweep(FIT, 30)
+    plan = sweep.start(0)
+    late = 20 * S  # a full sweep should take 6 s
+    frames(sweep, plan, 431.0, t_ns=lambda k: k * late // 30, found=lambda k: k < 31)
+    assert isinstance(sweep.finish(late), Measurement)
+    plan = sweep.start(late)
+    first = Sighting(t_ns=late, frame=1, sweep=plan.sweep, index=1, target="ball", found=False)
+    sweep.frame(first)
+    assert sweep.finish(late + S) is None
+    result = sweep.finish(late + 10 * S)
+    assert isinstance(result, Rejected) and "not finished in time" in result.reason
+
+
 def test_rejections_and_return_to_a_full_sweep() -> None:
     sweep = Sweep(FIT, 30)
     frames(sweep, sweep.start(0), 431.0)

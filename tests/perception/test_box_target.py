@@ -122,7 +122,9 @@ def test_the_range_is_that_of_the_surface_in_the_box(tank, picture, models, dist
     inner_m = truth_m[round(v - height / 4) : round(v + height / 4), round(u - width / 4) : round(u + width / 4)]
     fix = locate(tank.known, AHEAD, found.outline, found.focus, found.sigma, fleet(picture).target["stone"])
     assert fix.focus_share == 1.0
-    assert fix.position_m[0] == pytest.approx(1.0 / np.mean(1.0 / inner_m), abs=0.005)  # 0.4 to 2.3 mm when written
+    sigma_m = math.sqrt(fix.covariance_m2[0])
+    assert sigma_m < 0.005
+    assert fix.position_m[0] == pytest.approx(1.0 / np.mean(1.0 / inner_m), abs=3.0 * sigma_m)
     across_m = [math.sqrt(fix.systematic_m2[k]) for k in (3, 5)]  # to the left, and up
     assert across_m[0] > 0.9 * BOX_NOISE * width * fix.position_m[0] / tank.known.camera.f_px
     assert across_m[1] > 0.9 * BOX_NOISE * height * fix.position_m[0] / tank.known.camera.f_px
