@@ -20,7 +20,8 @@ from typing import NamedTuple, TypeVar
 from rich.console import Console
 from rich.progress import Progress
 
-from agent.config import MAX_PORT, ConfigError
+from agent.config import ConfigError
+from agent.fleet_rules import MAX_PORT
 
 T = TypeVar("T")
 
