@@ -1,0 +1,1 @@
+"""What can be typed after `aucamp`: options in, one call out."""

@@ -1,0 +1,49 @@
+"""`aucamp calibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agent.commands.terms import FleetFile, RobotName, terminal
+
+app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
+
+
+@app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
+def calibrate_run(
+    fleet: FleetFile,
+    robot: RobotName,
+    out: Annotated[Path | None, typer.Option(help="File to write; the fleet file's own if not given.")] = None,
+) -> None:
+    """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
+    from agent.experiments.calibrate_run import run
+
+    run(fleet, robot, out, terminal())
+
+
+@app.command("focus", epilog="Example: aucamp calibrate focus table.csv --out calibration/r1.toml")
+def calibrate_focus(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with the columns u_mm and code.")],
+    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[focus] is to be written.")] = None,
+) -> None:
+    """Range against sharpest lens position, from a table measured by hand; a plot beside it and a verdict."""
+    from agent.experiments.calibrate_focus import run
+
+    run(table, out, terminal())
+
+
+@app.command("camera", epilog="Example: aucamp calibrate camera photographs/ --out calibration/r1.toml")
+def calibrate_camera(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Photographs of a chessboard, taken in water.")],
+    columns: Annotated[int, typer.Option(min=3, help="Inner corners of the board along its longer side.")] = 14,
+    rows: Annotated[int, typer.Option(min=3, help="Inner corners along its shorter side.")] = 9,
+    square_mm: Annotated[float, typer.Option(min=0.1, help="Side of a square.")] = 20.0,
+    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] is to be written.")] = None,
+) -> None:
+    """Focal length and centre from photographs of a board."""
+    from agent.experiments.calibrate_camera import run
+
+    run(folder, columns, rows, square_mm, out, terminal())

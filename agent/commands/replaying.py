@@ -1,0 +1,91 @@
+"""`aucamp replay`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from agent.commands.terms import Recordings, Runs, complain, terminal
+
+app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
+
+
+@app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")
+def replay_info(
+    files: Recordings, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False
+) -> None:
+    """What is in a recording, and whether it is whole."""
+    from replay.info import info_all
+
+    info_all(files, as_json, typer.echo)
+
+
+@app.command("recover", epilog="Example: aucamp replay recover r1.mcap.active")
+def replay_recover(
+    files: Recordings,
+    force: Annotated[bool, typer.Option("--force", help="Even if it looks as if it were being written.")] = False,
+) -> None:
+    """Mend a torn recording into a new file, and say what was lost."""
+    from replay.recover import recover_all
+
+    raise typer.Exit(recover_all(files, force, typer.echo))
+
+
+@app.command("check", epilog="Example: aucamp replay check runs/20260101T120000Z")
+def replay_check(
+    paths: Runs,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    ignore: Annotated[Path | None, typer.Option(help="Fields that may differ (TOML).")] = None,
+    vision: Annotated[bool, typer.Option("--vision", help="See the recorded frames again instead.")] = False,
+    update: Annotated[bool, typer.Option("--update", help="Accept what today's code gives; needs --reason.")] = False,
+    reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
+) -> None:
+    """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
+    from agent.perception.again import see_again
+    from replay.accept import accept
+    from replay.check import check, text
+    from replay.leftovers import mended
+    from replay.vision_check import check_vision
+
+    bar = Console(stderr=True)
+    if update:
+        for accepted in accept(paths, reason):
+            typer.echo(str(accepted))
+        return
+    paths = mended(paths, complain)
+    if vision:
+        seen = check_vision(paths, see_again, bar)
+        for one in seen:
+            typer.echo(json.dumps(one.as_json()) if as_json else str(one))
+        raise typer.Exit(2 if any(not one.frames for one in seen) else int(any(not one.passed for one in seen)))
+    checked = check(paths, ignore, bar)
+    typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
+    raise typer.Exit(checked.exit_code)
+
+
+@app.command("explain", epilog="Example: aucamp replay explain r1.mcap --at 16")
+def replay_explain(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="One robot's recording.")],
+    at: Annotated[str | None, typer.Option(help="Iteration 16, time 12.5s or step:812; the last if not given.")] = None,
+) -> None:
+    """Why a robot believed what it believed: whom it heard, with which weights."""
+    from replay.explain import explain
+    from replay.leftovers import mended
+
+    (there,) = mended([file], complain)
+    typer.echo(explain(there, at))
+
+
+@app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
+def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
+    """One page with the run's figures: report.html in its folder."""
+    from agent.sweep_depth import sweep_depth
+    from replay.leftovers import mended
+    from replay.report import report
+
+    (there,) = mended([run], complain)
+    terminal().print(f"written to {report(there, depth=sweep_depth)}")

@@ -1,0 +1,37 @@
+"""Arguments and options that several commands share, and where commands write to."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, cast, get_args
+
+import typer
+from rich.console import Console
+
+from agent.config import ConfigError, Protocol
+
+FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
+RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
+Seed = Annotated[int, typer.Option(min=0, help="Which world of the twin.")]
+Port = Annotated[int, typer.Option(min=1024, max=65535, help="WebSocket port on this machine.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")]
+Runs = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of runs, or recordings (MCAP).")]
+OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and figures; runs/<UTC> if not given.")]
+
+
+def complain(line: str) -> None:
+    """What a person should know but a program that reads our output should not."""
+    typer.echo(line, err=True)
+
+
+def terminal() -> Console:
+    """Lines with paths are not folded; a pipe is as wide as our widest table."""
+    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
+
+
+def one_of_protocols(text: str) -> Protocol:
+    for protocol in get_args(Protocol):
+        if text == protocol:
+            return cast(Protocol, protocol)
+    raise ConfigError(f"--protocol {text}: no such protocol; choose {', '.join(get_args(Protocol))}")
