@@ -10,7 +10,7 @@ from msgspec.structs import replace
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
 from painted import PX_PER_POSITION, ball_light, defocus, expose
-from small_box import CALIBRATION, FOCUS, flat, write_box
+from small_box import CALIBRATION, flat, write_box
 
 from agent.messages import Sighting, encode
 from agent.ranging.focus import lens_position
@@ -29,9 +29,11 @@ LEFT, TOP = 100, 60  # of the part of the frame that is read
 
 def frames() -> list[SweepFrame]:
     """A sweep across RANGE_M over which the robot drifts: everything in the picture is equally far."""
-    light, sharp = ball_light(CENTRE_M), lens_position(FOCUS, RANGE_M)
+    light, sharp = ball_light(CENTRE_M), lens_position(CALIBRATION.focus, RANGE_M)
     sweep = []
-    for k, focus in enumerate(np.linspace(FOCUS.lowest, FOCUS.highest, STEPS).round().astype(int)):
+    for k, focus in enumerate(
+        np.linspace(CALIBRATION.focus.lowest, CALIBRATION.focus.highest, STEPS).round().astype(int)
+    ):
         drift_x, drift_y = k // 3, -(k // 4)
         image = expose(defocus(light, abs(focus - sharp) * PX_PER_POSITION), seed=k)
         image = np.roll(image, (drift_y, drift_x), axis=(0, 1))[TOP:420, LEFT:540]
