@@ -11,7 +11,7 @@ from agent.transport import open_session
 
 
 def run_router(
-    fleet: Fleet, stop: threading.Event, say: Callable[[str], None] = lambda line: None, listen: str = ROUTER_LISTEN
+    fleet: Fleet, stop: threading.Event, listen: str = ROUTER_LISTEN, say: Callable[[str], None] = lambda line: None
 ) -> None:
     """Dial every robot and serve clients on `listen` until `stop` is set; `say` gets one line: where to look.
 

@@ -86,7 +86,7 @@ def router(fleet: FleetFile) -> None:
     from agent.runtime import until_signal
 
     with until_signal() as stop:
-        run_router(load_fleet(fleet), stop, complain)
+        run_router(load_fleet(fleet), stop, say=complain)
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")

@@ -21,6 +21,7 @@ from replay.frames import FRAME, VISION, picture
 from replay.log import LogWriter, read
 from replay.report import report
 
+FOCUS = CALIBRATION.focus
 STEPS = 30
 RANGE_M = 0.5
 CENTRE_M = (0.0, 0.0, 0.55)
@@ -29,11 +30,9 @@ LEFT, TOP = 100, 60  # of the part of the frame that is read
 
 def frames() -> list[SweepFrame]:
     """A sweep across RANGE_M over which the robot drifts: everything in the picture is equally far."""
-    light, sharp = ball_light(CENTRE_M), lens_position(CALIBRATION.focus, RANGE_M)
+    light, sharp = ball_light(CENTRE_M), lens_position(FOCUS, RANGE_M)
     sweep = []
-    for k, focus in enumerate(
-        np.linspace(CALIBRATION.focus.lowest, CALIBRATION.focus.highest, STEPS).round().astype(int)
-    ):
+    for k, focus in enumerate(np.linspace(FOCUS.lowest, FOCUS.highest, STEPS).round().astype(int)):
         drift_x, drift_y = k // 3, -(k // 4)
         image = expose(defocus(light, abs(focus - sharp) * PX_PER_POSITION), seed=k)
         image = np.roll(image, (drift_y, drift_x), axis=(0, 1))[TOP:420, LEFT:540]

@@ -218,7 +218,8 @@ def test_the_watchdog_resets_a_firmware_half_a_second_after_its_last_answer(plun
     run_in_lock_step(dive, 40)
     pid = dive.boards[0]._boot._process.pid
     assert f"{RESET_CAUSE}=1".encode() in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
-    dive.hang_firmware("r1")  # perhaps before it answers the last tick
+    dive.boards[0].act(10.0)  # it has answered the last tick before it hangs
+    dive.hang_firmware("r1")
     run_in_lock_step(dive, 49)
     assert dive.boards[0]._boot._process.pid == pid
     assert np.all(dive.states["thrust_n"][0, :4] > 0.1)  # an ESC knows nothing of it
