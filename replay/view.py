@@ -1,6 +1,7 @@
 """The fleet live in Foxglove: the viewer channels of a recording, over a WebSocket on this machine alone.
 
-Only what robots show on the network is there; camera frames stay on the robots' own computers, in their black boxes.
+Only what robots show on the network is there, previews of their cameras included; the frames themselves stay on the
+robots' own computers, in their black boxes.
 """
 
 from __future__ import annotations
