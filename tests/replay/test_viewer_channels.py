@@ -183,9 +183,10 @@ def test_the_layouts_show_channels_that_exist(box: Path) -> None:
     json.loads(text)
     named = set(re.findall(r"/r\d/[a-z/]*[a-z]", text))
     named |= {channel for view in rerun_blueprint.channels().values() for channel in view}
-    exist = info(box).channels.keys()
+    exist = {*info(box).channels, "/r1/preview"}  # the last: of a fleet file
     assert len(named) > 12
     assert {re.sub(r"/r\d/", "/r1/", name) for name in named} <= exist
+    assert {name for name in named if name.endswith("/preview")} == {f"/r{n}/preview" for n in (1, 2, 3)}
     for path, field in re.findall(r"/r1/plot/(\w+)\.(\w+)", text):
         assert field in PLOTS[path.capitalize()]
     assert (resources.files("replay") / "layouts" / "rerun.rbl").read_bytes()[:3] == b"RRF"
