@@ -7,6 +7,7 @@ young enough.
 
 from __future__ import annotations
 
+import math
 from itertools import count
 
 import cv2
@@ -28,15 +29,19 @@ class Preview:
     """
 
     def __init__(self, robot: str, whole: tuple[int, int], hz: float, clear: ClearView | None = None) -> None:
-        self._robot, self._whole, self._hz, self._clear = robot, whole, hz, clear
+        self._robot, self._whole, self._clear = robot, whole, clear
         self._numbers = count()
-        self._due_ns = 0
+        self._period_ns = 1e9 / hz if hz else math.inf
+        self._due_ns = 0.0 if hz else math.inf
 
     def of(self, frame: Frame, sighting: Sighting, now_ns: int) -> Image | None:
-        """The preview of a frame, of which `sighting` says time and lens position; None: not of this one."""
-        if not self._hz or now_ns < self._due_ns or (frame.roi.width, frame.roi.height) != self._whole:
+        """The preview of a frame, of which `sighting` says time and lens position; None: not of this one.
+
+        `now_ns`: when it is asked for, Unix time.
+        """
+        if now_ns < self._due_ns or (frame.roi.width, frame.roi.height) != self._whole:
             return None
-        self._due_ns = now_ns + round(1e9 / self._hz)
+        self._due_ns = now_ns + self._period_ns
         shown = frame.image if self._clear is None else self._clear.view(frame, self._whole)
         small, jpeg = compressed(shown)
         return Image(
