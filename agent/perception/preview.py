@@ -19,7 +19,7 @@ from agent.perception.clear_view import ClearView
 from hw.camera import Frame
 
 WIDTH_PX = 640  # at most: a panel on a screen, and what a frame of the usual cameras has
-QUALITIES = (80, 60, 40, 20)  # of JPEG: the first is 30 kB for a frame of 640x480 with sensor noise, the last is coarse
+QUALITIES = (80, 60, 40, 20)  # of JPEG: with the first a frame of the twin, 640x480, is 26 kB; the last is coarse
 
 
 class Preview:
