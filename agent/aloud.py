@@ -10,7 +10,7 @@ from threading import Thread
 from types import TracebackType
 from typing import Protocol, Self
 
-from agent.messages import Estimate, Heard, LogLine, Refused, State
+from agent.messages import Estimate, Heard, Image, LogLine, Refused, State
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands
@@ -22,7 +22,7 @@ LAST_S = 0.5  # how long the end waits for a terminal
 class Network(Protocol):
     def drain(self) -> tuple[tuple[Heard, ...], tuple[Refused, ...]]: ...
     def say(self, estimate: Estimate) -> None: ...
-    def show(self, message: State | LogLine) -> None: ...
+    def show(self, message: State | LogLine | Image) -> None: ...
 
 
 class Aloud:
@@ -48,9 +48,11 @@ class Aloud:
         self._put(None)
         self._thread.join(LAST_S)
 
-    def show(self, message: State | LogLine) -> None:
+    def show(self, message: State | LogLine | Image) -> None:
         """Publish, and say it if a person wants to know."""
         self._network.show(message)
+        if isinstance(message, Image):
+            return
         if isinstance(message, LogLine):
             self._put(line(message.sent_ns, message.robot, message.level, message.text))
             return

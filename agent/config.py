@@ -74,6 +74,7 @@ class Link(Struct, frozen=True, kw_only=True):
     send_hz: Annotated[float, Meta(gt=0, le=20)] = 10.0  # at most once a step of the agent
     loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
     loss_seed: int = 0
+    preview_hz: Annotated[float, Meta(ge=0, le=5)] = 2.0  # at most so many pictures for whoever looks; 0: none
 
 
 class Camera(Struct, frozen=True, kw_only=True):

@@ -17,7 +17,8 @@ from msgspec import Meta
 
 SCHEMA = 1  # raised whenever the meaning of a field changes; others are refused
 
-MAX_PAYLOAD = 16 * 1024  # bytes of any message; refused before it is decoded
+MAX_PAYLOAD = 16 * 1024  # bytes of any message but a preview; refused before it is decoded
+MAX_JPEG = 60_000  # bytes of a preview: with what stands around it, it fits into one batch of Zenoh, 65535
 
 Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
@@ -183,6 +184,22 @@ class LogLine(Message, frozen=True, kw_only=True):
     sent_ns: Count
     level: Level
     text: Annotated[str, Meta(max_length=400)]
+
+
+class Image(Message, frozen=True, kw_only=True):
+    """A preview of what a robot's camera sees: for people, never for a measurement."""
+
+    schema: int = SCHEMA
+    robot: Id
+    seq: Count  # counts the previews
+    sent_ns: Count
+    t_ns: int  # middle of the exposure
+    frame: Count  # as the camera counts
+    width_px: Annotated[int, Meta(ge=1)]  # of the JPEG, which may be smaller than the frame
+    height_px: Annotated[int, Meta(ge=1)]
+    enhanced: bool  # False: as the camera gave it
+    focus: int | None = None  # lens position, once at rest
+    jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG)]
 
 
 # --- from the robot's own devices, inputs of Agent.step -------------------------------------------------------

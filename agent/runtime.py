@@ -32,12 +32,13 @@ from agent.messages import (
     encode,
 )
 from agent.perception.enhance import default as default_enhancement
+from agent.perception.preview import Preview
 from agent.perception.seekers import seekers
 from agent.perception.vision import Vision
 from agent.ranging.calibration import Calibration, load_calibration
 from agent.sweep_depth import sweep_depth
 from agent.transport import Transport
-from hw.camera import known_scheme, open_camera
+from hw.camera import Frame, known_scheme, open_camera
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
 from hw.stm32 import Stm32, open_port_path
@@ -101,15 +102,22 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
         way = default_enhancement() if fleet.camera.enhance else None
         if way is not None and way.why:
             network.show(LogLine(robot=name, sent_ns=clock(), level="warning", text=f"enhancement: {way.why}"[:400]))
+
+        def on_frame(frame: Frame, sightings: Sequence[Sighting]) -> None:
+            box.frame(frame.image, frame.roi, *sightings)
+            if not stop.is_set() and (image := preview.of(frame, sightings[0], clock())) is not None:
+                network.show(image)
+
         eyes = Vision(
             lambda: open_camera(robot.camera, sockets, size),
             fleet,
             calibration.camera,
             sought,
             epoch_offset_ns=offset_ns,
-            on_frame=lambda frame, sightings: box.frame(frame.image, frame.roi, *sightings),
+            on_frame=on_frame,
             way=way,
         )
+        preview = Preview(name, size, fleet.link.preview_hz, eyes.clear if fleet.camera.enhance else None)
         if way is not None:
             stack.callback(lambda: network.show(shown_raw(name, eyes, clock())))
         eyes.start()
@@ -202,7 +210,7 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
 
 def shown_raw(name: str, eyes: Vision, now_ns: int) -> LogLine:
     """How many frames could not be enhanced in time."""
-    text = f"enhancement: {eyes.clear.raw} of {eyes.clear.frames} frames that needed it had none in time"
+    text = f"enhancement: {eyes.clear.raw} of {eyes.clear.frames} frames to be enhanced had no colours in time"
     return LogLine(robot=name, sent_ns=now_ns, level="info", text=text)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal, NamedTuple
 
-from agent.messages import Estimate, LogLine, Message, State
+from agent.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
 
 
 class QoS(NamedTuple):
-    priority: Literal["INTERACTIVE_HIGH", "DATA"]
+    priority: Literal["INTERACTIVE_HIGH", "DATA", "DATA_LOW"]
     reliability: Literal["RELIABLE", "BEST_EFFORT"]
     buffer: int  # samples kept for the reader, oldest dropped first
 
@@ -21,6 +21,7 @@ class Topic(NamedTuple):
     hz: float  # nominal; 0: on events
     qos: QoS
     writer: str  # the chunk of the key that names the writer
+    limit: int = MAX_PAYLOAD  # bytes of a message; larger ones are turned away unread
 
 
 # Congestion control is DROP on every row: a put never blocks a control loop, the next message replaces a lost one.
@@ -32,8 +33,19 @@ STATE = Topic(
     "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
 )
 LOG = Topic("log", "aucamp/{fleet}/robot/{robot}/log", LogLine, 0.0, QoS("DATA", "RELIABLE", 256), "robot")
+# Behind all else in a queue of its own: on a thin cable previews wait, and are lost, before a state is. No rate is
+# promised: `[link] preview_hz` at most, from whole frames alone.
+IMAGE = Topic(
+    "image",
+    "aucamp/{fleet}/robot/{robot}/image",
+    Image,
+    0.0,
+    QoS("DATA_LOW", "BEST_EFFORT", 4),
+    "robot",
+    limit=MAX_JPEG + 1024,
+)
 
-TOPICS = (LINK, STATE, LOG)
+TOPICS = (LINK, STATE, LOG, IMAGE)
 
 ALIVE = "aucamp/{fleet}/alive/{robot}"  # liveliness token: who is listed, never whose word counts
 ALL = "aucamp/{fleet}/**"

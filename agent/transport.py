@@ -20,9 +20,9 @@ import zenoh
 
 from agent import topics
 from agent.config import ConfigError, Fleet
-from agent.messages import MAX_PAYLOAD, Estimate, Heard, LogLine, Message, Refused, State, encode, encoding
+from agent.messages import Estimate, Heard, Image, LogLine, Message, Refused, State, encode, encoding
 from agent.session import observer_config, peer_config
-from agent.topics import LINK, LOG, STATE, TOPICS, Topic
+from agent.topics import IMAGE, LINK, LOG, STATE, TOPICS, Topic
 
 logger = logging.getLogger(__name__)
 
@@ -68,6 +68,7 @@ class Transport:
                     self._links[name, target] = _publisher(session, LINK, key)
                 self._shows[State, target] = _publisher(session, STATE, topics.key(STATE, **names, **chunk))
             self._shows[LogLine, ""] = _publisher(session, LOG, topics.key(LOG, **names))
+            self._shows[Image, ""] = _publisher(session, IMAGE, topics.key(IMAGE, **names))
             heard = topics.key(LINK, fleet=self._fleet.fleet, src="*", dst=self._robot, target="**")
             _subscribe(session, heard, self._arrived)
             stack.enter_context(session.liveliness().declare_token(topics.ALIVE.format(**names)))
@@ -98,8 +99,8 @@ class Transport:
             return
         self._links[estimate.dst, estimate.target].put(encode(estimate))
 
-    def show(self, message: State | LogLine) -> None:
-        """Publish to whoever looks. Never blocks."""
+    def show(self, message: State | LogLine | Image) -> None:
+        """Publish to whoever looks. Never blocks; previews come from vision's thread."""
         self._shows[type(message), message.target if isinstance(message, State) else ""].put(encode(message))
 
     def _arrived(self, sample: zenoh.Sample) -> None:
@@ -177,7 +178,7 @@ def unusable(sample: zenoh.Sample, row: Topic) -> str | None:
         return "not a put"
     if str(sample.encoding) != encoding(row.message):
         return "wrong encoding"
-    if len(sample.payload) > MAX_PAYLOAD:
+    if len(sample.payload) > row.limit:
         return "too large"
     return None
 

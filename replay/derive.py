@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from agent import topics
 from agent.config import Fleet
-from agent.messages import Inputs, LogLine, Message, Outputs, Refusal, Sighting, State, Telemetry, decode
+from agent.messages import Image, Inputs, LogLine, Message, Outputs, Refusal, Sighting, State, Telemetry, decode
 from agent.ranging.calibration import Calibration
 from replay import foxglove
 from replay.backlog import Entry
@@ -113,6 +113,8 @@ class Derive:
             yield from self._state(state)
         elif topic is topics.LOG and (line := decode(entry.data, LogLine)).robot == chunks["robot"]:
             yield f"/{line.robot}/log", line.sent_ns, foxglove.log_line(line)
+        elif topic is topics.IMAGE and (seen := decode(entry.data, Image, topic.limit)).robot == chunks["robot"]:
+            yield f"/{seen.robot}/preview", seen.t_ns, foxglove.image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
 
     def _state(self, state: State) -> Iterator[Made]:
         robot, t_ns = state.robot, state.sent_ns

@@ -61,7 +61,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             continue
         topic, chunks = row
         try:
-            message = decode(record.data, topic.message)
+            message = decode(record.data, topic.message, topic.limit)
         except Refusal:
             continue
         robot = robots.get(chunks[topic.writer])

@@ -11,13 +11,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import zenoh
 
 from agent import topics
 from agent.config import ConfigError, Fleet, dump
-from agent.messages import MAX_PAYLOAD, SCHEMA, Refusal, decode
+from agent.messages import SCHEMA, Refusal, decode
 from agent.session import observer_config
 from replay.backlog import Backlog, Entry
 from replay.derive import Derive
@@ -97,13 +98,14 @@ class Ear:
         self._clock = clock
         self._lock = threading.Lock()  # guards the counts: Zenoh has a thread per link
 
-    def message(self, sample: zenoh.Sample) -> None:
+    def message(self, row: topics.Topic, sample: zenoh.Sample) -> None:
         if sample.kind != zenoh.SampleKind.PUT:
             self._refuse("not a put")
-        elif len(sample.payload) > MAX_PAYLOAD:
+        elif len(sample.payload) > row.limit:
             self._refuse("too large")
         else:
-            self._put(sample, sample.payload.to_bytes(), "msgpack", {"encoding": str(sample.encoding)})
+            data, metadata = sample.payload.to_bytes(), {"encoding": str(sample.encoding)}
+            self._put(sample, data, "msgpack", metadata, expendable=row is topics.IMAGE)
 
     def stranger(self, sample: zenoh.Sample) -> None:
         if topics.match(str(sample.key_expr)) is None:  # the others come through their own row as well
@@ -113,9 +115,11 @@ class Ear:
         alive = sample.kind == zenoh.SampleKind.PUT
         self._put(sample, b'{"alive":true}' if alive else b'{"alive":false}', "json", {})
 
-    def _put(self, sample: zenoh.Sample, data: bytes, encoding: str, metadata: dict[str, str]) -> None:
+    def _put(
+        self, sample: zenoh.Sample, data: bytes, encoding: str, metadata: dict[str, str], expendable: bool = False
+    ) -> None:
         at_ns = self._clock()
-        self.backlog.put(Entry(str(sample.key_expr), at_ns, at_ns, 0, data, encoding, metadata))
+        self.backlog.put(Entry(str(sample.key_expr), at_ns, at_ns, 0, data, encoding, metadata, None, expendable))
 
     def _refuse(self, reason: str) -> None:
         with self._lock:
@@ -139,7 +143,7 @@ def listening(fleet: Fleet, ear: Ear, name: str) -> Iterator[None]:
     anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
     with session:
         for row in topics.TOPICS:
-            session.declare_subscriber(topics.key(row, **anyone), handler(ear.message))
+            session.declare_subscriber(topics.key(row, **anyone), handler(partial(ear.message, row)))
         session.declare_subscriber(topics.ALL.format(**anyone), handler(ear.stranger))
         session.liveliness().declare_subscriber(topics.ALIVE.format(**anyone), handler(ear.token), history=True)
         yield
@@ -158,7 +162,7 @@ def taken(ear: Ear, counts: dict[str, int]) -> Iterator[Entry]:
         if row:
             metadata = {"schema": f"aucamp.{row[0].message.__name__}", **metadata}
             try:
-                message = decode(entry.data, row[0].message)
+                message = decode(entry.data, row[0].message, row[0].limit)
                 publish_ns = getattr(message, "sent_ns", publish_ns)
                 sequence = getattr(message, "seq", 0)
             except Refusal:

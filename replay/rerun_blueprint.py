@@ -18,6 +18,7 @@ def channels() -> dict[str, list[str]]:
         "tank": [
             f"/{robot}/{what}" for robot in ROBOTS for what in ("tf", "target/prior", "target/estimate", "depth/points")
         ],
+        **{robot: [f"/{robot}/preview"] for robot in ROBOTS},
         "camera": ["/r1/camera/image", "/r1/camera/calibration"],
         "sweep": ["/r1/sweep/image", "/r1/sweep/calibration"],
         "log": [f"/{robot}/log" for robot in ROBOTS],
@@ -32,6 +33,7 @@ def write(out: Path = OUT) -> None:
     shown = channels()
     left = rrb.Vertical(
         rrb.Spatial3DView(name="tank", origin="/", contents=shown["tank"]),
+        rrb.Horizontal(*(rrb.Spatial2DView(name=r, origin=f"/{r}/preview", contents=shown[r]) for r in ROBOTS)),
         rrb.Horizontal(
             rrb.Spatial2DView(name="camera", origin="/r1/camera", contents=shown["camera"]),
             rrb.Spatial2DView(name="sweep", origin="/r1/sweep", contents=shown["sweep"]),

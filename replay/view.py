@@ -1,21 +1,22 @@
 """The fleet live in Foxglove: the viewer channels of a recording, over a WebSocket on this machine alone.
 
-Only what robots show on the network is there; camera frames stay on the robots' own computers, in their black boxes.
+Only what robots show on the network is there, previews of their cameras included; the frames themselves stay on the
+robots' own computers, in their black boxes.
 """
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Callable
-from importlib import resources
-from pathlib import Path
 from typing import Any
 
 from agent import topics
 from agent.config import ConfigError, Fleet
 from replay.backlog import Entry
 from replay.derive import Derive
+from replay.layout import foxglove_layout, shipped
 from replay.recorder import PERIOD_S, Ear, listening, taken
 
 HOST = "127.0.0.1"  # whoever can reach the port sees everything: other hosts come through ssh -L
@@ -50,7 +51,7 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
         except RuntimeError as error:
             raise ConfigError(f"port {port} of {HOST}: {error}; choose another with --port") from None
         try:
-            say(f"open a connection to ws://{HOST}:{port} in Foxglove; the layout is {layout('foxglove.json')}")
+            say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
             while not stop.wait(PERIOD_S):
                 for entry in taken(ear, counts):
                     for derived in derive(entry):
@@ -59,6 +60,9 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
             server.stop()
 
 
-def layout(name: str) -> Path:
-    """A file of `replay/layouts`: foxglove.json, or rerun.rbl."""
-    return Path(str(resources.files("replay") / "layouts" / name))
+def where_the_layout_is(fleet: Fleet) -> str:
+    """In words: the one that comes with us, if it fits the fleet."""
+    path = shipped("foxglove.json")
+    if json.loads(path.read_text(encoding="utf-8")) == foxglove_layout(fleet):
+        return f"the layout is {path}"
+    return "`aucamp replay layout` writes a layout for this fleet"

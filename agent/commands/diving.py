@@ -94,7 +94,7 @@ def view(
     fleet: FleetFile,
     port: Port = 8765,
 ) -> None:
-    """Serve a running fleet's state to Foxglove, on this machine only, until Ctrl-C."""
+    """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C."""
     from agent.runtime import until_signal
     from replay.view import view as serve
 

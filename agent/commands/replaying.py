@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from agent.commands.terms import Recordings, Runs, complain, terminal
+from agent.commands.terms import FleetFile, Recordings, Runs, complain, terminal
+from agent.config import load_fleet
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 
@@ -89,3 +90,14 @@ def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folde
 
     (there,) = mended([run], complain)
     terminal().print(f"written to {report(there, depth=sweep_depth)}")
+
+
+@app.command("layout", epilog="Example: aucamp replay layout fleet.toml --out layout.json")
+def replay_layout(
+    fleet: FleetFile, out: Annotated[Path, typer.Option(help="File to write (JSON); Foxglove imports it.")]
+) -> None:
+    """How Foxglove shows a fleet's recordings, and the fleet live: its robots, its targets, its tank."""
+    from replay.layout import write
+
+    write(load_fleet(fleet), out)
+    terminal().print(f"written to {out}")

@@ -8,6 +8,8 @@ An estimate of the colours costs tens of milliseconds, its use on a frame one or
 estimate when one is due, and all others use the newest: the frames and parts of frames of a focus sweep are treated
 alike, whatever their blur. When no estimate is young enough, because the processor is busy elsewhere, a frame is shown
 raw and counted. The classic way has no such halves and treats each frame by itself.
+
+Previews come from here as well: their estimates serve vision, and vision's serve them.
 """
 
 from __future__ import annotations

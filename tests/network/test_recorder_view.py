@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 import replay.view
 from agent.config import ConfigError, Fleet
-from agent.messages import State
+from agent.messages import MAX_JPEG, Image, State
 from agent.transport import Transport
 from replay.view import view
 
@@ -74,6 +74,7 @@ def test_a_viewer_sees_what_a_robot_shows(
     def shows(robot: Transport) -> None:
         for seq in itertools.count():
             robot.show(replace(state("r1", seq), prior_m=(0.7, 0.5, 0.1), posterior_m=(0.7, 0.5, 0.1)))
+            robot.show(preview(seq))
             if stop.wait(0.05):
                 return
 
@@ -82,13 +83,19 @@ def test_a_viewer_sees_what_a_robot_shows(
         try:
             until(lambda: lines or serving.done())
             with contextlib.closing(Client(port)) as client:
-                expected = {"/r1/plot/protocol", "/r1/target/prior", "/r1/target/estimate"}
+                expected = {"/r1/plot/protocol", "/r1/target/prior", "/r1/target/estimate", "/r1/preview"}
                 assert subscribed(client, len(expected)) == expected
         finally:
             stop.set()
             serving.result(timeout=10)
             showing.result(timeout=10)
     assert f"ws://127.0.0.1:{port}" in lines[0]
+
+
+def preview(seq: int) -> Image:
+    jpeg, now_ns = bytes(MAX_JPEG), time.time_ns()  # the largest; nobody decodes it on the way
+    about = {"width_px": 640, "height_px": 480, "enhanced": False, "jpeg": jpeg}
+    return Image(robot="r1", seq=seq, sent_ns=now_ns, t_ns=now_ns, frame=seq, **about)
 
 
 def subscribed(client: Client, count: int) -> set[str]:

@@ -27,9 +27,9 @@ from replay.derive import Derive
 from replay.foxglove import Turn, transforms
 from replay.frames import FRAME, MAX_FRAME, VISION, Picture, pixels
 from replay.info import info
+from replay.layout import shipped
 from replay.log import read
 from replay.plots import PLOTS, plot
-from replay.view import layout
 
 SCHEMAS = {  # channel -> what Foxglove decodes it as, what Rerun shows it as
     "/r1/camera/calibration": ("foxglove.CameraCalibration", "Pinhole"),
@@ -179,13 +179,14 @@ def test_a_plot_names_every_field() -> None:
 
 
 def test_the_layouts_show_channels_that_exist(box: Path) -> None:
-    text = layout("foxglove.json").read_text(encoding="utf-8")
+    text = shipped("foxglove.json").read_text(encoding="utf-8")
     json.loads(text)
     named = set(re.findall(r"/r\d/[a-z/]*[a-z]", text))
     named |= {channel for view in rerun_blueprint.channels().values() for channel in view}
-    exist = info(box).channels.keys()
+    exist = {*info(box).channels, "/r1/preview"}  # the last: of a fleet file
     assert len(named) > 12
     assert {re.sub(r"/r\d/", "/r1/", name) for name in named} <= exist
+    assert {name for name in named if name.endswith("/preview")} == {f"/r{n}/preview" for n in (1, 2, 3)}
     for path, field in re.findall(r"/r1/plot/(\w+)\.(\w+)", text):
         assert field in PLOTS[path.capitalize()]
     assert (resources.files("replay") / "layouts" / "rerun.rbl").read_bytes()[:3] == b"RRF"

@@ -1,0 +1,80 @@
+"""What a robot's camera sees, small enough to be sent to whoever looks: for people, never for a measurement.
+
+Previews are dropped, never delayed: those of frames that come too soon, and of parts of frames, are not made at all.
+With `[camera] enhance` they show what vision would look at: the enhanced frame, or the raw one where no colours are
+young enough.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import count
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.messages import MAX_JPEG, Image, Sighting
+from agent.perception.clear_view import ClearView
+from hw.camera import Frame
+
+WIDTH_PX = 640  # at most: a panel on a screen, and what a frame of the usual cameras has
+QUALITIES = (80, 60, 40, 20)  # of JPEG: with the first a frame of the twin, 640x480, is 26 kB; the last is coarse
+
+
+class Preview:
+    """Of one camera, at most `hz` times a second; 0: never. Used by vision's thread.
+
+    `whole`: (width, height) of a full frame, pixels. `clear`: what enhances the frames; None: nothing does.
+    """
+
+    def __init__(self, robot: str, whole: tuple[int, int], hz: float, clear: ClearView | None = None) -> None:
+        self._robot, self._whole, self._clear = robot, whole, clear
+        self._numbers = count()
+        self._period_ns = 1e9 / hz if hz else math.inf
+        self._due_ns = 0.0 if hz else math.inf
+
+    def of(self, frame: Frame, sighting: Sighting, now_ns: int) -> Image | None:
+        """The preview of a frame, of which `sighting` says time and lens position; None: not of this one.
+
+        `now_ns`: when it is asked for, Unix time.
+        """
+        if now_ns < self._due_ns or (frame.roi.width, frame.roi.height) != self._whole:
+            return None
+        self._due_ns = now_ns + self._period_ns
+        shown = frame.image if self._clear is None else self._clear.view(frame, self._whole)
+        small, jpeg = compressed(shown)
+        return Image(
+            robot=self._robot,
+            seq=next(self._numbers),
+            sent_ns=now_ns,
+            t_ns=sighting.t_ns,
+            frame=frame.seq,
+            width_px=small.shape[1],
+            height_px=small.shape[0],
+            enhanced=shown is not frame.image,
+            focus=sighting.focus,
+            jpeg=jpeg,
+        )
+
+
+def compressed(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
+    """The image, (height, width, 3) blue green red, at most 640 wide, and its JPEG of at most MAX_JPEG bytes.
+
+    Quality gives way first, then size.
+    """
+    small = reduced(image, min(1.0, WIDTH_PX / image.shape[1]))
+    while True:
+        for quality in QUALITIES:
+            jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+            if jpeg.size <= MAX_JPEG:
+                return small, jpeg.tobytes()
+        small = reduced(small, 0.5)
+
+
+def reduced(image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+    """The image `scale` times as large, which is at most 1."""
+    if scale == 1.0:
+        return image
+    height, width = (max(1, round(scale * side)) for side in image.shape[:2])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)

@@ -1,0 +1,117 @@
+"""Foxglove's arrangement of views for any fleet, made from the one that is shipped, for r1 to r3 and one target.
+
+What stands there for r1 is repeated for each robot of the fleet, and for each of several targets; the 3-D view looks at
+the middle of the fleet's tank.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from importlib import resources
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+from agent.config import ConfigError, Fleet
+
+FIRST = "/r1/"  # how the channels begin that are repeated
+OF_TARGET = ("target", "plot/protocol", "plot/focus")  # behind which the target stands, where there are several
+COLOURS = ("#d62728", "#2ca02c", "#1f77b4", "#ff7f0e", "#9467bd", "#8c564b", "#e377c2", "#17becf")  # matplotlib's tab10
+SIZE_M = 1.5  # of the tank that the shipped view of 2.6 m distance fits
+
+
+def shipped(name: str) -> Path:
+    """A file of `replay/layouts`: foxglove.json, or rerun.rbl."""
+    return Path(str(resources.files("replay") / "layouts" / name))
+
+
+def write(fleet: Fleet, out: Path) -> None:
+    """Raises ConfigError if the file cannot be written."""
+    try:
+        out.write_text(json.dumps(foxglove_layout(fleet), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
+
+
+def foxglove_layout(fleet: Fleet) -> dict[str, Any]:
+    """What Foxglove imports, as JSON types."""
+    layout: dict[str, Any] = json.loads(shipped("foxglove.json").read_text(encoding="utf-8"))
+    panels, first = layout["configById"], f"/{next(iter(fleet.robot))}/"
+    template = panels["Image!r1_preview"]
+    previews = {f"Image!{robot}_preview": f"/{robot}/preview" for robot in fleet.robot}
+    for old in [name for name in panels if name.endswith("_preview")]:
+        del panels[old]
+    for name, topic in previews.items():
+        panels[name] = {**template, "imageMode": {"imageTopic": topic}}
+    camera, log = panels["Image!camera"]["imageMode"], panels["Log!lines"]
+    panels["Image!camera"]["imageMode"] = {what: topic.replace(FIRST, first, 1) for what, topic in camera.items()}
+    log["topicToRender"] = log["topicToRender"].replace(FIRST, first, 1)
+    for name, panel in panels.items():
+        if name.startswith("Plot!"):
+            panel["paths"] = list(_lines(panel["paths"], fleet))
+    _tank(panels["3D!world"], fleet)
+    layout["layout"] = _arranged(layout["layout"], list(previews))
+    return layout
+
+
+def _channels(channel: str, fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """(robot and target in words, channel) for each that one of r1's stands for."""
+    what = channel.removeprefix(FIRST)
+    about = next((group for group in OF_TARGET if what.startswith(group)), None) if len(fleet.target) > 1 else None
+    for robot in fleet.robot:
+        if about is None:
+            yield robot, f"/{robot}/{what}"
+            continue
+        for target in fleet.target:
+            yield f"{robot} {target}", f"/{robot}/{about}/{target}{what.removeprefix(about)}"
+
+
+def _lines(paths: list[dict[str, Any]], fleet: Fleet) -> Iterator[dict[str, Any]]:
+    """Of a plot, each in a colour of its own."""
+    colours = cycle(COLOURS)
+    for path in paths:
+        if path["value"].startswith(FIRST):
+            for label, value in _channels(path["value"], fleet):
+                yield {**path, "value": value, "label": label, "color": next(colours)}
+
+
+def _tank(panel: dict[str, Any], fleet: Fleet) -> None:
+    """The 3-D view, in place."""
+    x_m, y_m, _ = fleet.tank.size_m
+    side_m = max(x_m, y_m)
+    camera, grid = panel["cameraState"], panel["layers"]["grid"]
+    camera["distance"] *= side_m / SIZE_M
+    camera["targetOffset"][:2] = grid["position"][:2] = x_m / 2, y_m / 2
+    grid["size"], grid["divisions"] = 2.0 * side_m, round(20.0 * side_m)  # lines 10 cm apart
+    topics = {}
+    for channel, how in panel["topics"].items():
+        if channel.startswith(FIRST):
+            for (_, own), colour in zip(_channels(channel, fleet), cycle(COLOURS), strict=False):
+                topics[own] = {**how, **({"color": colour} if "color" in how else {})}
+    panel["topics"] = topics
+
+
+def _arranged(tree: Any, previews: list[str]) -> Any:
+    """The tree of panels with the row of previews, which is all the previews there are, replaced by these."""
+    if isinstance(tree, str):
+        return tree
+    if all(leaf.endswith("_preview") for leaf in _leaves(tree)):
+        return _row(previews)
+    return {**tree, "first": _arranged(tree["first"], previews), "second": _arranged(tree["second"], previews)}
+
+
+def _leaves(tree: Any) -> Iterator[str]:
+    if isinstance(tree, str):
+        yield tree
+    else:
+        yield from _leaves(tree["first"])
+        yield from _leaves(tree["second"])
+
+
+def _row(panels: list[str]) -> Any:
+    """Side by side, equally wide."""
+    if len(panels) == 1:
+        return panels[0]
+    share = round(100 / len(panels))
+    return {"first": panels[0], "second": _row(panels[1:]), "direction": "row", "splitPercentage": share}
