@@ -189,7 +189,14 @@ def last_line(log: Path) -> str:
 
 
 def with_bar(console: Console, what: str, work: Callable[[Callable[[int, int], None]], T]) -> T:
-    """Do some work that calls show(done, total), with a bar meanwhile."""
-    with Progress(console=console) as bar:
+    """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
+    with contextlib.ExitStack() as stack:
+        bar = Progress(console=console)
         task = bar.add_task(what)
-        return work(lambda done, total: bar.update(task, completed=done, total=total))
+
+        def show(done: int, total: int) -> None:
+            if not bar.live.is_started:
+                stack.enter_context(bar)
+            bar.update(task, completed=done, total=total)
+
+        return work(show)

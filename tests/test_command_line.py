@@ -23,7 +23,11 @@ MISTAKES = [
     (["demo", "--out", "/proc"], "not empty"),
     (["demo", "--out", "/proc/new"], "/proc/new: cannot be written"),
     (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),
-    (["depth-map", "nowhere/"], "nowhere"),
+    (["depth-map", "nowhere"], "nowhere: no such folder; give a folder of photographs, or a camera"),
+    (["depth-map", "stack:nowhere"], "nowhere"),
+    (["calibrate", "focus", "nowhere.csv"], "nowhere.csv: cannot be read (No such file or directory); give a CSV file"),
+    (["enhance", TANK, "--variant", "fine"], "--variant fine: no such variant; choose plain"),
+    (["track", "nowhere", "--box", "1,2,3,4"], "nowhere: no such file or folder"),
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["replay", "report", "nowhere"], "nowhere: cannot be read"),
     (["twin", "nowhere.toml"], "no such file"),
@@ -44,6 +48,7 @@ def test_a_mistake_is_one_line(arguments: list[str], expected: str, tmp_path: Pa
     assert done.returncode == 2, done.stderr
     assert expected in done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
+    assert done.stdout == ""
 
 
 def test_every_verb_has_help_with_an_example() -> None:
