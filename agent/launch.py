@@ -1,4 +1,4 @@
-"""Processes of ours, started as a user would start them, and stopped whatever happens."""
+"""Processes of ours, started as a user would start them. They are stopped whatever happens, and end with us (leash.py)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from rich.progress import Progress
 
 from agent.config import ConfigError
 from agent.fleet_rules import MAX_PORT
+from agent.leash import Leash, take
 
 T = TypeVar("T")
 
@@ -45,17 +46,21 @@ class Crew:
     def __init__(self, logs: Path) -> None:
         self._logs = logs
         self._children: list[Child] = []
+        self._leash: Leash | None = None
 
     def start(self, name: str, *arguments: str) -> None:
         """Start `aucamp ARGUMENTS`, its output going to <logs>/<name>.log."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
+        self._leash = self._leash or take()
         with log.open("wb") as out:
             process = subprocess.Popen(
                 [sys.executable, "-m", "agent", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
+                pass_fds=(self._leash.given,),
+                env=self._leash.environment(),
                 process_group=0,  # Ctrl-C is for us; we then end the crew in order
             )
         self._children.append(Child(name, process, log))
@@ -95,6 +100,9 @@ class Crew:
     def stop_all(self) -> None:
         for child in reversed(self._children.copy()):
             self.stop(child.name)
+        if self._leash is not None:
+            self._leash.drop()
+            self._leash = None
 
     def _child(self, name: str) -> Child:
         return next(child for child in self._children if child.name == name)
