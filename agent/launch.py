@@ -1,4 +1,4 @@
-"""Processes of ours, started as a user would start them. They are stopped whatever happens, and end with us (leash.py)."""
+"""Processes of ours, started as a user would start them. Stopped whatever happens; they end with us (leash.py)."""
 
 from __future__ import annotations
 
