@@ -24,20 +24,20 @@ LOCK = "numba.lock"  # in the folder of the cache, as a rule __pycache__
 
 
 class LockedCache(FunctionCache):
-    """Numba's cache of one function; processes take turns at the folder that it is in."""
+    """Numba's cache of one function; who writes is alone in the folder that it is in."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        with self._alone():
+        with self._locked(fcntl.LOCK_SH):
             return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        with self._alone():
+        with self._locked(fcntl.LOCK_EX):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _locked(self, how: int) -> Iterator[None]:
         with (Path(self.cache_path) / LOCK).open("ab") as lock:  # the folder is there: numba has chosen one it can use
-            fcntl.flock(lock, fcntl.LOCK_EX)  # until it is closed
+            fcntl.flock(lock, how)  # until it is closed
             yield
 
 
@@ -46,7 +46,8 @@ def compiled(**options: Any) -> Callable[[F], F]:
 
     def compile_at_first_call(function: F) -> F:
         dispatcher: Any = njit(nogil=True, **options)(function)
-        dispatcher._cache = LockedCache(function)  # type: ignore[no-untyped-call]  # as enable_caching() does, which knows only its own
+        # As its enable_caching() does, which knows no cache but numba's own.
+        dispatcher._cache = LockedCache(function)  # type: ignore[no-untyped-call]
         return cast(F, dispatcher)
 
     return compile_at_first_call
