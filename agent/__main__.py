@@ -5,7 +5,6 @@ Exit 0: done; 1: the answer is no; 2: bad input; 128 + n: ended by signal n, 130
 
 from __future__ import annotations
 
-import faulthandler
 import signal
 import sys
 
@@ -41,8 +40,6 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored, and means it
             signal.signal(number, leave)
-    if sys.stderr is not None:
-        faulthandler.enable()  # a crash in compiled code says where it was called from
     heed()
     try:
         app()

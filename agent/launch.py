@@ -55,7 +55,8 @@ class Crew:
         self._leash = self._leash or take()
         with log.open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, "-m", "agent", *arguments],
+                # A crash in compiled code leaves in the log where it was called from.
+                [sys.executable, "-X", "faulthandler", "-m", "agent", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
