@@ -12,6 +12,7 @@ import typer
 
 from agent.commands import calibrating, diving, experimenting, replaying, seeing
 from agent.config import ConfigError
+from agent.leash import heed
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -39,6 +40,7 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored, and means it
             signal.signal(number, leave)
+    heed()
     try:
         app()
     except (ConfigError, CameraError) as error:

@@ -51,13 +51,17 @@ class Target(Struct, frozen=True, kw_only=True):
 
     detector: Literal["ball", "box"] = "ball"
     # of a ball
-    colour: Colour = "red"
+    colour: Colour | None = None  # red if not given
     radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
     # of a box; files are looked for beside the fleet file
     picture: str | None = None  # taken by a camera of the fleet
     box: tuple[float, float, float, float] | None = None  # around the thing in it: x, y, width, height in pixels
     models: str | None = None  # folder with NanoTrack's two files; without them OpenCV's MIL follows the box
+
+    @property
+    def ball_colour(self) -> Colour:
+        return self.colour or "red"
 
 
 class Ranging(Struct, frozen=True, kw_only=True):

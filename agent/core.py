@@ -105,7 +105,7 @@ class Agent:
         for each in self.pursuits.values():
             each.catch_up(now_ns)
         if pursuit.iterate(now_ns):
-            self._note("info", f"{pursuit.knows} at iteration {pursuit.estimator.t}", now_ns)
+            self._note("info", f"{pursuit.knows} since iteration {pursuit.since_t}", now_ns)
 
     def _act(self, now_ns: int) -> SweepPlan | None:
         """Whose turn it is, gimbal and lens."""

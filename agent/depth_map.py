@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from rich.progress import Progress
+from rich.console import Console
 
 from agent.config import ConfigError
 from agent.depth_box import MIN_RISE, BoxRange, as_json, box_clarity, box_range
-from agent.launch import Failed
+from agent.launch import Failed, with_bar
 from agent.perception.breathing import GROWTH_POWER, measure_growth
 from agent.perception.clarity import grid, luminance, tenengrad_grid
 from agent.perception.follow import check_box, parse_box
@@ -86,7 +86,7 @@ def depth_map(
     """
     if out.suffix.lower() != ".png" or not out.parent.is_dir():
         raise ConfigError(f"{out}: give a name that ends in .png, in a directory that exists")
-    camera = open_camera(f"stack:{source}" if Path(source).is_dir() else source, twin_dir, None)
+    camera = open_camera(_address(source), twin_dir, None)
     try:
         taken = sweep(camera, block, progress, growth, box)
     finally:
@@ -122,13 +122,11 @@ def run(
     known = None if calibration is None else load_calibration(calibration)
     if known is not None:
         known = replace(known, focus=at_tilt(known.focus, math.radians(tilt_deg)))
-    with Progress(transient=True) as bar:
-        task = bar.add_task("focus sweep", total=None)
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        result = depth_map(source, out, block, Path(), known, progress, growth, drawn)
+    result = with_bar(
+        Console(stderr=True),
+        "focus sweep",
+        lambda progress: depth_map(source, out, block, Path(), known, progress, growth, drawn),
+    )
     found, blocks = np.count_nonzero(result.accepted), result.accepted.size
     said = (
         f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: "
@@ -191,6 +189,16 @@ def clarity_of(images: list[Image], focus: Array, block: int, growth: float, box
     clarity *= ((size / size[reference]) ** GROWTH_POWER)[:, None, None]
     boxed = None if box is None else box_clarity(images, size / size[reference], box)
     return Sweep(focus, clarity, sharp, growth, reference, boxed)
+
+
+def _address(source: str) -> str:
+    """Of the camera that is meant; a folder of photographs is one."""
+    if Path(source).is_dir():
+        return f"stack:{source}"
+    if ":" not in source:
+        what = "a file" if Path(source).exists() else "no such folder"
+        raise ConfigError(f"{source}: {what}; give a folder of photographs, or a camera such as v4l2:/dev/video0")
+    return source
 
 
 def _positions(camera: Camera) -> list[int]:

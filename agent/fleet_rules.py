@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 MAX_PORT = 32767  # ports above are handed out by the kernel as ephemeral source ports
 
+MAY_LACK = ("colour", "models")  # of what belongs to a detector, what a target does without
+
 
 def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     """Every mistake as (key, what to change)."""
@@ -55,22 +57,23 @@ def _tank_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         yield from _target_rules(fleet, name)
         if target.detector != "ball":
             continue
-        if target.colour in wearer:
-            other = wearer[target.colour]
-            why = f"'{other}' is {target.colour} too and nobody could tell them apart; give each target its own colour"
+        colour = target.ball_colour
+        if colour in wearer:
+            other = wearer[colour]
+            why = f"'{other}' is {colour} too and nobody could tell them apart; give each target its own colour"
             yield f"target.{name}.colour", why
-        wearer[target.colour] = name
+        wearer[colour] = name
 
 
 def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
     """A target has what its detector needs, and nothing that belongs to the other one."""
     target, key = fleet.target[name], f"target.{name}"
-    belongs = {"radius_m": "ball", "picture": "box", "box": "box", "models": "box"}
+    belongs = {"radius_m": "ball", "colour": "ball", "picture": "box", "box": "box", "models": "box"}
     for one, detector in belongs.items():
         given = getattr(target, one) is not None
         if given and detector != target.detector:
             yield f"{key}.{one}", f"only a {detector} has one; remove it, or correct the detector"
-        if not given and detector == target.detector and one != "models":
+        if not given and detector == target.detector and one not in MAY_LACK:
             yield key, f"required key `{one}` is missing; add it"
     if target.radius_m is not None and 2.0 * target.radius_m > min(fleet.tank.size_m):
         yield f"{key}.radius_m", f"{target.radius_m} m does not fit into the tank; correct the value"

@@ -1,4 +1,4 @@
-"""Processes of ours, started as a user would start them, and stopped whatever happens."""
+"""Processes of ours, started as a user would start them. Stopped whatever happens; they end with us (leash.py)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from rich.progress import Progress
 
 from agent.config import ConfigError
 from agent.fleet_rules import MAX_PORT
+from agent.leash import Leash, take
 
 T = TypeVar("T")
 
@@ -45,17 +46,22 @@ class Crew:
     def __init__(self, logs: Path) -> None:
         self._logs = logs
         self._children: list[Child] = []
+        self._leash: Leash | None = None
 
     def start(self, name: str, *arguments: str) -> None:
         """Start `aucamp ARGUMENTS`, its output going to <logs>/<name>.log."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
+        self._leash = self._leash or take()
         with log.open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, "-m", "agent", *arguments],
+                # A crash in compiled code leaves in the log where it was called from.
+                [sys.executable, "-X", "faulthandler", "-m", "agent", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
+                pass_fds=(self._leash.given,),
+                env=self._leash.environment(),
                 process_group=0,  # Ctrl-C is for us; we then end the crew in order
             )
         self._children.append(Child(name, process, log))
@@ -95,6 +101,9 @@ class Crew:
     def stop_all(self) -> None:
         for child in reversed(self._children.copy()):
             self.stop(child.name)
+        if self._leash is not None:
+            self._leash.drop()
+            self._leash = None
 
     def _child(self, name: str) -> Child:
         return next(child for child in self._children if child.name == name)
@@ -189,7 +198,14 @@ def last_line(log: Path) -> str:
 
 
 def with_bar(console: Console, what: str, work: Callable[[Callable[[int, int], None]], T]) -> T:
-    """Do some work that calls show(done, total), with a bar meanwhile."""
-    with Progress(console=console) as bar:
+    """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
+    with contextlib.ExitStack() as stack:
+        bar = Progress(console=console)
         task = bar.add_task(what)
-        return work(lambda done, total: bar.update(task, completed=done, total=total))
+
+        def show(done: int, total: int) -> None:
+            if not bar.live.is_started:
+                stack.enter_context(bar)
+            bar.update(task, completed=done, total=total)
+
+        return work(show)

@@ -15,6 +15,9 @@ from agent.estimation.face import Estimator, Prior, Update
 from agent.estimation.mailbox import Mailbox
 from agent.messages import Estimate, State
 
+Knows = Literal["blind", "told", "sees"]
+HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
+
 
 class Pursuit:
     """What one robot keeps about one target between steps."""
@@ -32,7 +35,10 @@ class Pursuit:
         self.measurements = 0
         self.update: Update | None = None
         self.acquired_t: int | None = None  # iteration of the first own view
-        self.knows: Literal["blind", "told", "sees"] = "blind"
+        self.knows: Knows = "blind"
+        self.since_t = 0  # iteration from which on it is so
+        self._held = HELD  # iterations for which it was so, at least
+        self._news: Knows = "blind"  # what was told of it last
         self.last_state: State | None = None
 
     def measure(self, prior: Prior) -> None:
@@ -45,7 +51,8 @@ class Pursuit:
         self.estimator.adopt(self.mailbox.newest_t(now_ns, self._validity_ns))
 
     def iterate(self, now_ns: int) -> bool:
-        """One iteration of the protocol; returns whether the robot went from one of blind, told and sees to another."""
+        """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it
+        has been so for HELD iterations, and the last news was another one."""
         self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
         self.prior = None
         knew, self.knows = self.knows, "blind"
@@ -55,7 +62,13 @@ class Pursuit:
             self.knows = "told"
         if self.estimator.valid and self.acquired_t is None:
             self.acquired_t = self.update.t
-        return self.knows != knew
+        if self.knows != knew:
+            self.since_t, self._held = self.update.t, 0
+        self._held += 1
+        if self._held < HELD or self.knows == self._news:
+            return False
+        self._news = self.knows
+        return True
 
     def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
         """What the protocol has for a neighbour; without news it is still the heartbeat."""

@@ -60,4 +60,5 @@ def _choices(path: list[str], kind: Any) -> list[str]:
             there = next(field.type for field in there.fields if field.encode_name == chunk)
         elif isinstance(there, msgspec.inspect.DictType):
             there = there.value_type
-    return [str(value) for value in getattr(there, "values", ())]
+    either = there.types if isinstance(there, msgspec.inspect.UnionType) else (there,)  # a Literal that may be left out
+    return [str(value) for one in either for value in getattr(one, "values", ())]

@@ -47,6 +47,7 @@ from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.environment import environment
 from replay.leftovers import leftovers, mending
 
+GIVEN_UP = "to start them, put right what stopped them, end this agent and start it again with --arm"
 STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 
 
@@ -132,7 +133,8 @@ def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool
         told: dict[str, str | None] = {}
 
         def black_box(step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
-            for what, fault in (("not recording", log.failed), ("no camera", eyes.fault)):
+            given_up = GIVEN_UP if arm and not board.wants_armed else None
+            for what, fault in (("not recording", log.failed), ("no camera", eyes.fault), ("motors off", given_up)):
                 if fault != told.get(what):
                     told[what] = fault
                     text = f"{what}: {fault}"[:400] if fault else f"over: {what}"

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]  # (height, width, 3), blue green red
 
+# Who measures without hurry (a bench, a depth map) would lose a whole sweep to one late frame, and on a machine with a
+# load above ten, frames of the twin came more than 1 s late. An agent, whose robot drifts, sets a limit of its own.
+PATIENCE_S = 5.0
+
 GRID = 8  # pixels; regions start and end on multiples, as JPEG cells and colour mosaics of real sensors demand
 
 
@@ -56,7 +60,7 @@ class Camera(Protocol):
     def set_focus(self, position: int) -> int:
         """Move the lens; returns the position that the device reports afterwards."""
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         """The first frame exposed after this call and at least `settle_s` after the last set_focus.
 
         A region comes as `deliverable` says. Raises CameraGone when no frame comes within `timeout_s`.

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from hw.camera import CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
+from hw.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 
 POSITIONS = "positions.csv"
 COLUMNS = ("file", "focus_position")
@@ -58,7 +58,7 @@ class StackCamera:
             self._position, self._image = wanted, None
         return wanted
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         if self._image is None:
             self._image = self._photograph()
         frame = _frame(time.monotonic_ns(), self._seq, self._image, roi)
@@ -107,7 +107,7 @@ class VideoCamera:
     def set_focus(self, position: int) -> int:
         raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         got, image = self._capture.read()
         if not got:
             raise CameraGone(f"{self._path}: end of the video after {self._seq} frames")

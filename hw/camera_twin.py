@@ -11,17 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hw.camera import CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
+from hw.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
 from hw.twin import frame_socket
 from hw.twin.frame_socket import FULL, INFO, OK, READ, SET_FOCUS, Reply, Request
-
-ANSWER_S = 2.0  # limit for all but frames; the twin may first have to finish one for a client that has left
 
 
 def open_twin(path: Path) -> TwinCamera:
     """Connect to the camera socket at `path`. Raises CameraGone if nobody serves it, CameraError if it is in use."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    connection.settimeout(ANSWER_S)
+    connection.settimeout(PATIENCE_S)
     try:
         connection.connect(str(path))
     except OSError as error:
@@ -59,7 +57,7 @@ class TwinCamera:
         wanted = nearest(position, self._focus_range)
         return self._ask_numbers(Request(SET_FOCUS, next(self._ids), focus=wanted), frame_socket.POSITION)[0]
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         part = FULL if roi is None else deliverable(roi, self.size)
         request = Request(READ, next(self._ids), settle_us=round(settle_s * 1e6), roi=part)
         reply, payload = self._ask(request, timeout_s)
@@ -72,7 +70,7 @@ class TwinCamera:
         self._connection.close()
 
     def _ask_numbers(self, request: Request, layout: struct.Struct) -> tuple[int, ...]:
-        _, payload = self._ask(request, ANSWER_S)
+        _, payload = self._ask(request, PATIENCE_S)  # the twin may have to finish a frame for a client that has left
         if len(payload) != layout.size:
             raise self._gone(f"sent {len(payload)} bytes instead of {layout.size}")
         return layout.unpack(payload)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from hw import v4l2_calls as v4l2
-from hw.camera import CameraError, FocusRange, Frame, Roi, deliverable, nearest
+from hw.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable, nearest
 from hw.v4l2_calls import Device
 from hw.v4l2_controls import Controls, free_focus, freeze
 from hw.v4l2_format import MJPG, Format, negotiate
@@ -85,7 +85,7 @@ class V4l2Camera:
         self._focus_set_ns = self._clock_ns()
         return reported
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         part = deliverable(roi, self.size)
         not_before_ns = max(self._clock_ns(), self._focus_set_ns + round(settle_s * 1e9))
         number, image, middle_ns = self._stream.next(not_before_ns, timeout_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import threading
@@ -46,6 +47,13 @@ def parameter_id(name: str) -> int:
     if name not in parameters.IDS:
         raise ConfigError(f"parameter '{name}' is not known, write one of: {' '.join(parameters.NAMES)}")
     return int(parameters.IDS[name])
+
+
+def reason(error: OSError) -> str:
+    """Why a port cannot be used, once: pyserial's own text has the path and the system's words twice."""
+    if error.errno == errno.EWOULDBLOCK:
+        return "another program uses this port; end that one"
+    return os.strerror(error.errno) if error.errno else str(error)
 
 
 class Stm32:
@@ -233,7 +241,7 @@ class Stm32:
         with self._lock:
             self._connected = False
             self._talk.hung_up()
-            self._talk.say("warning", f"{self.port}: {error}")
+            self._talk.say("warning", f"{self.port}: {reason(error)}")
 
     def _serve(self, fd: int) -> None:
         """Until close(). Raises OSError when the port goes away."""

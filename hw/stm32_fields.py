@@ -89,10 +89,11 @@ def log_line(level: int, text: bytes) -> Said:
 def event_line(code: int, before: int, after: int, severity: int, arg: int) -> Said:
     """Of EVENT, but for a refusal to arm."""
     reason = wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
+    ladder = f"failsafe level {before} -> {after}: {reason}" if after else f"failsafe over, it was level {before}"
     text = {
         wire.EV_BOOT: "booted",
         wire.EV_ARMED: "armed",
         wire.EV_DISARMED: f"disarmed: {reason}",
-        wire.EV_LADDER: f"failsafe level {before} -> {after}: {reason}",
+        wire.EV_LADDER: ladder,
     }.get(code, f"event {code}")
     return Said(LEVELS[min(severity, 2)], f"board: {text}")

@@ -19,6 +19,10 @@ RULES = {
 }
 
 
+class TooLate(ConfigError):
+    """The recording ends before the moment asked for; the message says where."""
+
+
 class Moment(NamedTuple):
     """The state in which a robot showed the outcome of an iteration, and what it wrote to its log until then."""
 
@@ -36,12 +40,20 @@ def explain(path: Path, at: str | None = None) -> str:
     """
     box = open_box(path)
     lines, found = [f"{box.robot}, protocol {box.fleet.estimation.protocol}"], False
+    late: TooLate | None = None
     for target in box.fleet.target:
         if len(box.fleet.target) > 1:
             lines += ["", f"target {target}"]
-        moment = find(path, at, target)
+        try:
+            moment = find(path, at, target)
+        except TooLate as error:
+            late = error
+            lines.append(str(error))
+            continue
         found |= moment is not None
         lines += ["no iteration yet"] if moment is None else sentences(moment)
+    if not found and late is not None:
+        raise late
     if not found:
         raise ConfigError(f"{path}: no iteration at {at or 'its end'}; give --at 16, --at 12.5s or --at step:812")
     return "\n".join(lines)
@@ -50,7 +62,8 @@ def explain(path: Path, at: str | None = None) -> str:
 def find(path: Path, at: str | None, target: str | None = None) -> Moment | None:
     """The moment that `at` names; the last iteration shown before it, where it falls between two.
 
-    `target`: whose iterations; those of the fleet's first one if not given.
+    `target`: whose iterations; those of the fleet's first one if not given. Raises TooLate, and ConfigError for an
+    `at` that is none of the three.
     """
     wanted = _parse(at)
     box, start_ns = open_box(path), 0
@@ -74,6 +87,10 @@ def find(path: Path, at: str | None, target: str | None = None) -> Moment | None
             break
         found = Moment(step.number, seconds, state, found.state if found else None, tuple(log))
         log = []
+    else:
+        if found is not None and at is not None and wanted.after(found.state.t, step.number, seconds):
+            reach = f"iterations of '{target}' from 1 to {found.state.t}, steps to {step.number}, {seconds:.1f}s in all"
+            raise TooLate(f"--at {at}: {path} has {reach}; choose a moment within")
     return found
 
 
@@ -88,6 +105,11 @@ class _At(NamedTuple):
         """Whether this is later than the moment."""
         passed = self.iteration != math.inf and iteration > self.iteration
         return passed or step > self.step or seconds > self.seconds
+
+    def after(self, iteration: int, step: int, seconds: float) -> bool:
+        """Whether the moment is later than this."""
+        ends = (iteration, step, seconds)
+        return any(end < wanted < math.inf for wanted, end in zip(self, ends, strict=True))
 
 
 def _parse(at: str | None) -> _At:

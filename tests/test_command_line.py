@@ -23,7 +23,11 @@ MISTAKES = [
     (["demo", "--out", "/proc"], "not empty"),
     (["demo", "--out", "/proc/new"], "/proc/new: cannot be written"),
     (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),
-    (["depth-map", "nowhere/"], "nowhere"),
+    (["depth-map", "nowhere"], "nowhere: no such folder; give a folder of photographs, or a camera"),
+    (["depth-map", "stack:nowhere"], "nowhere"),
+    (["calibrate", "focus", "nowhere.csv"], "nowhere.csv: cannot be read (No such file or directory); give a CSV file"),
+    (["enhance", TANK, "--variant", "fine"], "--variant fine: no such variant; choose plain"),
+    (["track", "nowhere", "--box", "1,2,3,4"], "nowhere: no such file or folder"),
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["replay", "report", "nowhere"], "nowhere: cannot be read"),
     (["twin", "nowhere.toml"], "no such file"),
@@ -44,6 +48,7 @@ def test_a_mistake_is_one_line(arguments: list[str], expected: str, tmp_path: Pa
     assert done.returncode == 2, done.stderr
     assert expected in done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
+    assert done.stdout == ""
 
 
 def test_every_verb_has_help_with_an_example() -> None:
@@ -118,3 +123,41 @@ def test_a_signal_ends_a_command_and_the_processes_that_it_started(number: int, 
         assert b"Traceback" not in calibration.stderr.read()
     assert not any(Path(f"/proc/{pid}").exists() for pid in benches)
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
+def test_processes_end_with_a_command_that_is_killed(tmp_path: Path) -> None:
+    """The command cannot do anything about it any more; nor can one that has to be killed because it is slow to end."""
+    command = [sys.executable, "-m", "agent", "calibrate", "run", TANK, "--robot", "r1", "--out", "r1.toml"]
+    with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "TMPDIR": str(tmp_path)}) as calibration:
+        ready = wait_until(lambda: list(tmp_path.glob("*/ready")), 20.0)
+        (bench,) = children(calibration.pid)
+        calibration.kill()
+    wait_until(lambda: not Path(f"/proc/{bench}").exists(), 4.0)
+    assert not ready[0].exists(), "it ended in order, and took its files away"
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
+def test_one_that_hangs_when_its_parent_is_gone_ends_too(tmp_path: Path) -> None:
+    child = (
+        "import signal, time, agent.leash as l; l.GRACE_S = 0.2; signal.signal(15, lambda *_: print(15)); l.heed()\n"
+    )
+    child += "while True: time.sleep(60)"
+    parent = (
+        "import subprocess, sys, time, agent.leash as l; leash = l.take()\n"
+        f"subprocess.Popen([sys.executable, '-c', {child!r}], pass_fds=(leash.given,), env=leash.environment())\n"
+        "time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", parent]) as started:
+        (pid,) = wait_until(lambda: children(started.pid), 10.0)
+        started.kill()
+    wait_until(lambda: not Path(f"/proc/{pid}").exists(), 4.0)
+
+
+def wait_until(ready, for_s: float):
+    """What `ready` says as soon as it is true."""
+    deadline_s = time.monotonic() + for_s
+    while not (said := ready()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    return said

@@ -94,6 +94,11 @@ MISTAKES = {
         "only a box",
         "remove",
     ),
+    "a box of one colour": (
+        (BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 30, 40]\ncolour = "red"'),
+        "target.ball.colour",
+        "only a ball has one",
+    ),
     "no box": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 0, 40]'), "target.ball.box", "[x, y, width"),
     "three numbers": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 3]'), "box", "length 4"),
     "size of a box": (

@@ -277,8 +277,10 @@ def test_wrong_arguments_are_one_line_and_write_nothing(planes, tmp_path, block,
 
 
 def test_sources_that_cannot_be_swept(planes, tmp_path):
-    with pytest.raises(CameraError, match="no such kind of camera"):
+    with pytest.raises(ConfigError, match="nowhere: no such folder; give a folder of photographs"):
         depth_map(str(tmp_path / "nowhere"), tmp_path / "m.png", 40, tmp_path, None, quiet)
+    with pytest.raises(CameraError, match="no such kind of camera"):
+        depth_map("rtsp://pool", tmp_path / "m.png", 40, tmp_path, None, quiet)
     (planes / "positions.csv").write_text("file,focus_position\n" + "".join(f"{n:02}.png,{n}\n" for n in range(4)))
     with pytest.raises(CameraError, match="4 focus positions; a depth map needs at least 5"):
         depth_map(str(planes), tmp_path / "m.png", 40, tmp_path, None, quiet)

@@ -91,6 +91,9 @@ def train_enhance(
     ] = None,
 ) -> None:
     """LU2Net's weights, from pairs of pictures with and without water; loss and validation curves beside them."""
+    from agent.enhancement.request import check
+
+    check(pairs, start, out, resume, cross_validate)  # before torch, whose import takes seconds
     try:
         import safetensors  # noqa: F401
         import torch
@@ -100,9 +103,7 @@ def train_enhance(
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
     plan = plan_of(steps, seed, start is not None)
-    if cross_validate is None:
-        train(pairs, out, plan, start, resume, everything, terminal())
-    elif pairs is None or start is None:
-        raise ConfigError("--cross-validate needs --pairs RAW REFERENCE and --start WEIGHTS")
-    else:
+    if cross_validate is not None and pairs is not None and start is not None:
         cross_validation(pairs, start, plan, cross_validate, terminal())
+    else:
+        train(pairs, out, plan, start, resume, everything, terminal())

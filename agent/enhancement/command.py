@@ -14,9 +14,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from agent.config import ConfigError
 from agent.enhancement.dataset import Pairs, load, make_pairs, save, split
 from agent.enhancement.folders import folds, read_pairs
+from agent.enhancement.request import checkpoint_of
 from agent.enhancement.train import Plan, Point, Run, advance
 from agent.enhancement.validate import SIMPLE, Fold, cross_validate, mean, score, table
-from agent.launch import run_folder
+from agent.launch import run_folder, with_bar
 from agent.perception import lu2net
 
 MADE, SIDE = 3120, 256  # pairs of our own, and their side in pixels; real pairs are scaled to the same
@@ -37,15 +38,13 @@ def train(
 ) -> None:
     """Train from scratch, or from the weights `start`; `everything`: no pair is kept back for validation.
 
-    Raises ConfigError for pairs, weights or a checkpoint that cannot be used.
+    What request.check asks for holds. Raises ConfigError for pairs, weights or a checkpoint that cannot be used.
     """
-    if resume and out is None:
-        raise ConfigError("--resume needs --out, the weights whose checkpoint lies beside it")
     real = _real(folders, everything, console) if folders else None  # complain before a folder is made
     net = lu2net.load(start) if start else None
     out = run_folder(None) / "lu2net.safetensors" if out is None else out
     out.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint = out.with_suffix(".checkpoint")
+    checkpoint = checkpoint_of(out)
     state = Run.resume(checkpoint, plan) if resume else Run(plan, net)
     training, validation = real or _made(out, plan.seed, console)
     console.print(
@@ -121,9 +120,7 @@ def _made(out: Path, seed: int, console: Console) -> tuple[Pairs, Pairs]:
     if file.exists():
         pairs = load(file)
     else:
-        with progress(console) as bar:
-            task = bar.add_task("making pairs", total=MADE)
-            pairs = make_pairs(MADE, SIDE, seed, lambda done, total: bar.update(task, completed=done))
+        pairs = with_bar(console, "making pairs", lambda show: make_pairs(MADE, SIDE, seed, show))
         save(pairs, file)
     training, validation = split(pairs)
     return training, validation.only(np.arange(min(VALIDATED, len(validation.raw))))
@@ -136,9 +133,7 @@ def _real(folders: tuple[Path, Path], everything: bool, console: Console) -> tup
 
 
 def _read(folders: tuple[Path, Path], console: Console) -> Pairs:
-    with progress(console) as bar:
-        task = bar.add_task("reading pairs")
-        return read_pairs(*folders, SIDE, lambda done, total: bar.update(task, completed=done, total=total))
+    return with_bar(console, "reading pairs", lambda show: read_pairs(*folders, SIDE, show))
 
 
 def plan_of(steps: int | None, seed: int, fine: bool) -> Plan:

@@ -27,13 +27,7 @@ def read_pairs(
     raw: Path, reference: Path, side: int, show: Callable[[int, int], None] = lambda done, total: None
 ) -> Pairs:
     """All pairs, scaled to side x side. Raises ConfigError: no pairs, a broken picture, sizes that differ."""
-    for folder in (raw, reference):
-        if not folder.is_dir():
-            raise ConfigError(f"{folder}: no such folder; give the folder of raw pictures, then that of references")
-    theirs = {file.stem: file for file in _pictures(reference)}
-    both = [(file, theirs[file.stem]) for file in _pictures(raw) if file.stem in theirs]
-    if not both:
-        raise ConfigError(f"{raw}, {reference}: no pairs; the same picture must have the same file name in both")
+    both = paired(raw, reference)
     images: tuple[list[Image], list[Image]] = ([], [])
     for done, files in enumerate(both, 1):
         whole = [_read(file) for file in files]
@@ -45,6 +39,18 @@ def read_pairs(
         show(done, len(both))
     stacks = np.stack(images[0]), np.stack(images[1])
     return Pairs(*stacks, np.array([f"scene-{number}" for number in scenes(stacks[0])]))
+
+
+def paired(raw: Path, reference: Path) -> list[tuple[Path, Path]]:
+    """The files of the same name in both folders, suffixes aside. Raises ConfigError if there are none."""
+    for folder in (raw, reference):
+        if not folder.is_dir():
+            raise ConfigError(f"{folder}: no such folder; give the folder of raw pictures, then that of references")
+    theirs = {file.stem: file for file in _pictures(reference)}
+    both = [(file, theirs[file.stem]) for file in _pictures(raw) if file.stem in theirs]
+    if not both:
+        raise ConfigError(f"{raw}, {reference}: no pairs; the same picture must have the same file name in both")
+    return both
 
 
 def scenes(images: NDArray[np.uint8]) -> list[int]:

@@ -62,6 +62,8 @@ def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, console:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; give one with photographs of the board")
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTOGRAPHS)
+    if not paths:
+        raise ConfigError(f"{folder}: no photographs; they end in {', '.join(PHOTOGRAPHS)}")
     found: list[NDArray[np.float32]] = []
     size: tuple[int, int] | None = None
     for path in track(paths, "looking for the board", console=console, transient=True):

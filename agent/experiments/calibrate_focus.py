@@ -66,8 +66,10 @@ def read_table(path: Path) -> Measured:
     """
     try:
         lines = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give a CSV file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: not a CSV file ({error}); save the table as CSV in UTF-8") from None
     if not lines:
         raise ConfigError(f"{path}: no rows; write one line per peak under the header {','.join(REQUIRED)}")
     header = set(lines[0])

@@ -79,6 +79,7 @@ def consistency(seed: int, count: int, out: Path, progress: Progress) -> dict[st
         raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
     out.mkdir(parents=True, exist_ok=True)
     taken: list[dict[str, Any]] = []
+    progress(0, count)
     for k in range(-(-count // PLACES)):
         for one in robot_measurements(1000 * seed + k, min(PLACES, count - k * PLACES)):
             taken.append(one)

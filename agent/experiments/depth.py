@@ -73,6 +73,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
     out.mkdir(parents=True, exist_ok=True)
     each = WALL_REPEATS * len(WALL_M) + 2 * len(SAG_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
     done = 0
+    progress(done, len(SENSORS) * each)
 
     def step() -> None:
         nonlocal done

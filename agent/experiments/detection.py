@@ -76,6 +76,7 @@ def detection(
     out.mkdir(parents=True, exist_ok=True)
     looks: list[Look] = []
     done = 0
+    progress(done, count * len(waters))
     for water in waters:
         for world in range(min(WORLDS, count)):
             places = len(range(world, count, WORLDS))

@@ -85,6 +85,7 @@ def all_scores(chosen: Sequence[Case], seed: int, progress: Progress) -> list[li
     work.sort(key=lambda item: -cost(chosen[item[0]]))  # the longest first, so that all end together
     found: list[dict[int, list[list[Score]]]] = [{} for _ in chosen]
     total, done = sum(case.draws * cost(case) for case in chosen), 0
+    progress(done, total)
     processes = multiprocessing.get_context("spawn")  # a fork would copy the progress bar's thread in mid-step
     with ProcessPoolExecutor(os.cpu_count(), mp_context=processes) as pool:
         jobs = {}

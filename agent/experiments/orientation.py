@@ -93,6 +93,7 @@ def orientation(
     ]
     rows: list[dict[str, Any]] = []
     shown: dict[str, Flown] = {}  # each law's first robot, at the first lag
+    progress(0, len(plain) + len(strange))
     for done, group in enumerate((*plain, *strange), start=1):
         for flown in dive(group, interpreter or sys.executable):
             rows.append(score(*flown))

@@ -84,6 +84,7 @@ def peak_shift(
     out.mkdir(parents=True, exist_ok=True)
     by = ways() if by is None else by
     cases: list[dict[str, Any]] = []
+    progress(0, len(waters) * views)
     growth = None  # of the picture over a sweep: the lens's, whatever the water
     for number, water in enumerate(waters):
         preset = msgspec.convert({"preset": water}, SceneWater)

@@ -14,7 +14,7 @@ from agent.config import Fleet
 from agent.experiments.bench import BACKLASH_US, calibrate
 from agent.messages import Vector
 from agent.ranging.calibration import Calibration
-from hw.camera import FocusRange, Frame, Roi, deliverable
+from hw.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import Bench
 from hw.twin.lens import Vcm, draw_lens
 from hw.twin.painter import Painter
@@ -59,7 +59,7 @@ class PosedRobot:
     def set_focus(self, position: int) -> int:
         return self._bench.set_focus(position)
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         return self._bench.read(deliverable(roi, self.size), settle_s)
 
     def close(self) -> None:

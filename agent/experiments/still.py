@@ -13,7 +13,7 @@ import numpy as np
 from agent.config import load_fleet
 from agent.launch import shipped_fleet
 from agent.messages import Vector
-from hw.camera import FocusRange, Frame, Roi, deliverable
+from hw.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import BOARD_SIZE_M
 from hw.twin.lens import Vcm, draw_lens
 from hw.twin.painter import Painter
@@ -61,7 +61,7 @@ class StillCamera:
     def set_focus(self, position: int) -> int:
         return self._vcm.command(position, self._now_ns)
 
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = 1.0) -> Frame:
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         part = deliverable(roi, self.size)
         self._now_ns += round(settle_s * 1e9) + FRAME_NS
         self._seq += 1

@@ -17,8 +17,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.compiled import compiled
 
 Grey = NDArray[np.uint8]  # (height, width)
 Edges = NDArray[np.int64]  # pixels at which the blocks of a grid begin, and the end of the last one
@@ -27,7 +28,7 @@ BAND = 2  # rows worked on at once; of eight, reading comes in bursts that the a
 FLUSH_ROWS = 256  # rows of a column that an int32 holds: at most 4.2e6 a pixel
 EVERYWHERE = np.empty((0, 0), np.bool_)  # no region: every pixel counts
 
-kernel = njit(nogil=True, cache=True, error_model="numpy")
+kernel = compiled(error_model="numpy")
 
 
 def luminance(image: NDArray[np.uint8]) -> Grey:

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.compiled import compiled
 from agent.perception.grey_world import Image
 
 Floats = NDArray[np.float32]
@@ -71,7 +71,7 @@ def guided(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: float =
     return np.stack([mean(np.ascontiguousarray(affine[:, :, c])) for c in range(3)], axis=2)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _solve(covariance: Floats, cross: Floats, around: Floats, target: Floats, epsilon: float, affine: Floats) -> None:
     """slope = (covariance + epsilon)^-1 cross by cofactors, offset = target - slope around; in float64."""
     for y in range(affine.shape[0]):
@@ -92,7 +92,7 @@ def _solve(covariance: Floats, cross: Floats, around: Floats, target: Floats, ep
                 affine[y, x, o, 3] = target[y, x, o] - (first * mean[0] + second * mean[1] + third * mean[2])
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _apply(affine: Floats, width: int, height: int, image: Image, x0: int, y0: int, out: Image) -> None:
     """Coefficients between the centres of small pixels are linear in x and y; beyond the outermost they stay."""
     rows, cols = affine.shape[:2]

@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from agent.compiled import compiled
 from agent.ranging.focus import CONVERGED, REFINEMENTS, WIDTHS, Array, Method, Peaks, Solved, fit_peaks
 
-kernel = njit(nogil=True, cache=True, error_model="numpy")
+kernel = compiled(error_model="numpy")
 
 
 def block_peaks(focus: Array, curves: Array, method: Method = "matched") -> Peaks:

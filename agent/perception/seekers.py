@@ -86,7 +86,7 @@ def seekers(fleet: Fleet, camera: CameraFit) -> Mapping[str, Seeker]:
     return {
         name: _box_seeker(name, target, (camera.width_px, camera.height_px))
         if target.detector == "box"
-        else BallSeeker(camera, target.colour)
+        else BallSeeker(camera, target.ball_colour)
         for name, target in fleet.target.items()
     }
 

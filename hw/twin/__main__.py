@@ -134,9 +134,9 @@ def _targets_m(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, tuple[
     for name, target in fleet.target.items():
         if target.detector != "ball":
             continue
-        like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.colour)]
+        like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
         if len(like) != 1:
-            what = f"{target.colour} {target.detector}"
+            what = f"{target.ball_colour} {target.detector}"
             raise ConfigError(
                 f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; "
                 f"take another colour, or another scene in [twin]"

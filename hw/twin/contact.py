@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.compiled import compiled
 from hw.twin.body import HULL_M
 from hw.twin.forces import Wrench, apply, reach_m
 from hw.twin.rotation import Quaternion, Vector, cross, to_body, to_world
@@ -17,7 +17,7 @@ CONTACT_N_M, CONTACT_N_S_M, FRICTION = 2000.0, 60.0, 0.3
 CREEP_M_S = 0.01  # below this sliding speed friction grows linearly, so that rest is rest
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def touch(gap_m: float, normal: Vector, slide: Vector) -> Vector:
     """Force of a contact: normal points to us, slide is our velocity relative to what we touch."""
     speed_n = slide[0] * normal[0] + slide[1] * normal[1] + slide[2] * normal[2]
@@ -27,7 +27,7 @@ def touch(gap_m: float, normal: Vector, slide: Vector) -> Vector:
     return press * normal[0] - rub * tx, press * normal[1] - rub * ty, press * normal[2] - rub * tz
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_contacts(
     states: NDArray[np.void],
     i: int,

@@ -9,9 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.compiled import compiled
 from hw.twin.body import HULL_M
 from hw.twin.rotation import Quaternion, Vector, cross, to_body, to_world
 
@@ -30,13 +30,13 @@ TETHER_WEIGHT_N = 0.05
 TETHER_N_M, TETHER_N_S_M = 20.0, 2.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def reach_m(n: Vector) -> float:
     """How far the hull's ellipsoid extends along the unit vector n of the body frame."""
     return math.sqrt((HULL_M[0] * n[0]) ** 2 + (HULL_M[1] * n[1]) ** 2 + (HULL_M[2] * n[2]) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def apply(wrench: Wrench, force: Vector, point: Vector) -> None:
     """Add a body-frame force that acts at a body-frame point."""
     torque = cross(point, force)
@@ -45,7 +45,7 @@ def apply(wrench: Wrench, force: Vector, point: Vector) -> None:
         wrench[3 + k] += torque[k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_water(body: Record, v: Vector, w: Vector, wrench: Wrench) -> None:
     """Coriolis and Munk terms of rigid body and added mass, and drag. They do no work, respectively only lose it."""
     m, ma, J, ja = body.mass_kg, body.added_kg, body.inertia_kgm2, body.added_inertia_kgm2
@@ -58,7 +58,7 @@ def add_water(body: Record, v: Vector, w: Vector, wrench: Wrench) -> None:
         wrench[3 + k] -= (body.linear_drag[3 + k] + body.quadratic_drag[3 + k] * abs(w[k])) * w[k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_weight(body: Record, z_m: float, q: Quaternion, surface_m: float, wrench: Wrench) -> None:
     """Weight in the centre of gravity; buoyancy above it, less by the share of the height that is out of the water."""
     up = to_body(q, (0.0, 0.0, 1.0))
@@ -70,7 +70,7 @@ def add_weight(body: Record, z_m: float, q: Quaternion, surface_m: float, wrench
     apply(wrench, (-weight * up[0], -weight * up[1], -weight * up[2]), (0.0, 0.0, 0.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_thrust(body: Record, f: NDArray[np.float64], wrench: Wrench) -> None:
     """T1-T4 push up at (+a,+b) (-a,+b) (-a,-b) (+a,-b), their rotors turning alternately; T5-T8 push along the rim."""
     a, b = body.arm_m[0], body.arm_m[1]
@@ -84,7 +84,7 @@ def add_thrust(body: Record, f: NDArray[np.float64], wrench: Wrench) -> None:
         wrench[5] += RING_M * f[4 + k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_lines(body: Record, p: Vector, q: Quaternion, v_world: Vector, w: Vector, wrench: Wrench) -> None:
     """Mooring and tether. The mooring holds x, y and yaw; its vertical stiffness is of second order and left out."""
     spring, damper, twist_spring, twist_damper = body.mooring

@@ -15,8 +15,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.compiled import compiled
 
 Floats = NDArray[np.float32]
 Identities = NDArray[np.uint8]  # of the surface that a pixel shows
@@ -30,8 +31,8 @@ NEAREST_M = np.float32(1e-3)
 FLOOR_ID, SURFACE_ID, BOARD_ID, SOLID_ID = 4, 5, 6, 7  # identities; below are walls, from SOLID_ID on ellipsoids
 
 # numpy's error model: division by zero is inf, not an exception whose branch would forbid SIMD.
-kernel = njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
-inlined = njit(nogil=True, cache=True, fastmath=True, error_model="numpy", inline="always")
+kernel = compiled(fastmath=True, error_model="numpy")
+inlined = compiled(fastmath=True, error_model="numpy", inline="always")
 
 
 class Optics(NamedTuple):

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.compiled import compiled
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -18,12 +19,12 @@ Quaternion = tuple[float, float, float, float]
 GIMBAL_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def to_world(q: Quaternion, v: Vector) -> Vector:
     """Body vector -> world: v + 2 w (r x v) + 2 r x (r x v) with r the vector part."""
     r = (q[1], q[2], q[3])
@@ -36,12 +37,12 @@ def to_world(q: Quaternion, v: Vector) -> Vector:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def to_body(q: Quaternion, v: Vector) -> Vector:
     return to_world((q[0], -q[1], -q[2], -q[3]), v)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def turned(q: Quaternion, w: Vector, dt_s: float) -> Quaternion:
     """The quaternion after dt_s at body rates w (rad/s), unit length again."""
     h = 0.5 * dt_s

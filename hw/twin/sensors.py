@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.compiled import compiled
 from hw.twin.forces import GRAVITY_M_S2, WATER_KG_M3
 from hw.twin.rotation import to_world
 from hw.twin.scene import generator
@@ -34,7 +34,7 @@ BLOCK = 256  # samples of noise drawn at a time: a tick costs no call into the g
 CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def water_pressure_pa(
     bodies: NDArray[np.void], states: NDArray[np.void], surface_m: float, pressure_pa: NDArray[np.float64]
 ) -> None:

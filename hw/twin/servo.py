@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from agent.compiled import compiled
 
 LAG_S = 0.04
 SLEW_DEG_S = 300.0  # 0.2 s per 60 deg, a usual figure of digital hobby servos
@@ -12,7 +12,7 @@ PLAY_DEG = 0.5  # full width of the backlash: the camera hangs behind the motor 
 STOP_MARGIN_DEG = 3.0  # mechanical stops lie outside the limits that the fleet file allows
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def motor_deg_after(
     motor_deg: float, nominal_deg: float, gain: float, zero_deg: float, low_deg: float, high_deg: float, dt_s: float
 ) -> float:
@@ -22,7 +22,7 @@ def motor_deg_after(
     return motor_deg + min(max(move, -SLEW_DEG_S * dt_s), SLEW_DEG_S * dt_s)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def shaft_deg_after(shaft_deg: float, motor_deg: float) -> float:
     """Angle of what the servo carries: it stays until the motor has taken up the play, then it is dragged along."""
     return min(max(shaft_deg, motor_deg - PLAY_DEG / 2), motor_deg + PLAY_DEG / 2)

@@ -8,9 +8,9 @@ backwards. Semi-implicit Euler: velocities first, then the pose with the new vel
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.compiled import compiled
 from agent.messages import Vector
 from hw.twin.contact import add_contacts
 from hw.twin.forces import add_lines, add_thrust, add_water, add_weight, apply
@@ -42,7 +42,7 @@ STATE = np.dtype(
 )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def advance(
     bodies: NDArray[np.void],
     states: NDArray[np.void],

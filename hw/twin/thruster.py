@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from agent.compiled import compiled
 
 F_MAX_N = 10.0  # forward, at 1900 us: small thrusters; a T200 would be oversized for 4 kg
 
@@ -19,7 +20,7 @@ NEUTRAL_US = 1500.0
 LAG_S = 0.10  # a value of one simulator, not a measurement; body.py spreads it
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def static_thrust_n(pulse_us: float, neutral_us: float, gain: float) -> float:
     """Steady force in newtons; a pulse of 0 us is an ESC without signal, which stops."""
     if pulse_us <= 0.0:
@@ -33,7 +34,7 @@ def static_thrust_n(pulse_us: float, neutral_us: float, gain: float) -> float:
     return float(force) if abs(force) >= STICTION_N else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def lagged_thrust_n(force_n: float, target_n: float, lag_s: float, dt_s: float) -> float:
     """Force after dt_s on the way to target_n, exact for a constant target."""
     return target_n + (force_n - target_n) * math.exp(-dt_s / lag_s)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.compiled import compiled
 from hw.twin.forces import GRAVITY_M_S2
 from hw.twin.rotation import to_world
 from hw.twin.scene import Waves
@@ -33,7 +33,7 @@ def add_waves(
     _add(PA_PER_M * waves.amplitude_m * math.cos(omega * t_s), k, surface_m, bodies, states, pressure_pa)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _add(
     crest_pa: float,
     k: float,

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numba import njit
 
+from agent.compiled import compiled
 from agent.perception.clarity import grid, tenengrad_grid
 from agent.perception.detect import find_ball
 from agent.perception.peaks import block_peaks
@@ -93,7 +93,7 @@ def sweep_rows(image: np.ndarray) -> dict[str, dict]:
     }
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def pass_over(data: np.ndarray) -> np.uint64:
     """Sum of all bytes: the least that can be done with each of them."""
     total = np.uint64(0)

@@ -226,6 +226,14 @@ class TestClient:
             camera.read()
         assert closing(open_twin(server.path)).read().image.shape == (64, 96, 3)
 
+    def test_a_machine_that_is_busy_for_a_second_loses_no_frame(self, server, source, closing):
+        camera = closing(open_twin(server.path))
+        source.gate.clear()
+        busy = threading.Timer(1.1, source.gate.set)
+        busy.start()
+        assert camera.read().image.shape == (64, 96, 3)
+        busy.join()
+
     @pytest.mark.parametrize(
         "answer",
         [

@@ -42,7 +42,7 @@ def test_a_small_experiment_from_end_to_end(tmp_path):
         0, 1, tmp_path / "out", lambda done, total: steps.append((done, total)), laws=("observer",), lags_s=(0.10,)
     )
     assert children() == before
-    assert steps == [(k, 5) for k in range(1, 6)]  # one group, and mass by delay
+    assert steps == [(k, 5) for k in range(6)]  # one group, and mass by delay
     assert json.loads((tmp_path / "out" / "result.json").read_text()) == result
     figures = result["controllers"]["observer"]
     assert figures["push_recovery_s"]["never"] == figures["step_settle_s"]["never"] == 0

@@ -19,7 +19,7 @@ def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(
     )
     done = []
     result = peak_shift(0, "imx519_640", tmp_path, lambda *at: done.append(at), ("tap",), 1, (same, rising))
-    assert result == json.loads((tmp_path / "result.json").read_text()) and done == [(1, 1)]
+    assert result == json.loads((tmp_path / "result.json").read_text()) and done == [(0, 1), (1, 1)]
     still, moved = result["cases"]
     assert still["common"] == still["blocks_raw"] > 10
     assert still["median_steps"] == still["p95_steps"] == still["p95_mm"] == 0.0

@@ -17,6 +17,7 @@ from agent.messages import SetPoint, Telemetry
 from hw.firmware import failsafe, parameters, wire
 from hw.stm32 import Stm32, open_port_path
 from hw.stm32_arming import CURABLE
+from hw.stm32_fields import event_line
 from hw.stm32_talk import Talk
 
 HOVER = SetPoint(depth_m=0.3, servos_us=(1400, 1600, 1500, 1500), light=0.5)
@@ -149,7 +150,7 @@ def test_port_that_comes_late_and_is_another_one_later(desk, tmp_path):
         driver.send(HOVER, 1)
         driver.arm()
         time.sleep(0.15)
-        assert any(str(path) in line.text for line in driver.drain()[1])
+        assert {line.text for line in driver.drain()[1]} == {f"{path}: No such file or directory"}
         port = Port(desk, tmp_path)
         drive(desk, driver, armed(driver), ticks=3000)
         port.path.unlink()
@@ -285,6 +286,11 @@ def test_set_point_is_clipped_not_wrapped():
     wire.Framer(lambda kind, _seq, payload: got.append(wire.unpack(kind, payload))).feed(frame, len(frame))
     assert got[0][0] == 32767 and got[0][3] == -32768
     assert got[0][6:11] == (0, 65535, 1500, 1500, 1000)
+
+
+def test_a_failsafe_that_is_over_is_said_to_be():
+    assert event_line(wire.EV_LADDER, 0, 1, 1, 0).text.startswith("board: failsafe level 0 -> 1: ")
+    assert event_line(wire.EV_LADDER, 1, 0, 0, 0) == ("info", "board: failsafe over, it was level 1")
 
 
 def test_curable_reasons_exist():

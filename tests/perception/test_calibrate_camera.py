@@ -54,6 +54,8 @@ def test_what_cannot_be_used_is_one_line(folder: Path, tmp_path: Path) -> None:
         run(tmp_path / "none", 9, 6, 25.0, None, QUIET)
     with pytest.raises(ConfigError, match="whole in 0 of 12"):
         run(folder, 13, 6, 25.0, None, QUIET)
+    with pytest.raises(ConfigError, match=r"no photographs; they end in \.png"):
+        run(tmp_path, 9, 6, 25.0, None, QUIET)
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(ConfigError, match=r"a\.png: is no readable picture"):
         run(tmp_path, 9, 6, 25.0, None, QUIET)

@@ -142,11 +142,16 @@ def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
     [
         (["--pairs", "nowhere", "nowhere"], "nowhere: no such folder"),
         (["--resume"], "--resume needs --out"),
+        (["--resume", "--out", "w.safetensors"], "w.checkpoint: no such checkpoint"),
+        (["--start", "nowhere"], "nowhere: no such file"),
         (["--cross-validate", "3"], "needs --pairs RAW REFERENCE and --start WEIGHTS"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing_behind(arguments, expected, tmp_path):
-    command = [sys.executable, "-m", "agent", "train", "enhance", *arguments]
+    command = [sys.executable, "-X", "importtime", "-m", "agent", "train", "enhance", *arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2 and expected in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    imported = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
+    said = [line for line in done.stderr.splitlines() if not line.startswith("import time:")]
+    assert done.returncode == 2 and len(said) == 1 and expected in said[0] and not done.stdout, said
+    assert not any(line.split("|")[-1].strip() == "torch" for line in imported), "torch takes seconds"
     assert not list(tmp_path.iterdir())

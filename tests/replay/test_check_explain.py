@@ -36,10 +36,19 @@ def test_a_moment_is_found_by_iteration_time_and_step() -> None:
         assert (moment.state.t, moment.step) == (7, step), at
         assert moment.before is not None
         assert moment.before.t == 6
-    last, late = find(R2, None), find(R2, "999")
-    assert last == late
+    last = find(R2, None)
     assert last is not None
     assert last.state.t > 7
+    assert find(R2, str(last.state.t)) == last
+
+
+@pytest.mark.parametrize("at", ["9999", "9999s", "step:99999"])
+def test_a_moment_behind_the_end_is_one_line_that_says_where_the_end_is(at: str) -> None:
+    last = find(R2, None)
+    assert last is not None
+    with pytest.raises(ConfigError, match=f"--at {at}: .*from 1 to {last.state.t}, steps to ") as caught:
+        explain(R2, at)
+    assert "\n" not in str(caught.value)
 
 
 def test_mixing_has_its_weights_ages_and_alpha() -> None:

@@ -1,0 +1,54 @@
+"""Processes that compile one function for different arrays at once leave a cache that is right for both."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+KERNEL = """
+from agent.compiled import compiled
+
+@compiled()
+def total(a):
+    s = 0.0
+    for i in range(a.shape[0]):
+        s += a[i]
+    return s
+"""
+
+# Whoever has read the index waits with writing it until the other one has read it too, if there is no lock.
+MEET = """
+import os, sys, time
+from pathlib import Path
+import numpy as np
+from numba.core.caching import IndexDataCacheFile
+
+save = IndexDataCacheFile._save_index
+
+def meet(self, overloads):
+    Path(f"read-{os.getpid()}").touch()
+    until_s = time.monotonic() + 1.0
+    while len(list(Path().glob("read-*"))) < 2 and time.monotonic() < until_s:
+        time.sleep(0.01)
+    save(self, overloads)
+
+IndexDataCacheFile._save_index = meet
+from kernel import total
+assert total(np.ones(9, sys.argv[1])) == 9
+"""
+
+LATER = """
+import numpy as np
+from kernel import total
+
+for kind in ("uint8", "float64"):
+    assert total(np.ones(9, kind)) == 9
+assert not total.stats.cache_misses and sum(total.stats.cache_hits.values()) == 2
+"""
+
+
+def test_two_signatures_compiled_at_once_do_not_take_each_others_place(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(KERNEL)
+    both = [subprocess.Popen([sys.executable, "-c", MEET, kind], cwd=tmp_path) for kind in ("uint8", "float64")]
+    assert [process.wait(60) for process in both] == [0, 0]
+    done = subprocess.run([sys.executable, "-c", LATER], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
