@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.depth_map import MAX_GROWTH, clarity_of, measure
+from agent.depth_sweep import MAX_GROWTH, clarity_of, measure
 from agent.ranging.calibration import Calibration
 from agent.ranging.focus import MIN_POSITIONS
 from replay.depth import SweepDepth, SweepFrame

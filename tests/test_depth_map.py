@@ -16,7 +16,8 @@ from msgspec.structs import replace
 from agent.__main__ import main
 from agent.config import ConfigError, dump
 from agent.depth_box import BoxRange, box_clarity, box_range
-from agent.depth_map import depth_map, measure, run, sweep
+from agent.depth_map import depth_map, run
+from agent.depth_sweep import measure, sweep
 from agent.perception.breathing import measure_growth
 from agent.perception.likeness import Box
 from agent.ranging.calibration import Calibration, CameraFit, FocusFit

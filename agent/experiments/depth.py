@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.config import ConfigError, Cues
-from agent.depth_map import SWEEP_STEPS, DepthMap, clarity_of, measure
+from agent.depth_sweep import SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.experiments.consistency import robot_measurements
 from agent.experiments.depth_figure import draw
 from agent.experiments.still import StillCamera, View

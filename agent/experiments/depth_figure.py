@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from agent.depth_map import DepthMap, draw_cells
+from agent.depth_files import draw_cells
+from agent.depth_sweep import DepthMap
 from agent.ranging.focus import Array
 
 

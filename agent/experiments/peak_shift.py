@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.config import ConfigError
-from agent.depth_map import DepthMap, clarity_of, measure
+from agent.depth_sweep import DepthMap, clarity_of, measure
 from agent.experiments.ball_views import WATERS
 from agent.experiments.depth import QUALITY, VIEWS, WATER, Taken, take
 from agent.experiments.still import StillCamera

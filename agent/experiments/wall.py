@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from agent.depth_map import HOME_SETTLE_S, MIN_QUALITY, SETTLE_S, SWEEP_STEPS, clarity_of
+from agent.depth_sweep import HOME_SETTLE_S, MIN_QUALITY, SETTLE_S, SWEEP_STEPS, clarity_of
 from agent.experiments.still import StillCamera, View
 from agent.launch import Failed
 from agent.perception.breathing import measure_growth

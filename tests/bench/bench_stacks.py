@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.depth_map import measure, sweep
+from agent.depth_sweep import measure, sweep
 from hw.camera_files import open_stack
 
 DATA = Path(os.environ.get("AUCAMP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data")) / "focal_stacks"
