@@ -28,12 +28,14 @@ def main(names: Sequence[str]) -> int:
         return 2
     console = Console(width=None if sys.stdout.isatty() else WIDE)
     rows: dict[str, dict] = {}
-    for name in names or known:
-        with console.status(name):
-            rows.update(importlib.import_module(f"tests.bench.{known[name]}").run())
-    console.print(table(rows))
-    kept = json.loads(OUT.read_text(encoding="utf-8")) if names and OUT.exists() else {}
-    OUT.write_text(json.dumps({**kept, **rows}, indent=1) + "\n", encoding="utf-8")
+    try:
+        for name in names or known:
+            with console.status(name):
+                rows.update(importlib.import_module(f"tests.bench.{known[name]}").run())
+    finally:  # a bench that fails does not take the others' figures with it
+        console.print(table(rows))
+        kept = json.loads(OUT.read_text(encoding="utf-8")) if names and OUT.exists() else {}
+        OUT.write_text(json.dumps({**kept, **rows}, indent=1) + "\n", encoding="utf-8")
     return 0
 
 

@@ -105,7 +105,9 @@ def ring(folder: Path) -> Fleet:
     robots: dict[str, Robot] = {}
     for k, (name, port) in enumerate(zip(names, free_ports(AGENTS), strict=True)):
         near = tuple(names[(k + step) % AGENTS] for step in range(-REACH, REACH + 1) if step)
-        robots[name] = msgspec.structs.replace(first, neighbours=near, listen=f"tcp/127.0.0.1:{port}")
+        robots[name] = msgspec.structs.replace(
+            first, neighbours=near, listen=f"tcp/127.0.0.1:{port}", serial=f"twin:{name}", camera=f"twin:{name}"
+        )
     return msgspec.structs.replace(pattern, robot=robots)
 
 
