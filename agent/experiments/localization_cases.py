@@ -44,7 +44,7 @@ class Case(NamedTuple):
 
 
 def cases(quick: bool = False, full: bool = False) -> list[Case]:
-    """The experiment: five minutes on two idle processors; with `full` also what takes longer."""
+    """The experiment: eleven minutes of processor time; with `full` also what takes longer."""
     losses = (0.0, 0.1, 0.3) if full else (0.0, 0.3)
     found = [*closed_form(), *bad_links(losses), *late_views(losses), *relays(), *one_is_wrong(), *honest_covariance()]
     found += [*moving(losses), *large(full)]
