@@ -8,16 +8,18 @@ breathing and of what stands in front, and of nothing that a detector does.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.config import ConfigError
 from agent.experiments.still import StillCamera, View
 from agent.ranging.calibration import CameraFit
 from hw.camera import Image
+from hw.twin.lens import PRESETS
 from hw.twin.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
 
@@ -52,6 +54,15 @@ class BallView(NamedTuple):
     truth: Outline | None  # None where the ball is hidden or less than a tenth of its outline shows
     range_m: float
     sharp: bool
+
+
+def check_views(sensor: str, waters: Sequence[str]) -> None:
+    """Raises ConfigError for a sensor or a water that does not exist."""
+    if sensor not in PRESETS:
+        raise ConfigError(f"--sensor {sensor}: no such camera; choose one of {', '.join(PRESETS)}")
+    for water in waters:
+        if water not in WATERS:
+            raise ConfigError(f"--water {water}: no such water; choose one of {', '.join(WATERS)}")
 
 
 def ball_views(preset: str, sensor: str, seed: int, count: int) -> Iterator[BallView]:

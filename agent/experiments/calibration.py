@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from agent.config import load_fleet
 from agent.experiments.bench import focus_rows
 from agent.experiments.calibrate_focus import draw, paper_gauge, result_table, verdict
 from agent.experiments.calibrate_run import twin_bench
+from agent.experiments.result import write_result
 from agent.launch import run_folder, shipped_fleet, with_bar
 from agent.ranging.calibrate import fit_focus, leave_one_out
 
@@ -39,7 +39,7 @@ def calibration(seed: int, out: Path | None, console: Console) -> dict[str, Any]
         "leave_one_out": [{"distance": one.u_m, "error": one.error_m} for one in left_out],
         "measured": [{"distance": row.u_m, "position": row.rho} for row in rows],
     }
-    (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(folder, result)
     draw(rows, fit, left_out, folder / "calibration.png")
     console.print(result_table(fit, left_out))
     console.print(verdict(fit, left_out))

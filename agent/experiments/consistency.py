@@ -12,7 +12,6 @@ drift and noise of the pressure sensors, and the tolerance of the ball.
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,9 +21,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import ConfigError, Cues, Fleet, Pose, Target, load_fleet
+from agent.config import Cues, Fleet, Pose, Target, load_fleet
 from agent.control.sweep import Measurement, Sweep
 from agent.experiments.posed import PosedRobot, rotation_of
+from agent.experiments.result import make_room, write_result
 from agent.launch import shipped_fleet
 from agent.messages import Sighting, Vector
 from agent.perception.region import around
@@ -75,9 +75,7 @@ def consistency(seed: int, count: int, out: Path, progress: Progress) -> dict[st
 
     Raises ConfigError where `out` holds a result already.
     """
-    if (out / "result.json").exists():
-        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+    make_room(out)
     taken: list[dict[str, Any]] = []
     progress(0, count)
     for k in range(-(-count // PLACES)):
@@ -87,7 +85,7 @@ def consistency(seed: int, count: int, out: Path, progress: Progress) -> dict[st
     result: dict[str, Any] = {"schema": 1, "source": "twin", "seed": seed, "count": count, "expected": EXPECTED}
     result["cases"] = [row(taken, cue, low, high) for cue in get_args(Cues) for low, high in bands()]
     result["measurements"] = taken
-    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out, result)
     return result
 
 

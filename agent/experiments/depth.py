@@ -7,7 +7,6 @@ blocks, so that nothing but the peak differs. Last a ball, alone, at three dista
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +16,11 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.config import ConfigError, Cues
+from agent.config import Cues
 from agent.depth_sweep import SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.experiments.consistency import robot_measurements
 from agent.experiments.depth_figure import draw
+from agent.experiments.result import make_room, write_result
 from agent.experiments.still import StillCamera, View
 from agent.experiments.wall import BLOCK_PX, SAG_M, WALL_M, WALL_REPEATS, breathing, calibrate, frames, positions
 from agent.perception.clarity import grid
@@ -68,9 +68,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
 
     Raises ConfigError where `out` holds a result already.
     """
-    if (out / "result.json").exists():
-        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+    make_room(out)
     each = WALL_REPEATS * len(WALL_M) + 2 * len(SAG_M) + len(VIEWS) + len(BALL_M) * BALL_PLACES
     done = 0
     progress(done, len(SENSORS) * each)
@@ -104,7 +102,7 @@ def depth(seed: int, out: Path, progress: Progress) -> dict[str, Any]:
             draw(maps["matched"][k], one.truth_m, out / f"depth_{sensor}_{k + 1}.png")
         result["balls"] += balls(sensor, seed, step)
     result["missed"] = missed(result["cases"])
-    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out, result)
     return result
 
 

@@ -7,7 +7,6 @@ found is what lies within a fifth of the radius of the truth, and everything els
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,8 +16,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from agent.config import ConfigError
-from agent.experiments.ball_views import WATERS, BallView, ball_views
+from agent.experiments.ball_views import WATERS, BallView, ball_views, check_views
+from agent.experiments.result import make_room, write_result
 from agent.launch import run_folder, with_bar
 from agent.perception.clear_view import raw_else_enhanced
 from agent.perception.detect import Ball, find_ball
@@ -26,7 +25,6 @@ from agent.perception.enhance import enhance
 from agent.perception.grey_world import classic
 from agent.ranging.calibration import CameraFit
 from hw.camera import Image
-from hw.twin.lens import PRESETS
 
 Progress = Callable[[int, int], None]  # places done, places in all
 Find = Callable[[Image, CameraFit], Ball | None]
@@ -66,14 +64,8 @@ def detection(
 
     Raises ConfigError for a sensor or a water that does not exist, or where `out` holds a result already.
     """
-    if sensor not in PRESETS:
-        raise ConfigError(f"--sensor {sensor}: no such camera; choose one of {', '.join(PRESETS)}")
-    for water in waters:
-        if water not in WATERS:
-            raise ConfigError(f"--water {water}: no such water; choose one of {', '.join(WATERS)}")
-    if (out / "result.json").exists():
-        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+    check_views(sensor, waters)
+    make_room(out)
     looks: list[Look] = []
     done = 0
     progress(done, count * len(waters))
@@ -85,7 +77,7 @@ def detection(
                 done += k % 2  # a place is seen twice
                 progress(done, count * len(waters))
     result = {"schema": 1, "source": "twin", "seed": seed, "sensor": sensor, "places": count, "cases": cases(looks)}
-    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out, result)
     return result
 
 

@@ -12,7 +12,6 @@ variate with coefficient 1: unbiased, and tens of draws do the work of thousands
 
 from __future__ import annotations
 
-import json
 import math
 import multiprocessing
 import os
@@ -25,13 +24,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
-from agent.config import ConfigError
 from agent.experiments.bounds import bound_m, central_m, central_track_m, closed_form_m
 from agent.experiments.graphs import graph, metropolis_weights, paper_weights
 from agent.experiments.localization_cases import Case, cases
 from agent.experiments.localization_figure import draw_iterations
 from agent.experiments.localization_targets import verdicts
 from agent.experiments.lockstep import Swarm, prior, symmetric
+from agent.experiments.result import make_room, write_result
 from agent.experiments.scene import TARGET_M, Array, Draw, Scene, draw, lap_m, scene, seen
 
 Progress = Callable[[int, int], None]  # work done, work in all, by `cost`
@@ -59,9 +58,7 @@ def localization(seed: int, out: Path, progress: Progress, quick: bool = False, 
     quick: a twentieth of the draws and no swarm above ten robots, for a look. full: more draws, losses and robots.
     Raises ConfigError where `out` holds a result already.
     """
-    if (out / "result.json").exists():
-        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+    make_room(out)
     chosen = cases(quick, full)
     scores = all_scores(chosen, seed, progress)
     rows = [row for case, found in zip(chosen, scores, strict=True) for row in rows_of(case, found)]
@@ -73,7 +70,7 @@ def localization(seed: int, out: Path, progress: Progress, quick: bool = False, 
         "cases": rows,
         "verdicts": verdicts(rows),
     }
-    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out, result)
     for loss in (0.0, 0.3):
         draw_iterations(seed, WORLD, loss, out / f"localization_loss_{round(100 * loss)}")
     return result

@@ -7,7 +7,6 @@ set-point from 0.22 to 0.41 m. Every law steers the same robots. All times are c
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,9 +15,9 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from agent.config import ConfigError
 from agent.experiments.figures_orientation import draw
 from agent.experiments.manoeuvre import HOVER_S, PLACES_M, PUSH, STEP, Case, Flight, fly
+from agent.experiments.result import make_room, write_result
 from agent.experiments.settling import rms, score_push, score_step, spread
 from agent.experiments.tables_orientation import controllers_table, number, stability_table
 from agent.launch import run_folder, temporary_folder, with_bar
@@ -80,9 +79,7 @@ def orientation(
 
     Raises ConfigError where `out` holds a result already, Failed where a robot of the twin does not arm.
     """
-    if (out / "result.json").exists():
-        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+    make_room(out)
     interpreter = shutil.which("micropython", path=str(Path(sys.executable).parent)) or shutil.which("micropython")
     plain = [group for law in laws for lag_s in lags_s for group in groups(seed, seeds, law, lag_s)]
     strange = [
@@ -121,7 +118,7 @@ def orientation(
         "missed": missed(first[DEFAULT_LAW]),
         "cases": rows,
     }
-    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out, result)
     draw({law: flown.push for law, flown in shown.items()}, PUSH, out / "orientation_push")
     draw({law: flown.step for law, flown in shown.items()}, STEP, out / "orientation_step")
     return result

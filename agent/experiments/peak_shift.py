@@ -7,7 +7,6 @@ millimetres is the slope of the lens equation at the raw peak: no calibration ta
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,10 +16,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from agent.config import ConfigError
 from agent.depth_sweep import DepthMap, clarity_of, measure
-from agent.experiments.ball_views import WATERS
+from agent.experiments.ball_views import WATERS, check_views
 from agent.experiments.depth import QUALITY, VIEWS, WATER, Taken, take
+from agent.experiments.result import make_room, write_result
 from agent.experiments.still import StillCamera
 from agent.experiments.wall import BLOCK_PX, breathing
 from agent.launch import run_folder, with_bar
@@ -29,7 +28,7 @@ from agent.perception.enhance import enhancer, missing
 from agent.perception.grey_world import classic
 from agent.ranging.focus import Array
 from hw.camera import Image
-from hw.twin.lens import PRESETS, Lens
+from hw.twin.lens import Lens
 from hw.twin.scene import SceneWater, load_scene
 
 COLUMNS = {"mean_steps": "+.2f", "median_steps": ".2f", "p95_steps": ".2f", "median_mm": ".1f", "p95_mm": ".1f"}
@@ -74,14 +73,8 @@ def peak_shift(
 
     Raises ConfigError for a sensor or a water that does not exist, or where `out` holds a result already.
     """
-    if sensor not in PRESETS:
-        raise ConfigError(f"--sensor {sensor}: no such camera; choose one of {', '.join(PRESETS)}")
-    for water in waters:
-        if water not in WATERS:
-            raise ConfigError(f"--water {water}: no such water; choose one of {', '.join(WATERS)}")
-    if (out / "result.json").exists():
-        raise ConfigError(f"{out}: holds a result.json already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+    check_views(sensor, waters)
+    make_room(out)
     by = ways() if by is None else by
     cases: list[dict[str, Any]] = []
     progress(0, len(waters) * views)
@@ -103,7 +96,7 @@ def peak_shift(
         for name, maps in after.items():
             cases.append({"water": water, "way": name, **figures(raw, maps, slope, step)})
     result = {"schema": 1, "source": "twin", "seed": seed, "sensor": sensor, "views": views, "cases": cases}
-    (out / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out, result)
     return result
 
 

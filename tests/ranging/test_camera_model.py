@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.config import Body, Pose
-from agent.ranging.calibration import CameraFit, at_lens
+from agent.ranging.calibration import at_lens
 from agent.ranging.camera_model import (
     camera_pose,
     centre_behind_skin_m,
@@ -18,20 +18,11 @@ from agent.ranging.camera_model import (
     servos_us,
     to_camera,
 )
+from tests import known_lens
 
 BODY = Body(camera_m=(0.10, 0.02, -0.01))
 POSE = Pose(x_m=0.3, y_m=0.25, yaw_deg=34.0)
-CAMERA = CameraFit(
-    width_px=640,
-    height_px=480,
-    f_px=1169.0,
-    cx_px=319.5,
-    cy_px=239.5,
-    pan_zero_deg=0.9,
-    tilt_zero_deg=-0.7,
-    pan_gain=1.01,
-    tilt_gain=0.99,
-)
+CAMERA = replace(known_lens.CAMERA, pan_zero_deg=0.9, tilt_zero_deg=-0.7, pan_gain=1.01, tilt_gain=0.99)
 BENT = replace(CAMERA, bend=0.39, ahead_m=-0.0017, lens=300.0, breathing=4.2e-5)
 
 

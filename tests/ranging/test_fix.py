@@ -8,22 +8,18 @@ from msgspec.structs import replace
 
 from agent.config import Body, Pose, Target
 from agent.ranging import cues, fix
-from agent.ranging.calibration import Calibration, CameraFit, at_lens
+from agent.ranging.calibration import Calibration, at_lens
 from agent.ranging.camera_model import Eye, camera_pose, centre_behind_skin_m, pixel, to_camera
 from agent.ranging.cues import Outline
 from agent.ranging.fix import Fix, locate
 from agent.ranging.focus import Refused, lens_position
 from agent.ranging.sag import UNKNOWN_SAG
-from tests.known_lens import FITTED
+from tests import known_lens
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0003)
-FOCUS = replace(FITTED, noise=0.7)
-CAMERA = CameraFit(
-    width_px=640,
-    height_px=480,
-    f_px=1169.0,
-    cx_px=319.5,
-    cy_px=239.5,
+FOCUS = replace(known_lens.FITTED, noise=0.7)
+CAMERA = replace(
+    known_lens.CAMERA,
     bend=0.39,
     ahead_m=-0.0017,
     lens=300.0,
