@@ -11,18 +11,9 @@ from agent.perception.seekers import seekers
 from agent.perception.vision import Vision
 from agent.ranging.calibration import CameraFit
 from hw import v4l2_calls as v4l2
+from tests.sightings import collect
 
 CAMERA = CameraFit(width_px=96, height_px=64, f_px=150.0, cx_px=47.5, cy_px=31.5)
-
-
-def until(vision, enough, seconds=30.0):
-    """All sightings until `enough` of them."""
-    seen, deadline = [], time.monotonic() + seconds
-    while not enough(seen):
-        assert time.monotonic() < deadline, f"{len(seen)} sightings; fault: {vision.fault}"
-        seen += vision.drain()
-        time.sleep(0.005)
-    return seen
 
 
 def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
@@ -32,7 +23,7 @@ def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
     vision.start()
     try:
         vision.plan(SweepPlan(sweep=1, focus=(0, 5, 10)))
-        until(vision, lambda seen: any(s.sweep == 1 for s in seen))
+        collect(vision, lambda seen: any(s.sweep == 1 for s in seen), 30.0)
         computer.pull()
         while vision.errors == 0:
             time.sleep(0.005)
@@ -40,7 +31,7 @@ def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
         while vision.fault is not None:
             time.sleep(0.005)
         vision.plan(SweepPlan(sweep=2, focus=(0, 5, 10, 15, 20)))
-        seen = until(vision, lambda seen: any(s.sweep == 2 and s.index == 4 for s in seen))
+        seen = collect(vision, lambda seen: any(s.sweep == 2 and s.index == 4 for s in seen), 30.0)
         assert [s.focus for s in seen if s.sweep == 2] == [5, 10, 15, 20]
         assert computer.camera.path == "/dev/video12" and computer.camera.value(v4l2.FOCUS_AUTO) == 0
     finally:

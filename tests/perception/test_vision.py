@@ -15,6 +15,7 @@ from agent.perception.seekers import seekers
 from agent.perception.vision import QUEUE, Vision
 from agent.ranging.focus import Peak, fit_peak
 from hw.camera import CameraError, CameraGone, FocusRange, Frame, Roi
+from tests.sightings import collect
 
 CENTRE_M = (0.02, 0.01, 0.9)
 EMPTY = np.full((480, 640, 3), 90, np.uint8)
@@ -102,16 +103,6 @@ def worker(monkeypatch):
     for out in started:
         out.close()
     assert not [t for t in threading.enumerate() if t.name == "vision"]
-
-
-def collect(worker, enough, limit_s=10.0):
-    """Sightings until enough(sightings)."""
-    seen, until = [], time.monotonic() + limit_s
-    while not enough(seen):
-        assert time.monotonic() < until, f"gave up after {len(seen)} sightings; fault: {worker.fault}"
-        seen += worker.drain()
-        time.sleep(0.002)
-    return seen
 
 
 def test_between_plans_every_frame_is_a_sighting(worker, images):
