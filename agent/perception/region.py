@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.clarity import luminance, tenengrad_disc, tenengrad_grid
+from agent.perception.clarity import tenengrad_disc, tenengrad_grid
 from agent.ranging.camera_model import INNER_DISC
 from hw.camera import Frame, Roi
 
@@ -43,7 +43,7 @@ def disc_clarity(frame: Frame, centre_px: tuple[float, float], radius_px: float)
     part: NDArray[np.uint8] = frame.image[top : int(y + radius) + 4, left : int(x + radius) + 4]
     if min(part.shape[:2]) < 3:
         return UNSEEN
-    clarity, area_px = tenengrad_disc(luminance(part), (x - left, y - top), radius)
+    clarity, area_px = tenengrad_disc(part, (x - left, y - top), radius)
     return (clarity, area_px) if area_px else UNSEEN
 
 
