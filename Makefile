@@ -2,14 +2,15 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test bench lint format clean
+.PHONY: venv run test bench lint format rooms clean
 
 venv: .venv/ready
 run: .venv/ready
 	$(BIN)/aucamp demo
 
+# More workers would wait for the one that has tests/network (tests/conftest.py).
 test: .venv/ready-test lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --maxprocesses 4
 
 bench: .venv/ready-test
 	$(BIN)/python -m tests.bench
@@ -23,6 +24,9 @@ lint: .venv/ready-test
 format: .venv/ready-test
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+rooms: .venv/ready-test
+	$(BIN)/python docs/draw_rooms.py
 
 .venv/bin/python:
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed: make PYTHON=python3.11')"

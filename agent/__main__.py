@@ -11,8 +11,10 @@ import sys
 import typer
 
 from agent.commands import calibrating, diving, experimenting, replaying, seeing
-from agent.config import ConfigError
-from agent.leash import heed
+from agent.failure import Failed
+from agent.kernel.config import ConfigError
+from agent.parent_watch import exit_with_parent
+from hw.camera.camera import CameraError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -32,17 +34,26 @@ def leave(number: int, frame: object) -> None:
     raise SystemExit(128 + number)
 
 
-def main() -> None:
-    """Run the command line; what a user can cause ends in one line on stderr and exit code 2."""
-    from agent.launch import Failed
-    from hw.camera import CameraError
+def usage_error(error: typer.TyperException) -> str:
+    """One line for what typer found wrong; none where it has shown the help instead."""
+    said = error.format_message().replace("Value error, ", "").rstrip(".")
+    context = getattr(error, "ctx", None)
+    return f"aucamp: {said}{f'; see {context.command_path} --help' if context else ''}\n" if said else ""
 
+
+def main() -> None:
+    """Run the command line; what a user can cause ends in one line on stderr, without a traceback."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored, and means it
             signal.signal(number, leave)
-    heed()
+    exit_with_parent()
     try:
-        app()
+        sys.exit(app(prog_name="aucamp", standalone_mode=False))  # else typer draws a box around its errors
+    except typer.TyperException as error:
+        sys.stderr.write(usage_error(error))
+        sys.exit(2)
+    except typer.Abort:  # a question that nobody answers
+        sys.exit("aucamp: the input ended before an answer")
     except (ConfigError, CameraError) as error:
         sys.stderr.write(f"aucamp: {error}\n")
         sys.exit(2)

@@ -10,7 +10,8 @@ from threading import Thread
 from types import TracebackType
 from typing import Protocol, Self
 
-from agent.messages import Estimate, Heard, Image, LogLine, Refused, State
+from agent.kernel.messages import Estimate, Image, LogLine, State
+from agent.kernel.step_io import DroppedPayloads, Heard
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands
@@ -20,12 +21,12 @@ LAST_S = 0.5  # how long the end waits for a terminal
 
 
 class Network(Protocol):
-    def drain(self) -> tuple[tuple[Heard, ...], tuple[Refused, ...]]: ...
+    def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]: ...
     def say(self, estimate: Estimate) -> None: ...
     def show(self, message: State | LogLine | Image) -> None: ...
 
 
-class Aloud:
+class ConsoleLog:
     """A network whose shown messages a person can follow as well. Context manager.
 
     `write` gets whole lines in a thread of its own: a terminal held with Ctrl-S may block it for ever, and a loop that
@@ -38,7 +39,7 @@ class Aloud:
         self._lines: queue.Queue[str | None] = queue.Queue(WAITING)
         self._stood_ns: dict[str, int] = {}  # target -> when it was last said where we stand
         self._heard: dict[str, set[str]] = {}  # target -> neighbours whose word about it is fresh
-        self._thread = Thread(target=self._run, name="aloud", daemon=True)
+        self._thread = Thread(target=self._run, name="console log", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,20 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from agent.aloud import hears
-from agent.config import ConfigError, Fleet, Protocol, dump, load_fleet
-from agent.launch import Crew, crew, fleet_file, free_ports, run_folder, shipped_fleet, temporary_folder, wait_for
-from agent.messages import Refusal, State, decode
+from agent.console_log import hears
+from agent.fleet_files import fleet_file, shipped_fleet
+from agent.kernel.codec import Refusal, decode
+from agent.kernel.config import ConfigError, Fleet, Protocol
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import State
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import STATE
+from agent.launch import Crew, crew, free_ports, wait_for
+from agent.progress import with_spinner
+from agent.run_folder import run_folder, temporary_folder
 from agent.summary import Histories, History, settled, summarize
-from agent.topics import STATE
 from agent.transport import Observer
-from hw.twin.place import twin_dir
+from hw.twin.devices.twin_folder import twin_dir
 
 CALIBRATE_S = 120.0  # a bench that takes longer is stuck; it needs about ten seconds
 READY_S = 120.0  # the first start compiles the twin's kernels
@@ -52,9 +57,9 @@ def demo(
     `fleet_name`: a fleet file, or the name of one that comes with the package.
     """
     started_s = time.monotonic()
-    run = run_folder(out)
     with temporary_folder() as folder:
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, fleet_file(fleet_name))
+        run = run_folder(out)
         path = run / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")
         with crew(run / "logs") as processes:
@@ -107,7 +112,7 @@ def demo_fleet(
 
 def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> None:
     """Each robot's camera and gimbal on the twin's bench, two at a time."""
-    with meanwhile(console, f"calibrating on the twin's bench, two at a time: {', '.join(fleet.robot)}"):
+    with with_spinner(console, f"calibrating on the twin's bench, two at a time: {', '.join(fleet.robot)}"):
         names = list(fleet.robot)
         for pair in (names[k : k + 2] for k in range(0, len(names), 2)):
             for name in pair:
@@ -122,7 +127,7 @@ def dive(
 ) -> tuple[Histories, dict[str, Any]]:
     """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
     folder = twin_dir(fleet)
-    with meanwhile(console, "starting the twin"):
+    with with_spinner(console, "starting the twin"):
         processes.start("twin", "twin", str(path))
         wait_for("the twin", (folder / "ready").exists, processes, READY_S)
     twin_log = run / "logs" / "twin.log"
@@ -160,17 +165,6 @@ def dive(
     for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:
         console.print(complaint)
     return histories, truth
-
-
-@contextmanager
-def meanwhile(console: Console, what: str) -> Iterator[None]:
-    """Says what takes long: beside a spinner on a terminal, as a line in a pipe."""
-    if console.is_terminal:
-        with console.status(what):
-            yield
-    else:
-        console.print(what)
-        yield
 
 
 def progress_table(histories: Histories, left_s: float) -> Table:

@@ -1,40 +1,29 @@
-"""Processes of ours, started as a user would start them. Stopped whatever happens; they end with us (leash.py)."""
+"""Processes of ours, started as a user would start them. Stopped whatever happens; they end with us."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-from rich.console import Console
-from rich.progress import Progress
-
-from agent.config import ConfigError
-from agent.fleet_rules import MAX_PORT
-from agent.leash import Leash, take
-
-T = TypeVar("T")
+from agent.failure import Failed
+from agent.kernel.fleet_rules import MAX_PORT
+from agent.parent_watch import ParentWatch, watched_by_us
 
 FIRST_PORT, PORTS_APART, PLACES = 17401, 8, 1500  # up to 29400, well below the ephemeral range
 STOP_S = 4.0  # from SIGTERM to SIGKILL: an agent needs under 2 s, a recorder finishes its file
 
 
-class Failed(RuntimeError):
-    """A process that was needed ended or did not get ready; one line with where its output is."""
-
-
 class Child(NamedTuple):
+    """A process and where its output goes."""
+
     name: str
     process: subprocess.Popen[bytes]
     log: Path
@@ -46,13 +35,13 @@ class Crew:
     def __init__(self, logs: Path) -> None:
         self._logs = logs
         self._children: list[Child] = []
-        self._leash: Leash | None = None
+        self._watch: ParentWatch | None = None
 
     def start(self, name: str, *arguments: str) -> None:
         """Start `aucamp ARGUMENTS`, its output going to <logs>/<name>.log."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
-        self._leash = self._leash or take()
+        self._watch = self._watch or watched_by_us()
         with log.open("wb") as out:
             process = subprocess.Popen(
                 # A crash in compiled code leaves in the log where it was called from.
@@ -60,8 +49,8 @@ class Crew:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
-                pass_fds=(self._leash.given,),
-                env=self._leash.environment(),
+                pass_fds=(self._watch.given,),
+                env=self._watch.environment(),
                 process_group=0,  # Ctrl-C is for us; we then end the crew in order
             )
         self._children.append(Child(name, process, log))
@@ -70,10 +59,10 @@ class Crew:
         """Raise Failed if one that should run has ended."""
         for child in self._children:
             if child.process.poll() is not None:
-                raise Failed(f"{child.name} ended by itself ({describe(child)}): {last_line(child.log)}")
+                raise Failed(f"{child.name} ended by itself ({how_it_ended(child)}): {last_line(child.log)}")
 
     def finish(self, name: str, timeout_s: float) -> None:
-        """Wait for a process that ends by itself; Failed if it says no."""
+        """Wait for a process that ends by itself. Raises Failed if it says no or takes too long."""
         child = self._child(name)
         try:
             code = child.process.wait(timeout_s)
@@ -99,11 +88,12 @@ class Crew:
             self._children.remove(child)
 
     def stop_all(self) -> None:
+        """The youngest first."""
         for child in reversed(self._children.copy()):
             self.stop(child.name)
-        if self._leash is not None:
-            self._leash.drop()
-            self._leash = None
+        if self._watch is not None:
+            self._watch.drop()
+            self._watch = None
 
     def _child(self, name: str) -> Child:
         return next(child for child in self._children if child.name == name)
@@ -119,47 +109,6 @@ def crew(logs: Path) -> Iterator[Crew]:
         processes.stop_all()
 
 
-@contextlib.contextmanager
-def temporary_folder() -> Iterator[Path]:
-    """A folder with a short path: that of a socket may not be longer than 107 bytes."""
-    folder = Path(tempfile.mkdtemp(prefix="aucamp-"))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def shipped_fleet(name: str = "tank") -> Path:
-    """A fleet file that comes with the package."""
-    return Path(str(resources.files("agent") / "fleets" / f"{name}.toml"))
-
-
-def fleet_file(name: str) -> Path:
-    """The path of a TOML file, or the name of a fleet that comes with the package. Raises ConfigError for neither."""
-    if name.endswith(".toml"):
-        return Path(name)
-    shipped = shipped_fleet(name)
-    if not shipped.exists():
-        names = ", ".join(sorted(path.stem for path in shipped.parent.glob("*.toml")))
-        raise ConfigError(f"--fleet {name}: no such fleet; give one of {names}, or the path of a .toml file")
-    return shipped
-
-
-def run_folder(out: Path | None) -> Path:
-    """Where a run writes: the folder that was asked for, else runs/<UTC>. Raises ConfigError if it holds anything
-    or cannot be written."""
-    folder = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise ConfigError(f"{folder}: not empty; give --out a new folder, recordings are never overwritten")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / ".writable").touch()
-        (folder / ".writable").unlink()
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
-    return folder
-
-
 def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: float) -> None:
     """Poll until ready. Raises Failed when a process ends meanwhile or time runs out."""
     deadline_s = time.monotonic() + timeout_s
@@ -173,7 +122,8 @@ def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: f
 def free_ports(count: int, first: int | None = None) -> list[int]:
     """Ports on loopback that nobody listens on now, below the ephemeral range.
 
-    Where to begin depends on the process: two runs that choose at the same time do not choose the same.
+    Where to begin depends on the process: two runs that choose at the same time do not choose the same. Raises Failed
+    where there are not so many.
     """
     first = first or FIRST_PORT + PORTS_APART * (os.getpid() % PLACES)
     ports: list[int] = []
@@ -187,25 +137,13 @@ def free_ports(count: int, first: int | None = None) -> list[int]:
     raise Failed(f"fewer than {count} free ports from {first} to {MAX_PORT}")
 
 
-def describe(child: Child) -> str:
+def how_it_ended(child: Child) -> str:
+    """The signal or the exit code."""
     code = child.process.returncode
     return f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit {code}"
 
 
 def last_line(log: Path) -> str:
+    """What a process said last, and where the rest is."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"
-
-
-def with_bar(console: Console, what: str, work: Callable[[Callable[[int, int], None]], T]) -> T:
-    """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
-    with contextlib.ExitStack() as stack:
-        bar = Progress(console=console)
-        task = bar.add_task(what)
-
-        def show(done: int, total: int) -> None:
-            if not bar.live.is_started:
-                stack.enter_context(bar)
-            bar.update(task, completed=done, total=total)
-
-        return work(show)

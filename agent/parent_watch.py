@@ -13,11 +13,11 @@ from collections.abc import Mapping
 from threading import Thread, main_thread
 from typing import NamedTuple
 
-VARIABLE = "AUCAMP_LEASH"  # of the child's environment: the number of the descriptor to read from
+VARIABLE = "AUCAMP_PARENT_WATCH"  # of the child's environment: the number of the descriptor to read from
 GRACE_S = 4.0  # from SIGTERM to the end at once; as long as launch gives who is stopped in order
 
 
-class Leash(NamedTuple):
+class ParentWatch(NamedTuple):
     """The pipe, in the parent: one for any number of children."""
 
     held: int
@@ -32,17 +32,17 @@ class Leash(NamedTuple):
         os.close(self.given)
 
 
-def take() -> Leash:
+def watched_by_us() -> ParentWatch:
     """Only what is passed on by pass_fds is inherited: no child holds the end that is ours."""
     given, held = os.pipe()
-    return Leash(held, given)
+    return ParentWatch(held, given)
 
 
-def heed() -> None:
-    """In a child, main thread: SIGTERM comes when the parent has gone. Who was started without a leash runs free."""
+def exit_with_parent() -> None:
+    """Call it in a child's main thread: SIGTERM comes when the parent has gone. Without a watch it runs free."""
     number = os.environ.pop(VARIABLE, None)  # our own children have another parent
     if number is not None:
-        Thread(target=_watch, args=(int(number),), name="leash", daemon=True).start()
+        Thread(target=_watch, args=(int(number),), name="parent watch", daemon=True).start()
 
 
 def _watch(given: int) -> None:

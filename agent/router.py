@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from agent.config import Fleet
-from agent.session import ROUTER_LISTEN, router_config
-from agent.transport import open_session
+from agent.kernel.config import Fleet
+from router_config.door import Session
+from router_config.session import ROUTER_LISTEN, router_config
 
 
 def run_router(
@@ -17,6 +17,6 @@ def run_router(
 
     Raises ConfigError if it cannot listen.
     """
-    with open_session(router_config(fleet, listen), f"router: {listen}"):
+    with Session(router_config(fleet, listen), f"router: {listen}"):
         say(f"consoles attach to {listen}; Ctrl-C ends it")
         stop.wait()

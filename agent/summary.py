@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from agent.config import Fleet
-from agent.messages import State, Vector
+from agent.kernel.config import Fleet
+from agent.kernel.messages import State, Vector
 
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 
@@ -22,6 +22,7 @@ class History(NamedTuple):
 
     @property
     def newest(self) -> State | None:
+        """The last state, if there is one."""
         return self.states[-1] if self.states else None
 
     def iterations(self) -> list[State]:
@@ -139,9 +140,11 @@ def reasons(rows: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def distance_m(a: Vector, b: Vector) -> float:
+    """Euclidean."""
     return math.dist(a, b)
 
 
 def rms(values: Iterable[float]) -> float:
+    """Root mean square; not a number of nothing."""
     squares = [v * v for v in values]
     return math.sqrt(math.fsum(squares) / len(squares)) if squares else math.nan

@@ -5,6 +5,9 @@ compile two signatures at once take the same number, and from then on each proce
 runs code that was made for arrays of one kind on arrays of another: a TypeError where the items differ, reads beyond
 the array's end where only the layout does (numba issue 4807). Agents, twin and benches start at once, so here an index
 and its files are read and written under a lock.
+
+An index also names the classes of the arguments. One that has another name by now cannot be read, and numba, which
+would throw the index away as older than the source, fails before it has looked.
 """
 
 from __future__ import annotations
@@ -27,8 +30,13 @@ class LockedCache(FunctionCache):
     """Numba's cache of one function; who writes is alone in the folder that it is in."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        with self._locked(fcntl.LOCK_SH):
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        try:
+            with self._locked(fcntl.LOCK_SH):
+                return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):  # of sources in which a class was called, or lay, otherwise
+            with self._locked(fcntl.LOCK_EX):
+                self.flush()  # type: ignore[no-untyped-call]
+            return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with self._locked(fcntl.LOCK_EX):
@@ -42,7 +50,7 @@ class LockedCache(FunctionCache):
 
 
 def compiled(**options: Any) -> Callable[[F], F]:
-    """As numba's njit, with `options` of its own, without the interpreter lock and with the cache above."""
+    """Numba's njit with `options` of its own, without the interpreter lock and with the cache above."""
 
     def compile_at_first_call(function: F) -> F:
         dispatcher: Any = njit(nogil=True, **options)(function)

@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Fleet, dump
-from agent.messages import Sighting, encode
-from agent.ranging.calibration import Calibration
-from replay.depth import MeasureDepth
-from replay.derive import Derive
-from replay.frames import FRAME, VISION, picture
-from replay.log import LogWriter
-from replay.names import unused
-from replay.recover import STEP_IN, STEP_OUT
-
-FROM_BOARD, TO_BOARD = "/raw/serial/from_board", "/raw/serial/to_board"  # the bytes as the port gave and took them
+from agent.kernel.codec import encode
+from agent.kernel.config import Fleet
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.step_io import Sighting
+from agent.kernel.toml_files import dump
+from replay.files import channels
+from replay.files.channels import entry_on
+from replay.files.frames import picture
+from replay.files.log import LogWriter
+from replay.files.names import unused
+from replay.viewers.viewer_channels import ViewerChannels
+from replay.viewers.whole_sweeps import MeasureDepth
 
 
 def black_box_log(
@@ -39,8 +40,8 @@ def black_box_log(
         unused(folder / f"{robot}.mcap"),
         run,
         attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
-        splits_at=STEP_IN,
-        derive=Derive(fleet, robot, calibration, depth) if views else None,
+        splits_at=channels.STEP_IN.name,
+        derive=ViewerChannels(fleet, robot, calibration, depth) if views else None,
     )
 
 
@@ -50,26 +51,23 @@ class BlackBoxWriter:
     def __init__(self, log: LogWriter, clock: Callable[[], int], lossless: bool = False) -> None:
         """`clock` gives Unix nanoseconds that never step back; `lossless`: frames as PNG, nine times as large."""
         self._log, self._clock, self._lossless = log, clock, lossless
-        self._frames, self._chunks = count(), {FROM_BOARD: count(), TO_BOARD: count()}
+        self._frames, self._chunks = count(), {channels.FROM_BOARD: count(), channels.TO_BOARD: count()}
 
     def step(self, step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
         """One call of Agent.step, as encoded messages; `outputs` is None when it raised."""
-        self._log.write(STEP_IN, now_ns, now_ns, step, inputs, metadata={"schema": "aucamp.Inputs"})
+        self._log.put(entry_on(channels.STEP_IN, now_ns, now_ns, step, inputs))
         if outputs is not None:
-            self._log.write(STEP_OUT, now_ns, now_ns, step, outputs, metadata={"schema": "aucamp.Outputs"})
+            self._log.put(entry_on(channels.STEP_OUT, now_ns, now_ns, step, outputs))
 
     def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
         """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""
         number, now_ns = next(self._frames), self._clock()
         data = picture(image, roi, sightings[0], self._lossless)
-        about = {"schema": "aucamp.Picture"}
-        self._log.write(FRAME, now_ns, sightings[0].t_ns, number, data, metadata=about, expendable=True)
-        about = {"schema": "aucamp.Sighting"}
+        self._log.put(entry_on(channels.FRAME, now_ns, sightings[0].t_ns, number, data, expendable=True))
         for sighting in sightings:
-            self._log.write(VISION, now_ns, sighting.t_ns, number, encode(sighting), metadata=about)
+            self._log.put(entry_on(channels.VISION, now_ns, sighting.t_ns, number, encode(sighting)))
 
     def serial(self, from_board: bool, data: bytes) -> None:
         """Bytes of the tether; called on the port's thread."""
-        channel, now_ns = FROM_BOARD if from_board else TO_BOARD, self._clock()
-        number = next(self._chunks[channel])
-        self._log.write(channel, now_ns, now_ns, number, data, encoding="application/octet-stream")
+        channel, now_ns = channels.FROM_BOARD if from_board else channels.TO_BOARD, self._clock()
+        self._log.put(entry_on(channel, now_ns, now_ns, next(self._chunks[channel]), data))

@@ -14,17 +14,20 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-import zenoh
-
-from agent import topics
-from agent.config import ConfigError, Fleet, dump
-from agent.messages import SCHEMA, Refusal, decode
-from agent.session import observer_config
-from replay.backlog import Backlog, Entry
-from replay.derive import Derive
-from replay.environment import environment
-from replay.leftovers import leftovers, mending
-from replay.log import Limits, LogWriter, drop_note, unused
+from agent.kernel import topics
+from agent.kernel.codec import Refusal, decode
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import SCHEMA
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import Topic
+from replay.files.auto_recover import recovering, torn_files
+from replay.files.backlog import Backlog, Entry
+from replay.files.channels import NETWORK, PRESENCE, name
+from replay.files.environment import environment
+from replay.files.log import Limits, LogWriter, drop_note, unused
+from replay.viewers.viewer_channels import ViewerChannels
+from router_config.door import Sample, Session, unusable
+from router_config.session import observer_config
 
 logger = logging.getLogger(__name__)
 
@@ -42,7 +45,7 @@ def record(
     views: bool = True,
     limits: Limits = Limits(),  # noqa: B008 - a NamedTuple cannot change
 ) -> dict[str, int]:
-    """Record into `out` until `stop` is set; returns messages per row of the table, and what was not recorded.
+    """Record into `out` until `stop` is set; returns messages per topic, and what was not recorded by reason.
 
     Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap.
     Log times are Unix time that never steps back: sampled once, then monotonic. `warn` takes one line for a person,
@@ -54,27 +57,28 @@ def record(
     def clock() -> int:
         return offset_ns + time.monotonic_ns()
 
-    counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
     started_ns = clock()
-    ear = Ear(clock)
+    arrivals = Arrivals(clock)
     warned = False
-    torn = leftovers(out)
+    torn = torn_files(out)
     if torn and not out.exists():
         out = unused(out)  # a recorder that was killed goes on; what was finished on purpose is not added to
         warn(f"its last recording was not finished, so this one is {out}")
-    log = LogWriter(out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=Derive(fleet) if views else None)
-    with log, mending(torn, warn), listening(fleet, ear, "recorder"):
+    log = LogWriter(
+        out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=ViewerChannels(fleet) if views else None
+    )
+    with log, recovering(torn, warn), receiving(fleet, arrivals, "recorder"):
         while not stop.wait(PERIOD_S):
-            for entry in taken(ear, counts):
+            for entry in arrivals.drain():
                 log.put(entry)
             if log.failed:
                 raise ConfigError(f"{out}: recording stopped: {log.failed}")
-            if not warned and not any(counts.values()) and clock() - started_ns > SILENCE_S * 1e9:
+            if not warned and not any(arrivals.counts.values()) and clock() - started_ns > SILENCE_S * 1e9:
                 warned = True
                 warn(f"nothing heard from fleet '{fleet.fleet}' in {SILENCE_S:.0f} s: no robot up, or another fleet")
-        for entry in taken(ear, counts):
+        for entry in arrivals.drain():
             log.put(entry)
-    return {**counts, **ear.refused}
+    return {**arrivals.counts, **arrivals.refused}
 
 
 def facts(fleet: Fleet) -> dict[str, str]:
@@ -89,37 +93,67 @@ def facts(fleet: Fleet) -> dict[str, str]:
     }
 
 
-class Ear:
-    """Called in Zenoh's threads: stamps, and appends or counts. All else is done when the backlog is taken."""
+class Arrivals:
+    """What reached this process: stamped and queued in Zenoh's threads, all else is done when the queue is drained."""
 
     def __init__(self, clock: Callable[[], int]) -> None:
-        self.backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
-        self.refused: Counter[str] = Counter()
+        """`clock` gives Unix nanoseconds that never step back."""
+        self.counts = dict.fromkeys([*(topic.name for topic in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
+        self.refused: Counter[str] = Counter()  # what is in no file, by reason
+        self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._clock = clock
-        self._lock = threading.Lock()  # guards the counts: Zenoh has a thread per link
+        self._lock = threading.Lock()  # guards `refused`: Zenoh has a thread per link
 
-    def message(self, row: topics.Topic, sample: zenoh.Sample) -> None:
-        if sample.kind != zenoh.SampleKind.PUT:
-            self._refuse("not a put")
-        elif len(sample.payload) > row.limit:
-            self._refuse("too large")
+    def message(self, topic: Topic, sample: Sample) -> None:
+        """Queue a message of a topic, also one that says another encoding, which is kept with it."""
+        at_ns = self._clock()
+        reason = unusable(sample, topic, any_encoding=True)
+        if reason:
+            self._refuse(reason)
         else:
-            data, metadata = sample.payload.to_bytes(), {"encoding": str(sample.encoding)}
-            self._put(sample, data, "msgpack", metadata, expendable=row is topics.IMAGE)
+            data, about = sample.payload(), {"encoding": sample.encoding}
+            self._put(sample.key, at_ns, data, NETWORK.encoding, about, expendable=topic is topics.IMAGE)
 
-    def stranger(self, sample: zenoh.Sample) -> None:
-        if topics.match(str(sample.key_expr)) is None:  # the others come through their own row as well
+    def stranger(self, sample: Sample) -> None:
+        """Count a message on a key of nobody; the others come through their own topic as well."""
+        if topics.match(sample.key) is None:
             self._refuse("unknown key")
 
-    def token(self, sample: zenoh.Sample) -> None:
-        alive = sample.kind == zenoh.SampleKind.PUT
-        self._put(sample, b'{"alive":true}' if alive else b'{"alive":false}', "json", {})
+    def token(self, sample: Sample) -> None:
+        """Queue that a robot came or went."""
+        at_ns = self._clock()
+        data = b'{"alive":true}' if sample.is_put else b'{"alive":false}'
+        self._put(sample.key, at_ns, data, PRESENCE.encoding, {})
+
+    def drain(self) -> Iterator[Entry]:
+        """Entries of a fleet file for what arrived since the last call: the sender's bytes, time and number."""
+        entries, drops = self._backlog.take()
+        for key, drop in drops.items():
+            self.counts["overrun"] += drop.messages
+            yield drop_note(name(NETWORK, key=key), drop)
+        for entry in entries:
+            row = topics.match(entry.channel)
+            self.counts[row[0].name if row else "alive"] += 1
+            yield self._decoded(entry, row[0] if row else None)._replace(channel=name(NETWORK, key=entry.channel))
+
+    def _decoded(self, entry: Entry, topic: Topic | None) -> Entry:
+        """The entry with the sender's time and number, where it decodes."""
+        if topic is None:
+            return entry
+        schema = NETWORK.schema.format(message=topic.message.__name__)
+        entry = entry._replace(metadata={"schema": schema, **entry.metadata})
+        try:
+            message = decode(entry.data, topic.message, topic.limit)
+        except Refusal:
+            self.counts["not decoded"] += 1
+            return entry
+        sent_ns, number = getattr(message, "sent_ns", entry.log_time_ns), getattr(message, "seq", 0)
+        return entry._replace(publish_time_ns=sent_ns, sequence=number)
 
     def _put(
-        self, sample: zenoh.Sample, data: bytes, encoding: str, metadata: dict[str, str], expendable: bool = False
+        self, key: str, at_ns: int, data: bytes, encoding: str, about: dict[str, str], expendable: bool = False
     ) -> None:
-        at_ns = self._clock()
-        self.backlog.put(Entry(str(sample.key_expr), at_ns, at_ns, 0, data, encoding, metadata, None, expendable))
+        self._backlog.put(Entry(key, at_ns, at_ns, 0, data, encoding, about, None, expendable))
 
     def _refuse(self, reason: str) -> None:
         with self._lock:
@@ -127,46 +161,15 @@ class Ear:
 
 
 @contextmanager
-def listening(fleet: Fleet, ear: Ear, name: str) -> Iterator[None]:
-    """A session called `name` that hears every robot of a fleet. Raises ConfigError if it cannot be opened.
+def receiving(fleet: Fleet, arrivals: Arrivals, process: str) -> Iterator[None]:
+    """Subscribe to every robot of a fleet, as `process`. Raises ConfigError if no session can be opened.
 
-    Subscribed row by row, so that a row that stays mute is seen to be; and to everything, for keys of nobody.
+    Topic by topic, so that one that stays mute is seen to be; and to everything, for keys of nobody.
     """
-
-    def handler(called: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
-        return zenoh.handlers.Callback(called, indirect=False)  # in Zenoh's thread: the stamp is the arrival
-
-    try:
-        session = zenoh.open(zenoh.Config.from_json5(observer_config(fleet, name)))
-    except zenoh.ZError as error:
-        raise ConfigError(f"fleet '{fleet.fleet}': zenoh cannot open a session: {error}") from None
     anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
-    with session:
-        for row in topics.TOPICS:
-            session.declare_subscriber(topics.key(row, **anyone), handler(partial(ear.message, row)))
-        session.declare_subscriber(topics.ALL.format(**anyone), handler(ear.stranger))
-        session.liveliness().declare_subscriber(topics.ALIVE.format(**anyone), handler(ear.token), history=True)
+    with Session(observer_config(fleet, process), f"fleet '{fleet.fleet}'") as session:
+        for topic in topics.TOPICS:
+            session.subscribe(topics.key(topic, **anyone), partial(arrivals.message, topic))
+        session.subscribe(topics.ALL.format(**anyone), arrivals.stranger)
+        session.watch_tokens(topics.ALIVE.format(**anyone), arrivals.token)
         yield
-
-
-def taken(ear: Ear, counts: dict[str, int]) -> Iterator[Entry]:
-    """What arrived, as entries of a fleet file: bytes unchanged, the sender's time and number where they decode."""
-    entries, drops = ear.backlog.take()
-    for key, drop in drops.items():
-        counts["overrun"] += drop.messages
-        yield drop_note(f"/zenoh/{key}", drop)
-    for entry in entries:
-        row = topics.match(entry.channel)
-        counts[row[0].name if row else "alive"] += 1
-        publish_ns, sequence, metadata = entry.log_time_ns, 0, entry.metadata
-        if row:
-            metadata = {"schema": f"aucamp.{row[0].message.__name__}", **metadata}
-            try:
-                message = decode(entry.data, row[0].message, row[0].limit)
-                publish_ns = getattr(message, "sent_ns", publish_ns)
-                sequence = getattr(message, "seq", 0)
-            except Refusal:
-                counts["not decoded"] += 1
-        yield entry._replace(
-            channel=f"/zenoh/{entry.channel}", publish_time_ns=publish_ns, sequence=sequence, metadata=metadata
-        )

@@ -12,12 +12,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from agent import topics
-from agent.config import ConfigError, Fleet
-from replay.backlog import Entry
-from replay.derive import Derive
-from replay.layout import foxglove_layout, shipped
-from replay.recorder import PERIOD_S, Ear, listening, taken
+from agent.kernel.config import ConfigError, Fleet
+from replay.files.backlog import Entry
+from replay.recorder import PERIOD_S, Arrivals, receiving
+from replay.viewers.layout import foxglove_layout, shipped
+from replay.viewers.viewer_channels import ViewerChannels
 
 HOST = "127.0.0.1"  # whoever can reach the port sees everything: other hosts come through ssh -L
 PORT = 8765  # Foxglove's own
@@ -29,11 +28,10 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
     `say` gets one line: where to look.
     """
     try:
-        import foxglove  # the SDK, an extra; our own module of that name is replay.foxglove
+        import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
     except ImportError:
         raise ConfigError("the live view needs the extra `view`: pip install 'aucamp[view]'") from None
-    ear, derive = Ear(time.time_ns), Derive(fleet)
-    counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
+    arrivals, derive = Arrivals(time.time_ns), ViewerChannels(fleet)
     context = foxglove.Context()
     channels: dict[str, Any] = {}
 
@@ -45,7 +43,7 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
             )
         channels[entry.channel].log(entry.data, log_time=entry.log_time_ns)
 
-    with listening(fleet, ear, "view"):
+    with receiving(fleet, arrivals, "view"):
         try:
             server = foxglove.start_server(name=f"aucamp {fleet.fleet}", host=HOST, port=port, context=context)
         except RuntimeError as error:
@@ -53,7 +51,7 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
         try:
             say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
             while not stop.wait(PERIOD_S):
-                for entry in taken(ear, counts):
+                for entry in arrivals.drain():
                     for derived in derive(entry):
                         show(derived)
         finally:
@@ -61,7 +59,7 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
 
 
 def where_the_layout_is(fleet: Fleet) -> str:
-    """In words: the one that comes with us, if it fits the fleet."""
+    """Words for a person: the one that comes with us, if it fits the fleet."""
     path = shipped("foxglove.json")
     if json.loads(path.read_text(encoding="utf-8")) == foxglove_layout(fleet):
         return f"the layout is {path}"

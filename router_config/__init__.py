@@ -1,1 +1,1 @@
-"""Base settings of Zenoh sessions, as data: agent.session lays over them what differs from process to process."""
+"""Zenoh sessions: base settings as data, what differs from process to process laid over them, and the one door."""

@@ -10,7 +10,7 @@ import json
 from importlib import resources
 from typing import Any
 
-from agent.config import Fleet
+from agent.kernel.config import Fleet
 
 # Where consoles find the router. Below 32768, as every port of ours: those above are ephemeral source ports.
 ROUTER_LISTEN = "tcp/127.0.0.1:17447"

@@ -1,6 +1,6 @@
 """Lenses and a camera as a calibration would describe them, for tests that need one and do not care which."""
 
-from agent.ranging.calibration import CameraFit, FocusFit
+from agent.kernel.ranging.calibration import CameraFit, FocusFit
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 

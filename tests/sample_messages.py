@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from agent.messages import Estimate, Telemetry
+from agent.kernel.messages import Estimate
+from agent.kernel.step_io import Telemetry
 
 
 def estimate(src: str = "r2", dst: str = "r1", **about: Any) -> Estimate:

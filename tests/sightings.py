@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from agent.messages import Sighting
+from agent.kernel.step_io import Sighting
 from agent.perception.vision import Vision
 
 

@@ -8,9 +8,15 @@ import time
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
 
 import agent
-from agent.launch import Failed, crew, free_ports, wait_for
+from agent.__main__ import app
+from agent.failure import Failed
+from agent.launch import Child, Crew, crew, free_ports, wait_for
+from agent.run_folder import temporary_folder
+from tests.waiting import until
 
 TANK = str(Path(agent.__file__).parent / "fleets" / "tank.toml")
 MISTAKES = [
@@ -19,14 +25,27 @@ MISTAKES = [
     (["agent", TANK, "--robot", "r1"], "r1.toml: no such file; make it with: aucamp calibrate run"),
     (["demo", "--robots", "9"], "choose 1 to 5"),
     (["demo", "--robots", "0"], "choose 1 to 5"),
-    (["demo", "--protocol", "gossip"], "no such protocol"),
+    (
+        ["demo", "--protocol", "gossip"],
+        "'gossip' is not one of 'paper', 'metropolis', 'evidence'; see aucamp demo --help",
+    ),
+    (["demo", "--robots", "few"], "'--robots': Input should be a valid integer"),
+    (["demo", "--loss", "1.5"], "'--loss': Input should be less than or equal to 0.99"),
+    (["demo", "--out"], "Option '--out' requires an argument"),
+    (["demo", "--robot", "3"], "No such option: --robot"),
+    (["dive"], "No such command 'dive'; see aucamp --help"),
+    (["agent", "--robot", "r1"], "Missing argument 'FLEET'"),
+    (["experiment", "detection", "--water", "sea"], "'sea' is not one of 'air', 'tap', 'pool', 'coastal', 'turbid'"),
+    (["experiment", "detection", "--sensor", "pinhole"], "is not one of 'imx519_640', 'binned_640', 'crop_1280'"),
+    (["experiment", "peak-shift", "--water", "sea"], "'sea' is not one of 'air', 'tap', 'pool', 'coastal', 'turbid'"),
+    (["experiment", "peak-shift", "--sensor", "pinhole"], "is not one of 'imx519_640', 'binned_640', 'crop_1280'"),
     (["demo", "--out", "/proc"], "not empty"),
     (["demo", "--out", "/proc/new"], "/proc/new: cannot be written"),
     (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),
     (["depth-map", "nowhere"], "nowhere: no such folder; give a folder of photographs, or a camera"),
     (["depth-map", "stack:nowhere"], "nowhere"),
     (["calibrate", "focus", "nowhere.csv"], "nowhere.csv: cannot be read (No such file or directory); give a CSV file"),
-    (["enhance", TANK, "--variant", "fine"], "--variant fine: no such variant; choose plain"),
+    (["enhance", TANK, "--variant", "fine"], "'fine' is not one of 'plain', 'folded', 'fast', 'classic', 'auto'"),
     (["track", "nowhere", "--box", "1,2,3,4"], "nowhere: no such file or folder"),
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["replay", "report", "nowhere"], "nowhere: cannot be read"),
@@ -49,13 +68,29 @@ def test_a_mistake_is_one_line(arguments: list[str], expected: str, tmp_path: Pa
     assert expected in done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
     assert done.stdout == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["strange.toml"], "nothing is left behind"
+
+
+@pytest.mark.parametrize(
+    ("verb", "choices"),
+    [
+        ("demo", "paper|metropolis|evidence"),
+        ("enhance", "plain|folded|fast|classic|auto"),
+        ("experiment detection", "air|tap|pool|coastal|turbid"),
+        ("experiment peak-shift", "imx519_640|binned_640|crop_1280"),
+    ],
+)
+def test_help_lists_what_may_be_given(verb: str, choices: str) -> None:
+    shown = CliRunner(env={"COLUMNS": "160"}).invoke(app, [*verb.split(), "--help"])
+    assert choices in shown.output
+
+
+def test_help_alone_where_a_verb_is_missing() -> None:
+    done = subprocess.run([sys.executable, "-m", "agent", "experiment"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stderr == "" and done.stdout.count("Usage: aucamp experiment") == 1
 
 
 def test_every_verb_has_help_with_an_example() -> None:
-    from typer.main import get_command
-
-    from agent.__main__ import app
-
     def verbs(command):
         for sub in getattr(command, "commands", {}).values():
             yield from verbs(sub)
@@ -79,15 +114,13 @@ def test_a_crew_ends_with_its_block_and_names_who_failed(tmp_path: Path) -> None
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("agent.launch.STOP_S", 0.3)
-    deaf = subprocess.Popen(
-        [sys.executable, "-c", "import signal,time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"]
-    )
-    from agent.launch import Child, Crew
-
-    time.sleep(0.5)
+    program = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); time.sleep(60)"
+    deaf = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    assert deaf.stdout.readline() == b"\n", "it is deaf from here on"
     processes = Crew(tmp_path)
     processes._children.append(Child("deaf", deaf, tmp_path / "log"))
     processes.stop_all()
+    deaf.stdout.close()
     assert deaf.returncode == -signal.SIGKILL
 
 
@@ -121,43 +154,35 @@ def test_a_signal_ends_a_command_and_the_processes_that_it_started(number: int, 
         calibration.send_signal(number)
         assert calibration.wait(10) == code
         assert b"Traceback" not in calibration.stderr.read()
-    assert not any(Path(f"/proc/{pid}").exists() for pid in benches)
+    # One that was only just being started was nobody's child yet: its parent watch ends it.
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in benches), 4.0)
     assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
-def test_processes_end_with_a_command_that_is_killed(tmp_path: Path) -> None:
+def test_processes_end_with_a_command_that_is_killed() -> None:
     """The command cannot do anything about it any more; nor can one that has to be killed because it is slow to end."""
     command = [sys.executable, "-m", "agent", "calibrate", "run", TANK, "--robot", "r1", "--out", "r1.toml"]
-    with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "TMPDIR": str(tmp_path)}) as calibration:
-        ready = wait_until(lambda: list(tmp_path.glob("*/ready")), 20.0)
-        (bench,) = children(calibration.pid)
-        calibration.kill()
-    wait_until(lambda: not Path(f"/proc/{bench}").exists(), 4.0)
-    assert not ready[0].exists(), "it ended in order, and took its files away"
+    with temporary_folder() as folder:  # a short path: there are sockets in it
+        with subprocess.Popen(command, cwd=folder, env={**os.environ, "TMPDIR": str(folder)}) as calibration:
+            ready = until(lambda: list(folder.glob("*/ready")), 20.0)
+            (bench,) = children(calibration.pid)
+            calibration.kill()
+        until(lambda: not Path(f"/proc/{bench}").exists(), 4.0)
+        assert not ready[0].exists(), "it ended in order, and took its files away"
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
 def test_one_that_hangs_when_its_parent_is_gone_ends_too(tmp_path: Path) -> None:
-    child = (
-        "import signal, time, agent.leash as l; l.GRACE_S = 0.2; signal.signal(15, lambda *_: print(15)); l.heed()\n"
-    )
+    child = "import signal, time, agent.parent_watch as w; w.GRACE_S = 0.2\n"
+    child += "signal.signal(15, lambda *_: print(15)); w.exit_with_parent()\n"
     child += "while True: time.sleep(60)"
     parent = (
-        "import subprocess, sys, time, agent.leash as l; leash = l.take()\n"
-        f"subprocess.Popen([sys.executable, '-c', {child!r}], pass_fds=(leash.given,), env=leash.environment())\n"
+        "import subprocess, sys, time, agent.parent_watch as w; watch = w.watched_by_us()\n"
+        f"subprocess.Popen([sys.executable, '-c', {child!r}], pass_fds=(watch.given,), env=watch.environment())\n"
         "time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", parent]) as started:
-        (pid,) = wait_until(lambda: children(started.pid), 10.0)
+        (pid,) = until(lambda: children(started.pid), 10.0)
         started.kill()
-    wait_until(lambda: not Path(f"/proc/{pid}").exists(), 4.0)
-
-
-def wait_until(ready, for_s: float):
-    """What `ready` says as soon as it is true."""
-    deadline_s = time.monotonic() + for_s
-    while not (said := ready()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-    return said
+    until(lambda: not Path(f"/proc/{pid}").exists(), 4.0)

@@ -2,8 +2,8 @@
 
 import threading
 
-from agent.aloud import AGAIN_NS, Aloud, standing
-from agent.messages import LogLine, NeighbourState, State
+from agent.console_log import AGAIN_NS, ConsoleLog, standing
+from agent.kernel.messages import LogLine, NeighbourState, State
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -33,9 +33,9 @@ def said(*messages: State | LogLine) -> list[str]:
     """The lines of a session in which these were shown, without the time of day."""
     lines: list[str] = []
     network = Shown()
-    with Aloud(network, lines.append) as aloud:
+    with ConsoleLog(network, lines.append) as console:
         for message in messages:
-            aloud.show(message)
+            console.show(message)
     assert network.messages == list(messages)  # all of it is published all the same
     return [line.split(" ", 1)[1].rstrip("\n") for line in lines]
 
@@ -67,9 +67,9 @@ def test_a_terminal_that_is_held_does_not_hold_the_loop() -> None:
     held = threading.Event()
     network = Shown()
     try:
-        with Aloud(network, lambda text: held.wait()) as aloud:
+        with ConsoleLog(network, lambda text: held.wait()) as console:
             for k in range(1000):
-                aloud.show(LogLine(robot="r1", sent_ns=START_NS + k, level="info", text=str(k)))
+                console.show(LogLine(robot="r1", sent_ns=START_NS + k, level="info", text=str(k)))
             assert len(network.messages) == 1000
     finally:
         held.set()
@@ -79,6 +79,6 @@ def test_a_reader_who_has_gone_is_not_missed() -> None:
     def gone(text: str) -> None:
         raise BrokenPipeError
 
-    with Aloud(Shown(), gone) as aloud:
+    with ConsoleLog(Shown(), gone) as console:
         for k in range(3):
-            aloud.show(LogLine(robot="r1", sent_ns=START_NS, level="info", text=str(k)))
+            console.show(LogLine(robot="r1", sent_ns=START_NS, level="info", text=str(k)))

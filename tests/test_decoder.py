@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.decoder import decode
-from agent.messages import Heard, LogLine, encode
+from agent.kernel.codec import encode
+from agent.kernel.messages import LogLine
+from agent.kernel.step_io import Heard
 
 
 def test_a_message_is_one_line_of_json() -> None:

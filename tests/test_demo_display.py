@@ -5,7 +5,7 @@ import io
 from rich.console import Console
 
 from agent.demo import progress_table, result_table
-from agent.messages import NeighbourState, State
+from agent.kernel.messages import NeighbourState, State
 from agent.summary import History
 
 NEIGHBOURS = tuple(NeighbourState(robot=f"r{k}", age_s=0.1, valid=True) for k in (2, 3, 4, 5))

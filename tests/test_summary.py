@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from agent.config import load_fleet
-from agent.launch import fleet_file
-from agent.messages import State
+from agent.fleet_files import fleet_file
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import State
 from agent.summary import History, first_below, reasons, score, settled, summarize
 
 TRUTH = (0.76, 0.56, 0.07)

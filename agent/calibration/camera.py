@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 
-from agent.config import ConfigError, read_toml
-from agent.experiments.calibrate_focus import put
+from agent.calibration.focus_table import put
+from agent.kernel.config import ConfigError
+from agent.kernel.toml_files import read_toml
+from agent.progress import Progress, with_bar
+from hw.picture_files import picture_files, read_picture
 
-PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
 MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred
 
@@ -38,7 +39,7 @@ class Intrinsics(NamedTuple):
 
 def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | None, console: Console) -> Intrinsics:
     """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
-    fit = intrinsics(folder, columns, rows, square_mm, console)
+    fit = with_bar(console, "looking for the board", lambda show: intrinsics(folder, columns, rows, square_mm, show))
     corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
     radius = corner_px / fit.f_px
     bend_px = corner_px * abs(fit.k1) * radius**2
@@ -57,25 +58,23 @@ def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | Non
     return fit
 
 
-def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, console: Console) -> Intrinsics:
-    """From all photographs of a folder that show the whole board of columns x rows inner corners."""
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; give one with photographs of the board")
-    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTOGRAPHS)
-    if not paths:
-        raise ConfigError(f"{folder}: no photographs; they end in {', '.join(PHOTOGRAPHS)}")
+def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
+    """Fit all photographs of a folder that show the whole board of columns x rows inner corners.
+
+    Progress counts photographs. Raises ConfigError where they cannot be used or do not fit, one line.
+    """
+    paths = picture_files(folder)
     found: list[NDArray[np.float32]] = []
     size: tuple[int, int] | None = None
-    for path in track(paths, "looking for the board", console=console, transient=True):
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if grey is None:
-            raise ConfigError(f"{path}: is no readable picture; remove it")
+    for done, path in enumerate(paths, start=1):
+        grey = read_picture(path, grey=True, stretch=True)  # each is looked at by itself
         if size not in (None, grey.shape[::-1]):
             raise ConfigError(f"{path}: is {grey.shape[1]}x{grey.shape[0]}, others are {size[0]}x{size[1]}")
         size = (grey.shape[1], grey.shape[0])
         seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if seen:
             found.append(corners.astype(np.float32))
+        progress(done, len(paths))
     if size is None or len(found) < MIN_VIEWS:
         raise ConfigError(
             f"{folder}: the board of {columns}x{rows} inner corners is whole in {len(found)} of {len(paths)} "

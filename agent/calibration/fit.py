@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Body
-from agent.messages import Vector, upper
-from agent.ranging.calibration import CameraFit, FocusFit
+from agent.failure import Failed
+from agent.kernel.config import Body
+from agent.kernel.messages import Vector, upper
+from agent.kernel.ranging.calibration import CameraFit, FocusFit
 
 Array = NDArray[np.float64]
 
@@ -47,10 +48,10 @@ class Corner(NamedTuple):
     servos_us: tuple[float, float]
     point_m: Vector
     px: tuple[float, float]
-    lens: float = 0.0  # lens position
+    lens_position: float = 0.0
 
 
-class CalibrationRefused(ValueError):
+class CalibrationRefused(Failed):
     """The measurements do not determine the fit; one line that says what to change."""
 
 
@@ -124,8 +125,8 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         if float(np.ptp(nominal[:, axis])) < math.radians(5.0):
             raise CalibrationRefused(f"{name} moved by less than 5 degrees; use settings further apart")
 
-    lens = np.array([c.lens for c in corners])
-    middle, travel = float(lens.mean()), max(float(np.ptp(lens)), 1.0)
+    lens_positions = np.array([c.lens_position for c in corners])
+    middle, travel = float(lens_positions.mean()), max(float(np.ptp(lens_positions)), 1.0)
 
     def residual(p: Array) -> Array:
         """Pixels; p = f_px, pan zero, tilt zero (rad), pan gain, tilt gain, bend, ahead (m), growth over the travel."""
@@ -134,7 +135,7 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         left = np.cos(pan) * points[:, 1] - np.sin(pan) * points[:, 0]
         z = np.cos(tilt) * ahead + np.sin(tilt) * points[:, 2] - p[6]
         up = np.cos(tilt) * points[:, 2] - np.sin(tilt) * ahead
-        scale = p[0] * (1.0 + p[7] * (lens - middle) / travel) * (1.0 + p[5] * (left**2 + up**2) / z**2)
+        scale = p[0] * (1.0 + p[7] * (lens_positions - middle) / travel) * (1.0 + p[5] * (left**2 + up**2) / z**2)
         seen = [cx - scale * left / z - px[:, 0], cy - scale * up / z - px[:, 1]]
         return np.concatenate([*seen, PRIOR_PX * p[6:] / (AHEAD_M, BREATHING)])
 

@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from agent.config import ConfigError, read_toml
-from agent.messages import Symmetric
-from agent.ranging.calibrate import CalibrationRefused, FocusRow, LeftOut, fit_focus, leave_one_out
-from agent.ranging.calibration import FocusFit
-from agent.ranging.sag import TiltedPeak, with_sag
+from agent.calibration.fit import CalibrationRefused, FocusRow, LeftOut, fit_focus, leave_one_out
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import Symmetric
+from agent.kernel.ranging.calibration import FocusFit
+from agent.kernel.ranging.lens_sag import TiltedPeak, with_sag
+from agent.kernel.toml_files import read_toml
 
 REQUIRED = ("u_mm", "code")
 OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")
@@ -44,7 +45,7 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
     console.print(result_table(fit, left_out))
     console.print(verdict(fit, left_out))
     picture = table.with_suffix(".png")
-    draw(rows, fit, left_out, picture)
+    figure(rows, fit, left_out).savefig(picture)
     console.print(f"picture: {picture}")
     if out is not None:
         put(out, "focus", _fields(fit))
@@ -93,8 +94,8 @@ def read_table(path: Path) -> Measured:
         width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
         rows.append(FocusRow(u_mm * 1e-3, code, width))
     known = [row.width for row in rows if math.isfinite(row.width)]
-    positions = [row.rho for row in rows] or [0.0]
-    typical = float(np.median(known)) if known else 0.1 * (max(positions) - min(positions))
+    rho = [row.rho for row in rows] or [0.0]
+    typical = float(np.median(known)) if known else 0.1 * (max(rho) - min(rho))
     return Measured([row if math.isfinite(row.width) else row._replace(width=typical) for row in rows], tilted)
 
 
@@ -115,6 +116,7 @@ def verdict(fit: FocusFit, left_out: Sequence[LeftOut]) -> str:
 
 
 def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
+    """The curve in both gauges, its worth, and the error at each distance that is left out."""
     table = Table(title="h(rho) = u_inf + b / (rho - rho0)")
     table.add_column("what")
     table.add_column("value", justify="right")
@@ -140,12 +142,12 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
     return table
 
 
-def draw(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut], path: Path) -> None:
+def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut]) -> Figure:
     """Measurements and curve above, errors below."""
     u, rho = np.array([r.u_m for r in rows]), np.array([r.rho for r in rows])
     ranges = np.linspace(u.min(), u.max(), 300)
-    figure = Figure(figsize=(6, 6))
-    above, below = figure.subplots(2, 1, height_ratios=(2, 1))
+    drawn = Figure(figsize=(6, 6))
+    above, below = drawn.subplots(2, 1, height_ratios=(2, 1))
     above.plot(fit.rho0 + fit.b_m / (ranges - fit.u_inf_m), ranges, label="h(rho)")
     above.plot(rho, u, ".", label="measured")
     above.set(xlabel="lens position", ylabel="range, m", title=f"R² {fit.r2:.4f}, RMSE {1e3 * fit.rmse_m:.1f} mm")
@@ -155,8 +157,8 @@ def draw(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut], p
     below.axhline(0.0, color="grey", linewidth=0.7)
     below.set(xlabel="range, m", ylabel="mm")
     below.legend()
-    figure.tight_layout()
-    figure.savefig(path)
+    drawn.tight_layout()
+    return drawn
 
 
 def put(path: Path, table: str, fields: dict[str, Any]) -> None:

@@ -18,18 +18,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import ConfigError, Fleet
-from agent.messages import Vector
-from agent.perception.clarity import gradient_energy, luminance
-from agent.ranging.calibrate import Corner, FocusRow, fit_camera, fit_focus
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.ranging.camera_model import gimbal_deg, servos_us
-from agent.ranging.focus import Peak, fit_peak, lens_position, phase_sigma
-from agent.ranging.sag import TiltedPeak, with_sag
-from hw.camera import Camera, FocusRange, Roi
+from agent.calibration.fit import Corner, FocusRow, fit_camera, fit_focus
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.kernel.ranging.camera_model import gimbal_deg, servos_us
+from agent.kernel.ranging.focus import Peak, fit_peak, lens_position, phase_sigma
+from agent.kernel.ranging.lens_sag import TiltedPeak, with_sag
+from agent.perception.clarity.clarity import gradient_energy, luminance
+from agent.progress import Progress
+from hw.camera.camera import Camera, FocusRange, Roi
 
 Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about the pivot (m), pulses of pan and tilt
-Progress = Callable[[int, int], None]  # steps done, steps in all
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
 SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: nearly all of the board at the far end
@@ -46,7 +46,10 @@ BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 
 def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
-    """Run the whole procedure. Raises CalibrationRefused, ConfigError for a camera without focus, CameraError."""
+    """Run the whole procedure; progress counts settings of the board.
+
+    Raises CalibrationRefused, ConfigError for a camera without focus, CameraError.
+    """
     looks = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)
     total = looks + len(SAG_AT_M) * len(SAG_TILTS_DEG)
     focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, total)))
@@ -78,7 +81,7 @@ def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -
         approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
         peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
         if peak is not None:
-            rows.append(FocusRow(float(u_m), peak.position, peak.width, peak.sigma))
+            rows.append(FocusRow(float(u_m), peak.lens_position, peak.width, peak.sigma))
         progress(done, DISTANCES)
     return rows
 
@@ -96,7 +99,7 @@ def tilted_peaks(fleet: Fleet, camera: Camera, seen: CameraFit, place: Place, pr
         approach(place, (ahead_m, 0.0, ahead_m * math.tan(tilt)), us)
         peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
         if peak is not None:
-            peaks.append(TiltedPeak(ahead_m / math.cos(tilt), peak.position, tilt))
+            peaks.append(TiltedPeak(ahead_m / math.cos(tilt), peak.lens_position, tilt))
         progress(done, len(SAG_AT_M) * len(SAG_TILTS_DEG))
     return peaks
 
@@ -112,22 +115,22 @@ def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) 
     across, down = SWEEP_PX
     middle = Roi((width - across) // 2, (height - down) // 2, across, down)
     home(camera, limits, middle)
-    positions, pictures = [], []
-    for position in np.linspace(limits.lowest, limits.highest, steps):
-        positions.append(camera.set_focus(round(position)))
+    lens_positions, pictures = [], []
+    for wanted in np.linspace(limits.lowest, limits.highest, steps):
+        lens_positions.append(camera.set_focus(round(wanted)))
         pictures.append(luminance(camera.read(middle, settle_s=settle_s).image))
     window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]
-    rough = fit_peak(positions, clarity)
+    rough = fit_peak(lens_positions, clarity)
     if not isinstance(rough, Peak):
         return None
     window *= ~edges(pictures[int(np.argmax(clarity))])
     if window.sum() == 0:
         return None
     # Farther from the peak the blur of the edges covers the grain.
-    near = [i for i, position in enumerate(positions) if abs(position - rough.position) < FLANKS * rough.width]
-    fine = fit_peak([positions[i] for i in near], [float((energies[i] * window).sum()) for i in near])
+    near = [i for i, rho in enumerate(lens_positions) if abs(rho - rough.lens_position) < FLANKS * rough.width]
+    fine = fit_peak([lens_positions[i] for i in near], [float((energies[i] * window).sum()) for i in near])
     if not isinstance(fine, Peak):
         return None
     area_px = float(window.sum() ** 2 / (window * window).sum())  # what is left of the grain at 1.2 m is little
@@ -156,10 +159,10 @@ def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterat
             approach(place, board_m, us)
             sharp, found = lens_position(focus, math.hypot(*board_m)), []
             for blur in BLURS if pan_deg == tilt_deg == 0.0 else (0.0,):
-                lens = camera.set_focus(round(sharp + blur * focus.width))
+                reached = camera.set_focus(round(sharp + blur * focus.width))
                 grey = luminance(camera.read(settle_s=HOMING_S).image)
                 pairs = zip(board_points(board_m), find_corners(grey), strict=False)
-                found += [Corner(us, point, px, float(lens)) for point, px in pairs]
+                found += [Corner(us, point, px, float(reached)) for point, px in pairs]
             yield found
 
 

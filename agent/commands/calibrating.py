@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.commands.terms import FleetFile, RobotName, terminal
+from agent.commands.options import FleetFile, RobotName, terminal
 
 app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
 
@@ -19,7 +19,7 @@ def calibrate_run(
     out: Annotated[Path | None, typer.Option(help="File to write; the fleet file's own if not given.")] = None,
 ) -> None:
     """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
-    from agent.experiments.calibrate_run import run
+    from agent.calibration.run import run
 
     run(fleet, robot, out, terminal())
 
@@ -30,7 +30,7 @@ def calibrate_focus(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[focus] is to be written.")] = None,
 ) -> None:
     """Range against sharpest lens position, from a table measured by hand; a plot beside it and a verdict."""
-    from agent.experiments.calibrate_focus import run
+    from agent.calibration.focus_table import run
 
     run(table, out, terminal())
 
@@ -44,6 +44,6 @@ def calibrate_camera(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] is to be written.")] = None,
 ) -> None:
     """Focal length and centre from photographs of a board."""
-    from agent.experiments.calibrate_camera import run
+    from agent.calibration.camera import run
 
     run(folder, columns, rows, square_mm, out, terminal())

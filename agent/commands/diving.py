@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from agent.commands.terms import FleetFile, Port, RobotName, complain, one_of_protocols, terminal
-from agent.config import load_fleet
+from agent.commands.options import FleetFile, Port, RobotName, complain, terminal
+from agent.kernel.config import Protocol
+from agent.kernel.fleet_reader import load_fleet
 
 app = typer.Typer()
 
@@ -16,7 +17,7 @@ app = typer.Typer()
 @app.command(epilog="Example: aucamp demo --robots 3 --seed 1")
 def demo(
     robots: Annotated[int, typer.Option(help="How many: the first ones of the fleet file.")] = 3,
-    protocol: Annotated[str, typer.Option(help="How robots agree: evidence, metropolis or paper.")] = "evidence",
+    protocol: Annotated[Protocol, typer.Option(help="How robots agree.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
@@ -26,10 +27,10 @@ def demo(
 ) -> None:
     """Robots find a ball in the twin's tank within two minutes; a table at the end, recordings and a report."""
     from agent.demo import demo as dive
-    from agent.sweep_depth import sweep_depth
-    from replay.report import report
+    from agent.pictures.recorded_depth import sweep_depth
+    from replay.report.report import report
 
-    run, summary = dive(robots, one_of_protocols(protocol), loss, seed, duration, enhance, out, terminal(), fleet)
+    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet)
     report(run, depth=sweep_depth)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
@@ -44,7 +45,7 @@ def agent(
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
-    from agent.runtime import run
+    from agent.agent_process import run
 
     run(fleet, robot, out, arm, lossless, view)
 
@@ -69,7 +70,7 @@ def record(
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
     """Record all traffic of a fleet until Ctrl-C or SIGTERM. The robots do not notice."""
-    from agent.runtime import until_signal
+    from agent.stop_signal import until_signal
     from replay.recorder import record as run
 
     with until_signal() as stop:
@@ -83,7 +84,7 @@ def record(
 def router(fleet: FleetFile) -> None:
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
     from agent.router import run_router
-    from agent.runtime import until_signal
+    from agent.stop_signal import until_signal
 
     with until_signal() as stop:
         run_router(load_fleet(fleet), stop, say=complain)
@@ -95,7 +96,7 @@ def view(
     port: Port = 8765,
 ) -> None:
     """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C."""
-    from agent.runtime import until_signal
+    from agent.stop_signal import until_signal
     from replay.view import view as serve
 
     with until_signal() as stop:

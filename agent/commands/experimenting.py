@@ -1,58 +1,75 @@
-"""`aucamp experiment`."""
+"""`aucamp experiment`: each verb says what was asked, and which experiment answers."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
 
-from agent.commands.terms import OutFolder, Seed, terminal
-from agent.config import ConfigError
+from agent.commands.options import OutFolder, Seed, terminal
+from agent.experiments.choices import DEFAULT_SENSOR, WATERS, Sensor
+from agent.kernel.config import ConfigError, WaterKind
 
 app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
+
+SensorName = Annotated[Sensor, typer.Option("--sensor", help="Camera of the twin.")]
+# typer takes a list of an Enum, not of a Literal
+Water = StrEnum("Water", [(kind, kind) for kind in WATERS])  # type: ignore[misc]
+Waters = Annotated[list[Water] | None, typer.Option("--water", help="Only this kind; again for more; else all.")]
+
+
+def kinds(water: list[Water] | None) -> tuple[WaterKind, ...]:
+    """The kinds of water that were asked for, in that order; all if none was."""
+    return tuple(kind for asked in water for kind in WATERS if kind == asked) if water else WATERS
 
 
 @app.command("calibration", epilog="Example: aucamp experiment calibration --seed 3")
 def experiment_calibration(seed: Seed = 0, out: OutFolder = None) -> None:
     """Range against focus position, on the twin's bench."""
-    from agent.experiments.calibration import calibration
+    from agent.experiments.calibration import figures, run, tables
+    from agent.experiments.perform import perform
 
-    calibration(seed, out, terminal())
+    asked = run.Settings(seed=seed)
+    perform(run.run, asked, tables.table, out, terminal(), "distances of the board", figures.figures)
 
 
 @app.command("depth", epilog="Example: aucamp experiment depth --seed 1")
 def experiment_depth(seed: Seed = 0, out: OutFolder = None) -> None:
     """Depth of whole views from focus, against the twin's truth: our peak and the paper's."""
-    from agent.experiments.depth_table import run
+    from agent.experiments.depth import figures, run, tables
+    from agent.experiments.perform import perform
 
-    run(seed, out, terminal())
+    asked = run.Settings(seed=seed)
+    perform(run.run, asked, tables.table, out, terminal(), "sweeps of whole views", figures.figures)
 
 
 @app.command("detection", epilog="Example: aucamp experiment detection --count 200")
 def experiment_detection(
     seed: Seed = 0,
     count: Annotated[int, typer.Option(min=1, help="Places in each kind of water.")] = 200,
-    sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
-    water: Annotated[list[str] | None, typer.Option(help="Only this kind; again for more. All if not given.")] = None,
+    sensor: SensorName = DEFAULT_SENSOR,
+    water: Waters = None,
     out: OutFolder = None,
 ) -> None:
     """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced."""
-    from agent.experiments.detection import run
+    from agent.experiments.detection import run, tables
+    from agent.experiments.perform import perform
 
-    run(seed, count, sensor, out, terminal(), water)
+    asked = run.Settings(seed=seed, count=count, sensor=sensor, waters=kinds(water))
+    perform(run.run, asked, tables.table, out, terminal(), "places")
 
 
 @app.command("peak-shift", epilog="Example: aucamp experiment peak-shift --water turbid")
 def experiment_peak_shift(
-    seed: Seed = 0,
-    sensor: Annotated[str, typer.Option(help="Camera of the twin.")] = "imx519_640",
-    water: Annotated[list[str] | None, typer.Option(help="Only this kind; again for more. All if not given.")] = None,
-    out: OutFolder = None,
+    seed: Seed = 0, sensor: SensorName = DEFAULT_SENSOR, water: Waters = None, out: OutFolder = None
 ) -> None:
     """How far the focus peak moves when frames are enhanced before clarity is taken, in every kind of water."""
-    from agent.experiments.peak_shift import run
+    from agent.experiments.peak_shift import run, tables
+    from agent.experiments.perform import perform
 
-    run(seed, sensor, out, terminal(), water)
+    asked = run.Settings(seed=seed, sensor=sensor, waters=kinds(water))
+    perform(run.run, asked, tables.table, out, terminal(), "sweeps")
 
 
 @app.command("consistency", epilog="Example: aucamp experiment consistency --count 100")
@@ -60,9 +77,12 @@ def experiment_consistency(
     seed: Seed = 0, count: Annotated[int, typer.Option(min=1, help="Measurements.")] = 1000, out: OutFolder = None
 ) -> None:
     """Whether measurements of a ball are as wrong as they say: with focus, with size, with both."""
-    from agent.experiments.consistency_table import run
+    from agent.experiments.consistency import run, tables
+    from agent.experiments.perform import perform
 
-    raise typer.Exit(0 if run(seed, count, out, terminal()) else 1)
+    asked = run.Settings(seed=seed, count=count)
+    result = perform(run.run, asked, tables.table, out, terminal(), "measurements")
+    raise typer.Exit(0 if result.honest else 1)
 
 
 @app.command("localization", epilog="Example: aucamp experiment localization --quick")
@@ -75,14 +95,11 @@ def experiment_localization(
     """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, a robot that is wrong."""
     if quick and full:
         raise ConfigError("--quick and --full contradict each other; give one of them")
-    from agent.experiments.localization import localization, table, verdict_table
-    from agent.launch import run_folder, with_bar
+    from agent.experiments.localization import figures, run, tables
+    from agent.experiments.perform import perform
 
-    console, folder = terminal(), run_folder(out)
-    result = with_bar(console, "dives", lambda show: localization(seed, folder, show, quick, full))
-    console.print(table(result))
-    console.print(verdict_table(result))
-    console.print(f"written to {folder}")
+    asked = run.Settings(seed=seed, quick=quick, full=full)
+    perform(run.run, asked, tables.table, out, terminal(), "dives", figures.figures)
 
 
 @app.command("orientation", epilog="Example: aucamp experiment orientation --seeds 5")
@@ -90,6 +107,8 @@ def experiment_orientation(
     seed: Seed = 0, seeds: Annotated[int, typer.Option(min=1, help="Robots per case.")] = 20, out: OutFolder = None
 ) -> None:
     """Push and depth step under the three control laws, real firmware on the twin's physics."""
-    from agent.experiments.orientation import run
+    from agent.experiments.orientation import figures, run, tables
+    from agent.experiments.perform import perform
 
-    run(seed, seeds, out, terminal())
+    asked = run.Settings(seed=seed, seeds=seeds)
+    perform(run.run, asked, tables.table, out, terminal(), "dives of up to five robots", figures.figures)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, cast, get_args
+from typing import Annotated
 
 import typer
 from rich.console import Console
-
-from agent.config import ConfigError, Protocol
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
@@ -28,10 +26,3 @@ def complain(line: str) -> None:
 def terminal() -> Console:
     """Lines with paths are not folded; a pipe is as wide as our widest table."""
     return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
-
-
-def one_of_protocols(text: str) -> Protocol:
-    for protocol in get_args(Protocol):
-        if text == protocol:
-            return cast(Protocol, protocol)
-    raise ConfigError(f"--protocol {text}: no such protocol; choose {', '.join(get_args(Protocol))}")

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from agent.commands.terms import FleetFile, Recordings, Runs, complain, terminal
-from agent.config import load_fleet
+from agent.commands.options import FleetFile, Recordings, Runs, complain, terminal
+from agent.kernel.fleet_reader import load_fleet
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 
@@ -20,7 +20,7 @@ def replay_info(
     files: Recordings, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False
 ) -> None:
     """What is in a recording, and whether it is whole."""
-    from replay.info import info_all
+    from replay.files.info import info_all
 
     info_all(files, as_json, typer.echo)
 
@@ -31,7 +31,7 @@ def replay_recover(
     force: Annotated[bool, typer.Option("--force", help="Even if it looks as if it were being written.")] = False,
 ) -> None:
     """Mend a torn recording into a new file, and say what was lost."""
-    from replay.recover import recover_all
+    from replay.files.recover import recover_all
 
     raise typer.Exit(recover_all(files, force, typer.echo))
 
@@ -46,20 +46,20 @@ def replay_check(
     reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
 ) -> None:
     """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
-    from agent.perception.again import see_again
-    from replay.accept import accept
-    from replay.check import check, text
-    from replay.leftovers import mended
-    from replay.vision_check import check_vision
+    from agent.perception.rerun_vision import rerun_vision
+    from replay.check.check import check, text
+    from replay.check.update import update_recordings
+    from replay.check.vision_check import check_vision
+    from replay.files.auto_recover import auto_recovered
 
     bar = Console(stderr=True)
     if update:
-        for accepted in accept(paths, reason):
-            typer.echo(str(accepted))
+        for updated in update_recordings(paths, reason):
+            typer.echo(str(updated))
         return
-    paths = mended(paths, complain)
+    paths = auto_recovered(paths, complain)
     if vision:
-        seen = check_vision(paths, see_again, bar)
+        seen = check_vision(paths, rerun_vision, bar)
         for one in seen:
             typer.echo(json.dumps(one.as_json()) if as_json else str(one))
         raise typer.Exit(2 if any(not one.frames for one in seen) else int(any(not one.passed for one in seen)))
@@ -74,21 +74,21 @@ def replay_explain(
     at: Annotated[str | None, typer.Option(help="Iteration 16, time 12.5s or step:812; the last if not given.")] = None,
 ) -> None:
     """Why a robot believed what it believed: whom it heard, with which weights."""
-    from replay.explain import explain
-    from replay.leftovers import mended
+    from replay.check.explain import explain
+    from replay.files.auto_recover import auto_recovered
 
-    (there,) = mended([file], complain)
+    (there,) = auto_recovered([file], complain)
     typer.echo(explain(there, at))
 
 
 @app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
 def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
     """One page with the run's figures: report.html in its folder."""
-    from agent.sweep_depth import sweep_depth
-    from replay.leftovers import mended
-    from replay.report import report
+    from agent.pictures.recorded_depth import sweep_depth
+    from replay.files.auto_recover import auto_recovered
+    from replay.report.report import report
 
-    (there,) = mended([run], complain)
+    (there,) = auto_recovered([run], complain)
     terminal().print(f"written to {report(there, depth=sweep_depth)}")
 
 
@@ -97,7 +97,7 @@ def replay_layout(
     fleet: FleetFile, out: Annotated[Path, typer.Option(help="File to write (JSON); Foxglove imports it.")]
 ) -> None:
     """How Foxglove shows a fleet's recordings, and the fleet live: its robots, its targets, its tank."""
-    from replay.layout import write
+    from replay.viewers.layout import write
 
     write(load_fleet(fleet), out)
     terminal().print(f"written to {out}")

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from agent.commands.terms import terminal
-from agent.config import ConfigError
+from agent.commands.options import terminal
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement.variants import Variant
 
 app = typer.Typer()
 train_app = typer.Typer(no_args_is_help=True, help="Train what the robots see with.")
@@ -27,7 +28,7 @@ def depth_map(
     ] = 0,
 ) -> None:
     """How far each part of the view is, from the focus position at which it is sharpest."""
-    from agent.depth_map import run
+    from agent.pictures.depth_map import run
 
     terminal().print(run(source, out, block, calibration, tilt_deg=tilt, box=box))
 
@@ -42,7 +43,7 @@ def track(
     out: Annotated[Path | None, typer.Option(help="Pictures with the box: new folder, or .mp4, .avi.")] = None,
 ) -> None:
     """Follow what is in a box; a line per picture says where it is, how sure, and whether it is lost."""
-    from agent.track import run
+    from agent.pictures.follow_box import run
 
     raise typer.Exit(0 if run(source, box, backbone, neck, frames, out, typer.echo) else 1)
 
@@ -54,24 +55,21 @@ def enhance(
     side_by_side: Annotated[
         bool, typer.Option("--side-by-side", help="The picture before beside the one after.")
     ] = False,
-    variant: Annotated[str, typer.Option(help="plain, folded, fast, classic (no network), or auto.")] = "auto",
+    variant: Annotated[Variant, typer.Option(help="How; classic needs no network, auto chooses.")] = "auto",
     weights: Annotated[Path | None, typer.Option(help="Weights of the network; the shipped ones if not given.")] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many, of a camera (30) or a video (all).")] = None,
     evaluate: Annotated[tuple[Path, Path] | None, typer.Option(help="RAW REFERENCE: figures, no pictures.")] = None,
     size: Annotated[str, typer.Option(help="Of --evaluate: WIDTHxHEIGHT, or own.")] = "256x256",
 ) -> None:
     """Pictures as if there were less water in front of them; --evaluate measures how well."""
-    from agent import enhance_evaluate, enhance_source
-    from agent.perception.enhance import VARIANTS
+    from agent.pictures import enhance as enhance_source
+    from agent.training import evaluate as enhance_evaluate
 
     if (bool(source)) == (evaluate is not None):
         raise ConfigError("enhance: give either a SOURCE or --evaluate RAW REFERENCE")
-    way = next((known for known in VARIANTS if known == variant), None)
-    if way is None:
-        raise ConfigError(f"--variant {variant}: no such variant; choose {', '.join(VARIANTS)}")
     if evaluate is not None:
-        raise typer.Exit(enhance_evaluate.run(*evaluate, way, weights, size, terminal())[1])
-    raise typer.Exit(enhance_source.run(source, out, side_by_side, way, weights, frames, terminal()))
+        raise typer.Exit(enhance_evaluate.run(*evaluate, variant, weights, size, terminal())[1])
+    raise typer.Exit(enhance_source.run(source, out, side_by_side, variant, weights, frames, terminal()))
 
 
 @train_app.command("enhance", epilog="Example: aucamp train enhance --out lu2net.safetensors --seed 0")
@@ -91,7 +89,7 @@ def train_enhance(
     ] = None,
 ) -> None:
     """LU2Net's weights, from pairs of pictures with and without water; loss and validation curves beside them."""
-    from agent.enhancement.request import check
+    from agent.training.request import check
 
     check(pairs, start, out, resume, cross_validate)  # before torch, whose import takes seconds
     try:
@@ -99,7 +97,7 @@ def train_enhance(
         import torch
     except ImportError as error:
         raise ConfigError("training needs torch: pip install 'aucamp[train]'") from error
-    from agent.enhancement.command import cross_validation, plan_of, train
+    from agent.training.command import cross_validation, plan_of, train
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
     plan = plan_of(steps, seed, start is not None)

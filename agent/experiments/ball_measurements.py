@@ -1,9 +1,8 @@
-"""`aucamp experiment consistency`: is a measurement as far from the truth as its covariance says?
+"""Measurements of a ball by one robot of the twin, each with the error that it has and the error that it states.
 
-Robots of the twin, each with a lens, servos and a calibration of its own, look at a ball from many places. Every
-measurement goes the whole way: frames, detection, a full sweep, its peak, then the place with its 3x3 covariance. The
-normalised error squared e^T C^-1 e has the mean 3 where the covariance is honest, is larger where it boasts, smaller
-where it is timid. The same frames are evaluated with both cues, with focus alone and with size alone.
+The robot has a lens, servos and a calibration of its own, and looks at its ball from many places. Every measurement
+goes the whole way: frames, detection, a full sweep, its peak, then the place with its 3x3 covariance. The same frames
+are evaluated with both cues, with focus alone and with size alone.
 
 What a robot does not know is drawn from the twin's own figures: the survey, what is left of it by the mooring's sway,
 drift and noise of the pressure sensors, and the tolerance of the ball.
@@ -11,42 +10,40 @@ drift and noise of the pressure sensors, and the tolerance of the ball.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, get_args
+from collections.abc import Iterator
+from typing import NamedTuple, NoReturn, get_args
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Cues, Fleet, Pose, Target, load_fleet
-from agent.control.sweep import Measurement, Sweep
-from agent.experiments.posed import PosedRobot, rotation_of
-from agent.experiments.result import make_room, write_result
-from agent.launch import shipped_fleet
-from agent.messages import Sighting, Vector
-from agent.perception.region import around
-from agent.perception.seekers import seekers
+from agent.experiments.choices import DEFAULT_SENSOR
+from agent.experiments.posed_robot import PosedRobot, rotation_of
+from agent.experiments.result import Row
+from agent.fleet_files import shipped_fleet
+from agent.kernel.config import Cues, Fleet, Pose, Target, WaterKind
+from agent.kernel.control.sweep import Measurement, Sweep
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import Calibration, at_lens_position
+from agent.kernel.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, pixel, servos_us, to_camera
+from agent.kernel.ranging.cues import NoRange, distance
+from agent.kernel.ranging.fix import locate
+from agent.kernel.step_io import Sighting
+from agent.perception.clarity.region import around
+from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
-from agent.ranging.calibration import Calibration, at_lens
-from agent.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, pixel, servos_us, to_camera
-from agent.ranging.cues import distance
-from agent.ranging.fix import locate
-from agent.ranging.focus import Refused
-from hw.camera import CameraError
-from hw.twin.body import SENSOR_M, SURVEY_DEG, SURVEY_M
+from hw.camera.camera import CameraError
+from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
+from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
 from hw.twin.scene import Solid
-from hw.twin.sensors import CORNERS, DRIFT_M_S, NOISE_M
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int], None]  # measurements done, in all
 
-ROBOT, SENSOR = "r1", "imx519_640"
-PLACES = 25  # measurements of one robot; the next has another lens, calibration and ball
-RANGES_M = (0.25, 0.40, 0.60, 0.90, 1.20)
-WATERS = ("tap", "pool", "coastal")
+ROBOT = "r1"
+RANGE_M = (0.25, 1.20)  # camera to ball
+WATERS: tuple[WaterKind, ...] = ("tap", "pool", "coastal")
 SWAY_M, SWAY_DEG = 0.001, 0.1  # of a moored robot
 HOVER_DEG = 0.3  # roll and pitch
 DIVE_S = 120.0  # sensors have drifted for up to so long
@@ -57,10 +54,9 @@ CORNER_M = (0.20, 0.40)  # from two walls to the ball
 HEIGHT_M = (0.09, 0.30)  # of the camera
 PAN_DEG = 60.0
 OUTLINE = 360  # points on the ball's outline
-EXPECTED = (2.5, 3.5)  # of the mean, for three degrees of freedom
 
 
-class Case(NamedTuple):
+class Placement(NamedTuple):
     """One place of a robot: truth, and what the robot believes."""
 
     distance_m: float  # camera to ball
@@ -70,50 +66,13 @@ class Case(NamedTuple):
     level: Vector  # depth_m, roll_deg, pitch_deg as measured
 
 
-def consistency(seed: int, count: int, out: Path, progress: Progress) -> dict[str, Any]:
-    """`count` measurements in worlds from `seed` on; writes result.json into `out`, returns its content.
+def ball_measurements(
+    seed: int, count: int, sensor: str = DEFAULT_SENSOR, distance_m: float | None = None
+) -> Iterator[Row]:
+    """One robot, calibrated on its bench, then at `count` places around its ball, at one distance or at any.
 
-    Raises ConfigError where `out` holds a result already.
+    Yields a row for each place: what `errors` says of each of the cues. Raises CalibrationRefused.
     """
-    make_room(out)
-    taken: list[dict[str, Any]] = []
-    progress(0, count)
-    for k in range(-(-count // PLACES)):
-        for one in robot_measurements(1000 * seed + k, min(PLACES, count - k * PLACES)):
-            taken.append(one)
-            progress(len(taken), count)
-    result: dict[str, Any] = {"schema": 1, "source": "twin", "seed": seed, "count": count, "expected": EXPECTED}
-    result["cases"] = [row(taken, cue, low, high) for cue in get_args(Cues) for low, high in bands()]
-    result["measurements"] = taken
-    write_result(out, result)
-    return result
-
-
-def bands() -> list[tuple[float, float]]:
-    return [*itertools.pairwise(RANGES_M), (RANGES_M[0], RANGES_M[-1])]
-
-
-def row(taken: list[dict[str, Any]], cue: str, low: float, high: float) -> dict[str, Any]:
-    """All measurements with one cue in one band of range."""
-    within = [one for one in taken if low <= one["distance_m"] <= high]
-    good = [one[cue] for one in within if "nees" in one[cue]]
-    nees = np.array([one["nees"] for one in good])
-    figures: dict[str, Any] = {"cues": cue, "range_m": [low, high], "count": len(within), "measured": len(good)}
-    if not good:
-        return {**figures, "nees": None, "nees_median": None, "error_rms_mm": None, "sigma_mm": None}
-    return {
-        **figures,
-        "nees": float(nees.mean()),
-        "nees_median": float(np.median(nees)),  # 2.37 for three degrees of freedom
-        "error_rms_mm": float(np.sqrt(np.mean([one["error_mm"] ** 2 for one in good]))),
-        "sigma_mm": float(np.sqrt(np.mean([one["sigma_mm"] ** 2 for one in good]))),
-    }
-
-
-def robot_measurements(
-    seed: int, count: int, sensor: str = SENSOR, distance_m: float | None = None
-) -> Iterator[dict[str, Any]]:
-    """One robot, calibrated on its bench, then at `count` places around its ball, at one distance or at any."""
     rng = np.random.Generator(np.random.PCG64([seed, 4]))
     fleet = load_fleet(shipped_fleet())
     fleet = msgspec.structs.replace(fleet, twin=msgspec.structs.replace(fleet.twin, seed=seed))
@@ -125,24 +84,24 @@ def robot_measurements(
     near = [float(rng.uniform(*CORNER_M)) for _ in range(2)]  # a corner: the rest of the tank is as far as can be
     x, y = (n if rng.random() < 0.5 else side - n for n, side in zip(near, fleet.tank.size_m[:2], strict=True))
     ball_m = (x, y, radius_m)
-    robot.dive(WATERS[seed % len(WATERS)], Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3))
-    vision = Vision(_no_camera, fleet, known.camera, seekers(fleet, known.camera), epoch_offset_ns=0)
+    robot.submerge(WATERS[seed % len(WATERS)], Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3))
+    vision = Vision(_no_camera, fleet, known.camera, load_detectors(fleet, known.camera), epoch_offset_ns=0)
     for _ in range(count):
-        reach_m = float(rng.uniform(RANGES_M[0], RANGES_M[-1])) if distance_m is None else distance_m
-        case = draw(fleet, ball_m, reach_m, rng)
-        eye = stand(robot, fleet, known, case, ball_m, rng)
-        result = sweep(robot, vision, fleet, name, known)
-        if isinstance(result, Refused) and result.reason.startswith("target seen"):
+        reach_m = float(rng.uniform(*RANGE_M)) if distance_m is None else distance_m
+        placement = draw_placement(fleet, ball_m, reach_m, rng)
+        eye = place_robot(robot, fleet, known, placement, ball_m, rng)
+        found = sweep_ball(robot, vision, fleet, name, known)
+        if isinstance(found, NoRange) and found.reason.startswith("target seen"):
             arc_deg = outline_deg(known, eye, ball_m)
             if arc_deg < 360.0:
-                result = Refused(f"ball larger than the frame, {arc_deg:.0f} deg of its outline show: {result.reason}")
-        one: dict[str, Any] = {"seed": seed, "distance_m": case.distance_m}
+                found = NoRange(f"ball larger than the frame, {arc_deg:.0f} deg of its outline show: {found.reason}")
+        row: Row = {"seed": seed, "distance_m": placement.distance_m}
         for cue in get_args(Cues):
-            one[cue] = judge(result, eye, known, target, cue, ball_m, case.distance_m)
-        yield one
+            row[cue] = errors(found, eye, known, target, cue, ball_m, placement.distance_m)
+        yield row
 
 
-def draw(fleet: Fleet, ball_m: Vector, distance_m: float, rng: np.random.Generator) -> Case:
+def draw_placement(fleet: Fleet, ball_m: Vector, distance_m: float, rng: np.random.Generator) -> Placement:
     """A place in the tank from which the ball is in reach of the gimbal."""
     width, depth, _ = fleet.tank.size_m
     while True:
@@ -167,22 +126,24 @@ def draw(fleet: Fleet, ball_m: Vector, distance_m: float, rng: np.random.Generat
     # z rises to the left with roll, and falls ahead with pitch: a sensor that reads too deep stands too low.
     roll_off, pitch_off = (float(math.degrees((error_m * CORNERS[:, k]).sum() / (4.0 * SENSOR_M))) for k in (1, 0))
     level = (fleet.tank.surface_m - z + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off)
-    return Case(distance_m, (x, y, z), (roll_deg, pitch_deg, yaw_deg), pose, level)
+    return Placement(distance_m, (x, y, z), (roll_deg, pitch_deg, yaw_deg), pose, level)
 
 
-def stand(
-    robot: PosedRobot, fleet: Fleet, known: Calibration, case: Case, ball_m: Vector, rng: np.random.Generator
+def place_robot(
+    robot: PosedRobot, fleet: Fleet, known: Calibration, placement: Placement, ball_m: Vector, rng: np.random.Generator
 ) -> Eye:
     """Put the robot there, its gimbal about towards the ball; where it believes its camera to be."""
     body, surface_m = fleet.body, fleet.tank.surface_m
-    pan, tilt = look_at(ball_m, case.pose, body, *case.level, surface_m)
+    pan, tilt = look_at(ball_m, placement.pose, body, *placement.level, surface_m)
     off = rng.uniform(-AIM_DEG, AIM_DEG, 2)
     us = servos_us(known.camera, body, pan + float(off[0]), tilt + float(off[1]))
-    robot.stand(case.position_m, rotation_of(*case.roll_pitch_yaw_deg), us)
-    return camera_pose(case.pose, body, *case.level, *gimbal_deg(known.camera, body, us), surface_m)
+    robot.stand(placement.position_m, rotation_of(*placement.roll_pitch_yaw_deg), us)
+    return camera_pose(placement.pose, body, *placement.level, *gimbal_deg(known.camera, body, us), surface_m)
 
 
-def sweep(robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: Calibration) -> Measurement | Refused:
+def sweep_ball(
+    robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: Calibration
+) -> Measurement | NoRange:
     """One full sweep as the vision worker does it, and what the sweep's state machine makes of it."""
     state = Sweep(known.focus, fleet.camera.sweep_steps)
     plan = state.start(0)
@@ -191,15 +152,15 @@ def sweep(robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: C
     robot.set_focus(plan.focus[0])
     robot.read(settle_s=HOMING_S)
     first: Sighting | None = None
-    for index, position in enumerate(plan.focus[1:], start=1):
-        lens = robot.set_focus(position)
+    for index, wanted in enumerate(plan.focus[1:], start=1):
+        lens_position = robot.set_focus(wanted)
         frame = robot.read(around(seen.centre_px, seen.radius_px, robot.size), settle_s=fleet.camera.settle_s)
-        seen = vision.sight(frame, target, lens, plan.sweep, index, first)
+        seen = vision.sight(frame, target, lens_position, plan.sweep, index, first)
         state.frame(seen)
         if first is None and seen.found:
             first = seen
     result = state.finish(10**12)
-    return result if isinstance(result, Measurement) else Refused(result.reason if result else "unfinished")
+    return result if isinstance(result, Measurement) else NoRange(result.reason if result else "unfinished")
 
 
 def outline_deg(known: Calibration, eye: Eye, ball_m: Vector) -> float:
@@ -207,7 +168,7 @@ def outline_deg(known: Calibration, eye: Eye, ball_m: Vector) -> float:
 
     The picture is largest there: a ball that is whole at the far end of a sweep may overflow at the near end.
     """
-    camera = at_lens(known.camera, known.focus.highest if known.focus.b_m > 0.0 else known.focus.lowest)
+    camera = at_lens_position(known.camera, known.focus.highest if known.focus.b_m > 0.0 else known.focus.lowest)
     x, y, z = to_camera(eye, ball_m)
     z -= camera.ahead_m
     d = math.sqrt(x * x + y * y + z * z)
@@ -222,25 +183,25 @@ def outline_deg(known: Calibration, eye: Eye, ball_m: Vector) -> float:
     return 360.0 * sum(map(bool, inside)) / OUTLINE
 
 
-def judge(
-    found: Measurement | Refused,
+def errors(
+    found: Measurement | NoRange,
     eye: Eye,
     known: Calibration,
     ball: Target,
     cue: Cues,
     truth_m: Vector,
     distance_m: float,
-) -> dict[str, Any]:
+) -> Row:
     """The error of one measurement in millimetres, and in standard deviations; or why there is none.
 
     "range": of the camera's own distance to the ball, without what the robot does not know of its place.
     """
-    if isinstance(found, Refused):
+    if isinstance(found, NoRange):
         return {"refused": found.reason}
-    measured = found.outline, found.focus, found.sigma, ball, cue
+    measured = found.outline, found.lens_position, found.sigma, ball, cue
     fix, reach = locate(known, eye, *measured), distance(known, *measured, math.asin(eye.rotation[2][2]))
-    if isinstance(fix, Refused) or isinstance(reach, Refused):
-        return {"refused": fix.reason if isinstance(fix, Refused) else ""}
+    if isinstance(fix, NoRange) or isinstance(reach, NoRange):
+        return {"refused": fix.reason if isinstance(fix, NoRange) else ""}
     e = np.array(fix.position_m) - truth_m
     xx, xy, xz, yy, yz, zz = fix.covariance_m2
     covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -10,14 +10,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Fleet
-from agent.experiments.bench import BACKLASH_US, calibrate
-from agent.messages import Vector
-from agent.ranging.calibration import Calibration
-from hw.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
+from agent.calibration.procedure import BACKLASH_US, calibrate
+from agent.kernel.config import Fleet, WaterKind
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import Calibration
+from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import Bench
-from hw.twin.lens import Vcm, draw_lens
-from hw.twin.painter import Painter
+from hw.twin.optics.lens import Vcm, draw_lens
+from hw.twin.optics.painter import Painter
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ DIVE_NS = 10_000_000_000_000  # hours after the bench: the coil is warm
 
 
 class PosedRobot:
-    """Robot `name` of a fleet in the fleet's own world, with this sensor; `dive` takes it off the bench."""
+    """Robot `name` of a fleet in the fleet's own world, with this sensor; `submerge` takes it off the bench."""
 
     def __init__(self, fleet: Fleet, name: str, sensor: str) -> None:
         self._fleet, self._name = fleet, name
@@ -42,9 +42,9 @@ class PosedRobot:
         """The bench's whole procedure. Raises CalibrationRefused."""
         return calibrate(self._fleet, self._name, self, self._bench.place, lambda done, total: None)
 
-    def dive(self, water: str, ball: Solid) -> None:
-        """From now on there is this ball, alone, in this kind of water."""
-        kind = msgspec.convert({**msgspec.to_builtins(self._scene.water), "preset": water}, type(self._scene.water))
+    def submerge(self, water: WaterKind, ball: Solid) -> None:
+        """Hours later, in this kind of water, before this ball alone."""
+        kind = msgspec.structs.replace(self._scene.water, preset=water)
         self._bench = self._with(msgspec.structs.replace(self._scene, water=kind, solid=(ball,)), DIVE_NS)
 
     def stand(self, position_m: Vector, rotation: Array, servos_us: tuple[int, int]) -> None:
@@ -56,8 +56,8 @@ class PosedRobot:
     def focus_range(self) -> FocusRange:
         return self._bench.focus_range
 
-    def set_focus(self, position: int) -> int:
-        return self._bench.set_focus(position)
+    def set_focus(self, lens_position: int) -> int:
+        return self._bench.set_focus(lens_position)
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         return self._bench.read(deliverable(roi, self.size), settle_s)

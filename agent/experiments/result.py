@@ -1,4 +1,4 @@
-"""Where an experiment leaves what it found: result.json, once in a folder."""
+"""What an experiment found, as it goes into result.json."""
 
 from __future__ import annotations
 
@@ -6,17 +6,25 @@ import json
 from pathlib import Path
 from typing import Any
 
-from agent.config import ConfigError
+import msgspec
 
 NAME = "result.json"
+BESIDE = "shown"  # the one field that stays out of the file
+
+Row = dict[str, Any]  # of a list in result.json
 
 
-def make_room(out: Path) -> None:
-    """Make the folder. Raises ConfigError where it holds a result already: none is ever overwritten."""
-    if (out / NAME).exists():
-        raise ConfigError(f"{out}: holds a {NAME} already; give --out another folder")
-    out.mkdir(parents=True, exist_ok=True)
+class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
+    """Base of all results: fields are the keys of result.json in their order, units in the names.
+
+    A field `shown` holds what tables and figures need beyond that.
+    """
+
+    def as_json(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return {name: getattr(self, name) for name in self.__struct_fields__ if name != BESIDE}
 
 
-def write_result(out: Path, result: dict[str, Any]) -> None:
-    (out / NAME).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+def write_result(result: ExperimentResult, folder: Path) -> None:
+    """Write result.json."""
+    (folder / NAME).write_text(json.dumps(result.as_json(), indent=1) + "\n", encoding="utf-8")

@@ -10,16 +10,16 @@ import math
 import msgspec
 import numpy as np
 
-from agent.config import load_fleet
-from agent.launch import shipped_fleet
-from agent.messages import Vector
-from hw.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
-from hw.twin.bench import BOARD_SIZE_M
-from hw.twin.lens import Vcm, draw_lens
-from hw.twin.painter import Painter
-from hw.twin.raycast import Floats
+from agent.fleet_files import shipped_fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Vector
+from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
+from hw.twin.bench import CHESSBOARD_SIZE_M
+from hw.twin.optics.lens import Vcm, draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.optics.raycast import Floats
+from hw.twin.optics.view import Chessboard, Eye
 from hw.twin.scene import Scene, generator, load_scene
-from hw.twin.view import Board, Eye
 
 FRAME_NS = 1_000_000_000 // 30
 START_NS = 1_000_000_000
@@ -58,34 +58,34 @@ class StillCamera:
     def focus_range(self) -> FocusRange:
         return FocusRange(self.lens.lowest, self.lens.highest, 1)
 
-    def set_focus(self, position: int) -> int:
-        return self._vcm.command(position, self._now_ns)
+    def set_focus(self, lens_position: int) -> int:
+        return self._vcm.command(lens_position, self._now_ns)
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         part = deliverable(roi, self.size)
         self._now_ns += round(settle_s * 1e9) + FRAME_NS
         self._seq += 1
         image_m = self._vcm.image_distance_m(self._now_ns, math.radians(self.view.tilt_deg))
-        image = self._painter.frame(self._eye(), image_m, board=self._board(), roi=part, tick=self._seq)
+        image = self._painter.frame(self._eye(), image_m, chessboard=self._board(), roi=part, tick=self._seq)
         return Frame(self._now_ns, self._seq, image, part)
 
     def close(self) -> None:
         """Nothing is held open."""
 
-    def truth_m(self, position: float) -> Floats:
-        """z-depth (height, width) of every pixel with the lens at rest at `position`, metres."""
-        return self._painter.depth(self._eye(), self.lens.at_position_m(position), board=self._board())
+    def truth_m(self, lens_position: float) -> Floats:
+        """z-depth (height, width) of every pixel with the lens at rest at `lens_position`, metres."""
+        return self._painter.depth(self._eye(), self.lens.at_position_m(lens_position), chessboard=self._board())
 
     def _eye(self) -> Eye:
         ahead, right, down = self._axes()
         return Eye(self.view.position_m, np.stack([right, down, ahead], axis=1))
 
-    def _board(self) -> Board | None:
+    def _board(self) -> Chessboard | None:
         if self.board_m is None:
             return None
         ahead, right, down = self._axes()
         place = np.array(self.view.position_m) + self.board_m * ahead
-        return Board(place, np.stack([right, -down, -ahead], axis=1), BOARD_SIZE_M)
+        return Chessboard(place, np.stack([right, -down, -ahead], axis=1), CHESSBOARD_SIZE_M)
 
     def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Ahead, right and down of the camera, unit vectors of the world."""

@@ -1,17 +1,11 @@
-"""fleet.toml -> frozen structs. Every mistake is one line: the file, the key, and what to change."""
+"""The tables of fleet.toml as frozen structs. Reading them is fleet.py's, what may not be in them fleet_rules.py's."""
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal
 
 import msgspec
-import tomli_w
 from msgspec import Meta
-
-from agent.fleet_rules import broken_rules
-from agent.remedies import explain
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
@@ -20,8 +14,7 @@ Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
 Colour = Literal["red", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
-
-T = TypeVar("T")
+WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 
 
 class ConfigError(ValueError):
@@ -43,7 +36,7 @@ class Water(Struct, frozen=True, kw_only=True):
     """The index is for everybody who bends rays; `kind`, how murky it is, for the twin alone."""
 
     refractive_index: Annotated[float, Meta(ge=1.0, le=1.5)] = 1.333
-    kind: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
+    kind: WaterKind = "tap"
 
 
 class Target(Struct, frozen=True, kw_only=True):
@@ -145,62 +138,3 @@ class Fleet(Struct, frozen=True, kw_only=True):
     body: Body = Body()
     robot: dict[Name, Robot]
     twin: Twin = Twin()
-
-
-def load_fleet(path: Path) -> Fleet:
-    """Read and check a fleet file. Raises ConfigError with one line."""
-    fleet = convert(read_toml(path), Fleet, path)
-    _check(fleet, path)
-    return msgspec.structs.replace(fleet, target={name: _found(t, path.parent) for name, t in fleet.target.items()})
-
-
-def _found(target: Target, folder: Path) -> Target:
-    """Its files, which count from the fleet file's folder, by their full paths: copies of the file lie elsewhere."""
-    full = {key: str((folder / name).resolve()) for key in ("picture", "models") if (name := getattr(target, key))}
-    return msgspec.structs.replace(target, **full)
-
-
-def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
-    """The robot called `name`, or ConfigError naming those that exist."""
-    if name not in fleet.robot:
-        raise ConfigError(f"{path}: no robot '{name}'; the file has {', '.join(fleet.robot)}")
-    return fleet.robot[name]
-
-
-def dump(struct: msgspec.Struct) -> str:
-    """The TOML text from which the same struct is read again."""
-
-    def drop_none(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {k: drop_none(v) for k, v in value.items() if v is not None}
-        return value
-
-    return tomli_w.dumps(drop_none(msgspec.to_builtins(struct)))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; every failure is a ConfigError."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not a text file; give the path of a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
-
-
-def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
-    """Check parsed TOML against a struct; the message names file, key and remedy."""
-    try:
-        return msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {explain(error, data, kind)}") from None
-
-
-def _check(fleet: Fleet, path: Path) -> None:
-    """What a type cannot say. Raises ConfigError for the first rule that is broken."""
-    for key, remedy in broken_rules(fleet):
-        raise ConfigError(f"{path}: key '{key}': {remedy}")

@@ -5,20 +5,23 @@ The same inputs at the same times give the same bytes, which is what replay reli
 
 from __future__ import annotations
 
-from agent.config import Fleet
-from agent.control.attitude import AttitudeLog
-from agent.control.seek import Seek
-from agent.control.sweep import Measurement, Rejected
-from agent.control.turns import Turns
-from agent.estimation.face import Prior
-from agent.estimation.validate import inside
-from agent.hearing import Hearing
-from agent.messages import Estimate, Inputs, Level, Outputs, SetPoint, State, SweepPlan
-from agent.pursuit import Pursuit
-from agent.ranging.calibration import Calibration
-from agent.ranging.fix import locate
-from agent.ranging.focus import Refused
-from agent.status import Status
+from msgspec import UNSET, UnsetType
+
+from agent.kernel.config import Fleet
+from agent.kernel.control.attitude import AttitudeLog
+from agent.kernel.control.seek import Seek
+from agent.kernel.control.sweep import Measurement, Rejected
+from agent.kernel.control.target_scheduler import TargetScheduler
+from agent.kernel.estimation.evidence_checks import inside
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.inbox import Inbox
+from agent.kernel.messages import Estimate, Level, State
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.cues import NoRange
+from agent.kernel.ranging.fix import Fix, locate
+from agent.kernel.status import Status, sweep_outcome
+from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
+from agent.kernel.target_state import TargetState
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
@@ -34,20 +37,20 @@ class Agent:
         self._say_ns = round(1e9 / fleet.link.send_hz)
         self._show_ns = STATE_NS // len(fleet.target)
 
-        self.pursuits = {target: Pursuit(fleet, name, target, incarnation) for target in fleet.target}
-        self.turns = Turns(tuple(fleet.target))
+        self.targets = {target: TargetState(fleet, name, target, incarnation) for target in fleet.target}
+        self.scheduler = TargetScheduler(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
         self.attitude = AttitudeLog()
-        self.hearing = Hearing(self.pursuits, fleet.tank)
+        self.inbox = Inbox(self.targets, fleet.tank)
         self.status = Status(fleet.fleet, name, incarnation)
 
         self._iterated_ns = self._say_due_ns = self._show_due_ns = 0
         self._said = self._shown = 0
 
     @property
-    def pursuit(self) -> Pursuit:
-        """Of the target that the camera is at."""
-        return self.pursuits[self.turns.target]
+    def current(self) -> TargetState:
+        """What is known of the target that the camera is at."""
+        return self.targets[self.scheduler.target]
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         """Take in all that arrived since the last step, decide, and say what to do and to send.
@@ -57,79 +60,85 @@ class Agent:
         if self._iterated_ns == 0:
             self._iterated_ns = now_ns
             self.status.start(now_ns)
-        self.hearing.take(inputs.heard, inputs.refused, self.status, now_ns)
+        self.inbox.receive(inputs.heard, inputs.refused, self.status, now_ns)
         for telemetry in inputs.telemetry:
             self.attitude.add(telemetry)
-            self.seek.feel(telemetry)
+            self.seek.add_telemetry(telemetry)
         for sighting in inputs.sightings:
-            self.seek.watch(sighting)
+            self.seek.add_sighting(sighting)
         self.status.devices(inputs, self.attitude, now_ns)
-        self._measure(now_ns)
+        outcome = self._measure(now_ns)
         self._iterate(now_ns)
         sweep = self._act(now_ns)
         says = self._say(now_ns)
         state = self._state(now_ns)
         log = self.status.log.fetch(now_ns)
-        return Outputs(set_point=self._set_point(now_ns), sweep=sweep, says=says, state=state, log=log)
+        set_point = self._set_point(now_ns)
+        return Outputs(set_point=set_point, sweep=sweep, says=says, state=state, log=log, outcome=outcome)
 
-    def _measure(self, now_ns: int) -> None:
+    def _measure(self, now_ns: int) -> SweepOutcome | UnsetType:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
         result = self.seek.finish(now_ns)
         if (remark := self.seek.remark()) is not None:
             self._note("warning", remark, now_ns)
+        if result is None:
+            return UNSET
         if isinstance(result, Rejected):
             self._note("info", f"sweep rejected: {result.reason}", now_ns)
-        if not isinstance(result, Measurement):
-            return
-        level = self.attitude.at(result.t_ns)
-        if level is None:
-            self._note("warning", "sweep rejected: no telemetry at the time of its sharpest frame", now_ns)
-            return
-        eye, cues = self.seek.eye(level), self._fleet.ranging.cues
-        fix = locate(self._calibration, eye, result.outline, result.focus, result.sigma, self.pursuit.ball, cues)
-        if isinstance(fix, Refused):
+            return sweep_outcome(self.current.name, result)
+        fix = self._fix(result)
+        if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
-            return
-        if not inside(fix.position_m, self._fleet.tank.size_m):
-            self._note("warning", f"sweep rejected: peak at {result.focus:.0f} is outside the tank", now_ns)
-            return
-        self.pursuit.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
+        else:
+            self.current.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
+        return sweep_outcome(self.current.name, result, fix)
+
+    def _fix(self, peak: Measurement) -> Fix | NoRange:
+        """Where a sweep's peak puts the target."""
+        level = self.attitude.at(peak.t_ns)
+        if level is None:
+            return NoRange("no telemetry at the time of its sharpest frame")
+        eye, ball, cues = self.seek.eye(level), self.current.ball, self._fleet.ranging.cues
+        fix = locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues)
+        if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
+            return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
+        return fix
 
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
-        pursuit, elapsed_ns = self.pursuit, now_ns - self._iterated_ns
-        waiting = pursuit.prior is None and self.seek.measuring and elapsed_ns < LATEST_ITERATION * self._iteration_ns
+        target, elapsed_ns = self.current, now_ns - self._iterated_ns
+        waiting = target.prior is None and self.seek.measuring and elapsed_ns < LATEST_ITERATION * self._iteration_ns
         if elapsed_ns < self._iteration_ns or waiting:
             return
         self._iterated_ns = now_ns
-        for each in self.pursuits.values():
+        for each in self.targets.values():
             each.catch_up(now_ns)
-        if pursuit.iterate(now_ns):
-            self._note("info", f"{pursuit.knows} since iteration {pursuit.since_t}", now_ns)
+        if target.iterate(now_ns):
+            self._note("info", f"{target.knows} since iteration {target.since_t}", now_ns)
 
     def _act(self, now_ns: int) -> SweepPlan | None:
         """Whose turn it is, gimbal and lens."""
-        before = self.turns.target
-        if not self.seek.measuring and self.pursuit.prior is None:
-            self.turns.next({target: pursuit.estimator.t for target, pursuit in self.pursuits.items()})
+        before = self.scheduler.target
+        if not self.seek.measuring and self.current.prior is None:
+            self.scheduler.next({name: target.estimator.t for name, target in self.targets.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
-        believed = self.pursuit.estimator.posterior
-        told_m, wanted = believed.x_m if believed else None, self.pursuit.prior is None
-        plan = self.seek.act(now_ns, self.turns.target, level, told_m, wanted)
-        if self.turns.target != before:  # the first iteration of a turn begins when the camera has arrived
+        believed = self.current.estimator.posterior
+        told_m, wanted = believed.x_m if believed else None, self.current.prior is None
+        plan = self.seek.act(now_ns, self.scheduler.target, level, told_m, wanted)
+        if self.scheduler.target != before:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)
         return plan
 
     def _say(self, now_ns: int) -> tuple[Estimate, ...]:
-        """To each neighbour about each target."""
+        """Say to each neighbour what there is about each target."""
         if now_ns < self._say_due_ns:
             return ()
         self._say_due_ns = next_due_ns(self._say_due_ns, self._say_ns, now_ns)
         self._said += 1
         return tuple(
-            pursuit.say(neighbour, self._said, now_ns)
-            for pursuit in self.pursuits.values()
+            target.say(neighbour, self._said, now_ns)
+            for target in self.targets.values()
             for neighbour in self._robot.neighbours
         )
 
@@ -138,15 +147,15 @@ class Agent:
         if now_ns < self._show_due_ns:
             return None
         self._show_due_ns = next_due_ns(self._show_due_ns, self._show_ns, now_ns)
-        pursuit = tuple(self.pursuits.values())[self._shown % len(self.pursuits)]
+        target = tuple(self.targets.values())[self._shown % len(self.targets)]
         self._shown += 1
         gimbal_deg = self.seek.gimbal_deg()
-        pursuit.last_state = self.status.state(pursuit, self.hearing.refused, self.attitude, gimbal_deg, now_ns)
-        return pursuit.last_state
+        target.last_state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
+        return target.last_state
 
     def _note(self, level: Level, text: str, now_ns: int) -> None:
         """A line of the log about the target that the camera is at; its name is needless where it is the only one."""
-        about = f"{self.turns.target}: " if len(self.pursuits) > 1 else ""
+        about = f"{self.scheduler.target}: " if len(self.targets) > 1 else ""
         self.status.log.note(level, about + text, now_ns)
 
     def _set_point(self, now_ns: int) -> SetPoint:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 if TYPE_CHECKING:
-    from agent.config import Fleet
+    from agent.kernel.config import Fleet
 
 MAX_PORT = 32767  # ports above are handed out by the kernel as ephemeral source ports
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.messages import Level, LogLine
+from agent.kernel.messages import MAX_TEXT, Level, LogLine
 
 AGAIN_NS = 1_000_000_000  # the same text at most once in this time
 SELDOM_NS = 5_000_000_000  # about one subject at most one line in this time, for texts that are never the same
-MAX_TEXT = 400  # characters, as messages.LogLine has it
 
 
 class Held(NamedTuple):

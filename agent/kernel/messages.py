@@ -1,4 +1,4 @@
-"""What is said: frozen structs, encode and decode side by side.
+"""What is said to others, as frozen structs. What a step takes and gives is step_io.py's, the bytes are codec.py's.
 
 Lengths are metres, angles degrees, times integer nanoseconds. `now_ns`, `sent_ns` and every `t_ns` count from
 the Unix epoch on the clock of the process that wrote them (sampled once at start, then monotonic).
@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-import msgpack
 import msgspec
 from msgspec import Meta
 
 SCHEMA = 1  # raised whenever the meaning of a field changes; others are refused
 
 MAX_PAYLOAD = 16 * 1024  # bytes of any message but a preview; refused before it is decoded
+MAX_TEXT = 400  # characters of a line of the log
 MAX_JPEG = 60_000  # bytes of a preview: with what stands around it, it fits into one batch of Zenoh, 65535
 
 Vector = tuple[float, float, float]
@@ -25,19 +25,6 @@ Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
 Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
 Level = Literal["info", "warning", "error"]
-
-M = TypeVar("M", bound="Message")
-
-
-RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place", "target"]
-
-
-class Refusal(ValueError):
-    """A payload that is not believed: `kind` to count by, the text to read."""
-
-    def __init__(self, kind: RefusalKind, text: str) -> None:
-        super().__init__(text)
-        self.kind = kind
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -183,7 +170,7 @@ class LogLine(Message, frozen=True, kw_only=True):
     robot: Id
     sent_ns: Count
     level: Level
-    text: Annotated[str, Meta(max_length=400)]
+    text: Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
 class Image(Message, frozen=True, kw_only=True):
@@ -200,131 +187,6 @@ class Image(Message, frozen=True, kw_only=True):
     enhanced: bool  # False: as the camera gave it
     focus: int | None = None  # lens position, once at rest
     jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG)]
-
-
-# --- from the robot's own devices, inputs of Agent.step -------------------------------------------------------
-
-
-class Sighting(Message, frozen=True, kw_only=True):
-    """What vision found in one frame. Pixels: u right, v down, from the centre of the upper left pixel."""
-
-    t_ns: int  # middle of the exposure
-    frame: Count
-    sweep: Count = 0  # the plan this frame belongs to; 0: none
-    index: int = -1  # which position of that plan
-    focus: int | None = None  # lens position, once at rest
-    target: Id
-    found: bool
-    centre_px: tuple[float, float] | None = None  # where the ray to a ball's centre meets the image; middle of a box
-    radius_px: float | None = None  # apparent radius of a ball
-    clarity: float | None = None  # Tenengrad per pixel over a ball's inner disc, or the inner half of a box
-    area_px: float | None = None  # pixels that clarity was taken over
-    score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape, or how sure a tracker is of its box
-    size_px: tuple[float, float] | None = None  # width and height of the box around a target that is no ball
-
-
-class Telemetry(Message, frozen=True, kw_only=True):
-    """One telemetry frame of the control module."""
-
-    t_ns: int  # arrival at the host
-    board_us: int  # the board's clock
-    depth_m: float
-    roll_deg: float
-    pitch_deg: float
-    sensor_depth_m: tuple[float, float, float, float]  # each sensor, below its tare
-    pulses_us: tuple[int, int, int, int, int, int, int, int]
-    servos_us: tuple[int, int, int, int]
-    battery_v: float
-    armed: bool
-    ladder: int  # failsafe level, 0 is normal
-    flags: int
-    loop_us: int
-
-
-class Heard(Message, frozen=True, kw_only=True):
-    """A payload as it came, not yet believed."""
-
-    arrived_ns: int
-    src: Id  # from the key it came on
-    payload: bytes
-
-
-class Refused(Message, frozen=True, kw_only=True):
-    """Payloads that transport turned away unread."""
-
-    reason: str
-    count: int
-
-
-class Inputs(Message, frozen=True, kw_only=True):
-    """All that arrived since the last step, in order of arrival."""
-
-    telemetry: tuple[Telemetry, ...] = ()
-    sightings: tuple[Sighting, ...] = ()
-    heard: tuple[Heard, ...] = ()
-    refused: tuple[Refused, ...] = ()
-
-
-# --- to the robot's own devices, outputs of Agent.step --------------------------------------------------------
-
-
-class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """Lens positions to visit in this order; the first only brings the lens to its starting side."""
-
-    sweep: Count
-    focus: tuple[int, ...]
-    target: Id | None = None  # whose clarity to take; left out where the fleet has one target
-
-
-class SetPoint(Message, frozen=True, kw_only=True):
-    """What the control module shall hold; repeated, it is the module's heartbeat."""
-
-    depth_m: float
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    force_n: tuple[float, float] = (0.0, 0.0)  # forward, left; open loop
-    yaw_moment_nm: float = 0.0  # open loop
-    servos_us: tuple[int, int, int, int] = (1500, 1500, 1500, 1500)  # camera pan, tilt, lamp pan, tilt
-    light: float = 0.0  # 0 to 1
-
-
-class Outputs(Message, frozen=True, kw_only=True):
-    set_point: SetPoint
-    sweep: SweepPlan | None = None
-    says: tuple[Estimate, ...] = ()
-    state: State | None = None
-    log: tuple[LogLine, ...] = ()
-
-
-# --- encode and decode ----------------------------------------------------------------------------------------
-
-
-def encode(message: Message) -> bytes:
-    """The msgpack map of a message, fields in the order of declaration: equal messages give equal bytes."""
-    return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,))))
-
-
-def decode(payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD) -> M:
-    """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and this schema."""
-    if len(payload) > limit:
-        raise Refusal("size", f"{len(payload)} bytes, limit {limit}")
-    try:
-        fields = msgpack.unpackb(payload, strict_map_key=True)
-    except (ValueError, msgpack.UnpackException, RecursionError):
-        raise Refusal("garbage", "not msgpack") from None
-    if not isinstance(fields, dict):
-        raise Refusal("garbage", "not a map")
-    if "schema" in kind.__struct_fields__ and fields.get("schema") != SCHEMA:
-        raise Refusal("schema", f"schema {fields.get('schema')!r:.20}, ours is {SCHEMA}")
-    try:
-        return msgspec.convert(fields, kind, builtin_types=(bytes,))
-    except msgspec.ValidationError as error:
-        raise Refusal("content", str(error)[:200]) from None
-
-
-def encoding(kind: type[Message]) -> str:
-    """The encoding string that every sample of this kind carries."""
-    return f"application/msgpack;aucamp.{kind.__name__}"
 
 
 def _finite(value: Any) -> bool:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 
-from agent.control.attitude import AttitudeLog
-from agent.estimation.mailbox import Mailbox
-from agent.logbook import Logbook
-from agent.messages import Inputs, NeighbourState, State, Symmetric
-from agent.pursuit import Pursuit
+from agent.kernel.control.attitude import AttitudeLog
+from agent.kernel.control.sweep import Measurement, Rejected
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.logbook import Logbook
+from agent.kernel.messages import NeighbourState, State, Symmetric
+from agent.kernel.ranging.cues import NoRange
+from agent.kernel.ranging.fix import Fix
+from agent.kernel.step_io import Inputs, SweepOutcome
+from agent.kernel.target_state import TargetState
 
 NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
 
@@ -21,7 +25,7 @@ class Status:
         self.log = Logbook(robot)
         self._started_ns = 0
         self._frame_ns: int | None = None
-        self._focus: int | None = None
+        self._lens_position: int | None = None
         self._faults: tuple[str, ...] = ()
 
     def start(self, now_ns: int) -> None:
@@ -31,7 +35,7 @@ class Status:
         """Notice devices that fell silent and devices that came back."""
         for sighting in inputs.sightings:
             self._frame_ns = now_ns
-            self._focus = sighting.focus if sighting.focus is not None else self._focus
+            self._lens_position = sighting.focus if sighting.focus is not None else self._lens_position
         faults = []
         if now_ns - (self._frame_ns or self._started_ns) > NO_FRAMES_NS:
             faults.append("no frames")
@@ -49,26 +53,26 @@ class Status:
 
     def state(
         self,
-        pursuit: Pursuit,
+        target: TargetState,
         refused: dict[str, int],
         attitude: AttitudeLog,
         gimbal_deg: tuple[float, float],
         now_ns: int,
     ) -> State:
         """The public state at this moment, about one of the targets."""
-        telemetry, estimator, update, prior = attitude.newest, pursuit.estimator, pursuit.update, pursuit.measured
+        telemetry, estimator, update, prior = attitude.newest, target.estimator, target.update, target.measured
         posterior, used = estimator.posterior, update.used if update else ()
         return State(
             fleet=self._fleet,
             robot=self._robot,
             incarnation=self._incarnation,
-            seq=pursuit.last_state.seq + 1 if pursuit.last_state else 1,
+            seq=target.last_state.seq + 1 if target.last_state else 1,
             sent_ns=now_ns,
-            target=pursuit.target,
-            knows=pursuit.knows,
+            target=target.name,
+            knows=target.knows,
             t=estimator.t,
-            acquired_t=pursuit.acquired_t,
-            measurements=pursuit.measurements,
+            acquired_t=target.acquired_t,
+            measurements=target.measurements,
             prior_m=prior.x_m if prior else None,
             prior_sigma_m=sigma_m(prior.cov_m2) if prior else None,
             posterior_m=posterior.x_m if posterior else None,
@@ -77,14 +81,14 @@ class Status:
             rule=update.rule if update else "",
             explain=update.explain if update else None,
             neighbours=tuple(
-                neighbour_state(pursuit.mailbox, name, name in used, now_ns) for name in pursuit.mailbox.senders
+                neighbour_state(target.mailbox, name, name in used, now_ns) for name in target.mailbox.senders
             ),
             depth_m=telemetry.depth_m if telemetry else None,
             roll_deg=telemetry.roll_deg if telemetry else None,
             pitch_deg=telemetry.pitch_deg if telemetry else None,
             pan_deg=gimbal_deg[0],
             tilt_deg=gimbal_deg[1],
-            focus=self._focus,
+            focus=self._lens_position,
             armed=telemetry.armed if telemetry else False,
             refused=dict(refused),
             faults=self._faults,
@@ -100,6 +104,24 @@ def neighbour_state(mailbox: Mailbox, name: str, used: bool, now_ns: int) -> Nei
         used=used,
         heard=sender.heard,
         gaps=sender.gaps,
+    )
+
+
+def sweep_outcome(target: str, result: Measurement | Rejected, fix: Fix | NoRange | None = None) -> SweepOutcome:
+    """What the log shows of a finished sweep; `fix`: where its peak puts the target, if it has one."""
+    if isinstance(result, Rejected):
+        return SweepOutcome(sweep=result.sweep, target=target, held_width=result.held_width, rejected=result.reason)
+    return SweepOutcome(
+        sweep=result.sweep,
+        target=target,
+        t_ns=result.t_ns,
+        lens_position=result.lens_position,
+        sigma=result.sigma,
+        width=result.width,
+        held_width=result.held_width,
+        quality=result.quality,
+        x_m=fix.position_m if isinstance(fix, Fix) else None,
+        rejected=fix.reason if isinstance(fix, NoRange) else "",
     )
 
 

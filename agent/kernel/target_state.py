@@ -1,30 +1,30 @@
 """One target as one robot knows it: the post about it, its estimator, and what was measured of it.
 
-A robot has a pursuit for each target of the fleet file, and nothing passes from one to another. Each has an iteration
-index of its own, which counts while the camera's turn is at this target (control/turns.py): to every protocol it looks
-as if there were no other.
+A robot has such a state for each target of the fleet file, and nothing passes from one to another. Each has an
+iteration index of its own, which counts while the camera's turn is at this target (control/target_scheduler.py): to
+every protocol it looks as if there were no other.
 """
 
 from __future__ import annotations
 
 from typing import Literal
 
-from agent.config import Fleet
-from agent.estimation.choice import estimator
-from agent.estimation.face import Estimator, Prior, Update
-from agent.estimation.mailbox import Mailbox
-from agent.messages import Estimate, State
+from agent.kernel.config import Fleet
+from agent.kernel.estimation.choice import estimator
+from agent.kernel.estimation.interface import Estimator, Prior, Update
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.messages import Estimate, State
 
 Knows = Literal["blind", "told", "sees"]
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
 
 
-class Pursuit:
+class TargetState:
     """What one robot keeps about one target between steps."""
 
     def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int) -> None:
         self._fleet, self._robot, self._incarnation = fleet.fleet, robot, incarnation
-        self.target = target
+        self.name = target
         self.ball = fleet.target[target]
         self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
         self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
@@ -79,7 +79,7 @@ class Pursuit:
             incarnation=self._incarnation,
             seq=seq,
             sent_ns=now_ns,
-            target=self.target,
+            target=self.name,
             t=self.estimator.t,
             valid=self.estimator.valid,
             **self.estimator.say(neighbour, now_ns)._asdict(),

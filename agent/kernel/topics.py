@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal, NamedTuple
 
-from agent.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
+from agent.kernel.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
 
 
 class QoS(NamedTuple):

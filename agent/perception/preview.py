@@ -14,22 +14,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.messages import MAX_JPEG, Image, Sighting
-from agent.perception.clear_view import ClearView
-from hw.camera import Frame
+from agent.kernel.messages import MAX_JPEG, Image
+from agent.kernel.step_io import Sighting
+from agent.perception.enhancement.on_demand import OnDemandEnhancer
+from hw.camera.camera import Frame
 
 WIDTH_PX = 640  # at most: a panel on a screen, and what a frame of the usual cameras has
 QUALITIES = (80, 60, 40, 20)  # of JPEG: with the first a frame of the twin, 640x480, is 26 kB; the last is coarse
 
 
 class Preview:
-    """Of one camera, at most `hz` times a second; 0: never. Used by vision's thread.
+    """Makes the previews of one camera, at most `hz` a second; 0: none. Used by vision's thread.
 
-    `whole`: (width, height) of a full frame, pixels. `clear`: what enhances the frames; None: nothing does.
+    `whole`: (width, height) of a full frame, pixels. `enhancer`: what enhances the frames; None: nothing does.
     """
 
-    def __init__(self, robot: str, whole: tuple[int, int], hz: float, clear: ClearView | None = None) -> None:
-        self._robot, self._whole, self._clear = robot, whole, clear
+    def __init__(self, robot: str, whole: tuple[int, int], hz: float, enhancer: OnDemandEnhancer | None = None) -> None:
+        self._robot, self._whole, self._enhancer = robot, whole, enhancer
         self._numbers = count()
         self._period_ns = 1e9 / hz if hz else math.inf
         self._due_ns = 0.0 if hz else math.inf
@@ -42,7 +43,7 @@ class Preview:
         if now_ns < self._due_ns or (frame.roi.width, frame.roi.height) != self._whole:
             return None
         self._due_ns = now_ns + self._period_ns
-        shown = frame.image if self._clear is None else self._clear.view(frame, self._whole)
+        shown = frame.image if self._enhancer is None else self._enhancer.view(frame, self._whole)
         small, jpeg = compressed(shown)
         return Image(
             robot=self._robot,

@@ -7,23 +7,23 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Fleet
-from agent.messages import Sighting
-from agent.perception.seekers import seekers
+from agent.kernel.config import Fleet
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.step_io import Sighting
+from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
-from agent.ranging.calibration import CameraFit
-from hw.camera import Camera, CameraError, Frame, Roi
+from hw.camera.camera import Camera, CameraError, Frame, Roi
 
 Roi4 = tuple[int, int, int, int]  # x, y, width, height in the full frame
 See = Callable[[NDArray[np.uint8], Roi4, Sighting, Sighting | None], Sighting]
 
 
-def see_again(fleet: Fleet, camera: CameraFit) -> See:
+def rerun_vision(fleet: Fleet, camera: CameraFit) -> See:
     """A function (image, its part of the frame, the sighting of then, the sweep's first with a target) -> that of now.
 
     What the devices said, time, number and lens position, is taken from then; what the image says is new.
     """
-    vision = Vision(_no_camera, fleet, camera, seekers(fleet, camera), epoch_offset_ns=0)
+    vision = Vision(_no_camera, fleet, camera, load_detectors(fleet, camera), epoch_offset_ns=0)
 
     def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, first: Sighting | None) -> Sighting:
         frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))

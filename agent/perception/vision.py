@@ -15,14 +15,14 @@ from threading import Condition, Thread
 
 import cv2
 
-from agent.config import Fleet
-from agent.messages import Sighting, SweepPlan
-from agent.perception.clear_view import ClearView
-from agent.perception.enhance import Enhancer, one_thread
-from agent.perception.region import UNSEEN, Clarity, around, box_clarity, disc_clarity
-from agent.perception.seekers import Found, Seeker
-from agent.ranging.calibration import CameraFit
-from hw.camera import Camera, CameraError, Frame
+from agent.kernel.config import Fleet
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.step_io import Sighting, SweepPlan
+from agent.perception.clarity.region import UNSEEN, Clarity, around, box_clarity, disc_clarity
+from agent.perception.detection.detectors import Detector, Found
+from agent.perception.enhancement.enhance import one_thread
+from agent.perception.enhancement.on_demand import OnDemandEnhancer
+from hw.camera.camera import Camera, CameraError, Frame
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
 HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
@@ -34,9 +34,9 @@ QUEUE = 256  # sightings nobody has fetched: 8 s of frames at 30 per second
 class Vision:
     """Frames in, Sightings out. Start it once, close it once; the other methods may be called from any thread.
 
-    `open_camera` raises CameraError while there is no camera. `seekers` has one for each target. `epoch_offset_ns` is
+    `open_camera` raises CameraError while there is no camera. `detectors` has one for each target. `epoch_offset_ns` is
     added to the monotonic time of a frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must
-    not block. `way`: how frames are enhanced where the fleet file asks for it; by default the best that is installed.
+    not block. `enhancer`: for frames where the fleet file asks for it; by default with the best way that is installed.
     """
 
     def __init__(
@@ -44,25 +44,25 @@ class Vision:
         open_camera: Callable[[], Camera],
         fleet: Fleet,
         camera: CameraFit,
-        seekers: Mapping[str, Seeker],
+        detectors: Mapping[str, Detector],
         epoch_offset_ns: int,
         on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
-        way: Enhancer | None = None,
+        enhancer: OnDemandEnhancer | None = None,
     ) -> None:
         self._open_camera = open_camera
         self._settings = fleet.camera
-        self._seekers = seekers
+        self._detectors = detectors
         self._whole = camera.width_px, camera.height_px
         self._epoch_offset_ns = epoch_offset_ns
         self._on_frame = on_frame
-        self.clear = ClearView(way)  # for `[camera] enhance`; counts what it showed raw
+        self._enhancer = enhancer or OnDemandEnhancer()
         self._changed = Condition()  # guards the next three
         self._plan: SweepPlan | None = None
         self._closing = False
         self._out: deque[Sighting] = deque(maxlen=QUEUE)
         self._thread = Thread(target=self._run, name="vision", daemon=True)
         self._last: dict[str, Sighting] = {}  # of each target, in the last frame in which it was looked for
-        self._focus: int | None = None  # as the device reported it
+        self._lens_position: int | None = None  # as the device reported it
         self.frames = 0
         self.errors = 0  # cameras lost or not to be opened
         self.dropped = 0  # sightings that nobody fetched in time
@@ -104,7 +104,7 @@ class Vision:
             try:
                 camera = self._open_camera()
                 try:
-                    self._focus = None
+                    self._lens_position = None
                     while not self._closing:
                         self._work(camera)
                         self.fault, pause_s = None, RETRY_S[0]
@@ -121,7 +121,7 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
-            self._look(camera, tuple(self._seekers))
+            self._look(camera, tuple(self._detectors))
             self._wait(IDLE_PERIOD_S, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
@@ -129,14 +129,14 @@ class Vision:
             self._sweep(camera, plan)
 
     def _sweep(self, camera: Camera, plan: SweepPlan) -> None:
-        target = plan.target or next(iter(self._seekers))
-        self._focus = camera.set_focus(plan.focus[0])
+        target = plan.target or next(iter(self._detectors))
+        self._lens_position = camera.set_focus(plan.focus[0])
         self._wait(HOMING_S, until_plan=True)
         first: Sighting | None = None
-        for index, position in enumerate(plan.focus[1:], start=1):
+        for index, lens_position in enumerate(plan.focus[1:], start=1):
             if self._closing or self._plan is not None:
                 return
-            self._focus = camera.set_focus(position)
+            self._lens_position = camera.set_focus(lens_position)
             sighting = self._look(camera, (target,), plan.sweep, index, first)
             if first is None and sighting.found:
                 first = sighting
@@ -155,10 +155,10 @@ class Vision:
         searched for all of them: who comes into view is noticed, whoever is being measured.
         """
         last = self._last.get(targets[0])
-        part = sweep and not (self._settings.enhance and self.clear.wants_whole(time.monotonic_ns()))
+        part = sweep and not (self._settings.enhance and self._enhancer.wants_whole(time.monotonic_ns()))
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
-        sightings = [self.sight(frame, target, self._focus, sweep, index, first) for target in targets]
+        sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
         self._last.update(zip(targets, sightings, strict=True))
         self.frames += 1
         with self._changed:
@@ -170,23 +170,23 @@ class Vision:
         return sightings[0]
 
     def sight(
-        self, frame: Frame, target: str, focus: int | None, sweep: int, index: int, first: Sighting | None
+        self, frame: Frame, target: str, lens_position: int | None, sweep: int, index: int, first: Sighting | None
     ) -> Sighting:
-        """What one frame taken at lens position `focus` shows of a target; `first`: the sweep's first that found it.
+        """What one frame taken at a lens position shows of a target; `first`: the sweep's first that found it.
 
         Replay calls it as well.
         """
-        seeker = self._seekers[target]
-        find = partial(seeker.find, offset_px=(frame.roi.x, frame.roi.y), lens=focus)
-        clear = self._settings.enhance and not seeker.remembers
-        found = self.clear.look(find, frame, self._whole) if clear else find(frame.image)
-        clarity, area_px = UNSEEN if found is None else clarity_of(frame, found, first)
+        detector = self._detectors[target]
+        find = partial(detector.find, offset_px=(frame.roi.x, frame.roi.y), lens_position=lens_position)
+        enhance = self._settings.enhance and not detector.remembers
+        found = self._enhancer.look(find, frame, self._whole) if enhance else find(frame.image)
+        clarity, area_px = UNSEEN if found is None else target_clarity(frame, found, first)
         return Sighting(
             t_ns=frame.t_ns + self._epoch_offset_ns,
             frame=frame.seq,
             sweep=sweep,
             index=index,
-            focus=focus,
+            focus=lens_position,
             target=target,
             found=found is not None,
             centre_px=found.centre_px if found else None,
@@ -208,8 +208,8 @@ class Vision:
                 self._changed.wait(left)
 
 
-def clarity_of(frame: Frame, found: Found, first: Sighting | None) -> Clarity:
-    """Over a part as large as in the sweep's first frame: areas stay comparable while the blur changes."""
+def target_clarity(frame: Frame, found: Found, first: Sighting | None) -> Clarity:
+    """Clarity over a part as large as in the sweep's first frame: areas stay comparable while the blur changes."""
     if found.size_px is not None:
         return box_clarity(frame, found.centre_px, (first and first.size_px) or found.size_px)
     assert found.radius_px is not None  # a ball

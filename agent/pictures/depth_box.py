@@ -1,7 +1,7 @@
 """The range of one thing in a sweep of the focus: what `aucamp depth-map --box` adds to the map.
 
-Clarity over the middle of the box, as for a target that is followed in one (perception/region.py), against the lens
-position; then the peak and what the calibration makes of it. What the lens focuses is the surface that faces it.
+Clarity over the middle of the box, as for a target that is followed in one (perception/clarity/region.py), against the
+lens position; then the peak and what the calibration makes of it. What the lens focuses is the surface that faces it.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.perception.breathing import GROWTH_POWER
-from agent.perception.clarity import tenengrad_grid
-from agent.perception.likeness import Box
-from agent.perception.region import INNER_BOX
-from agent.ranging.calibration import Calibration
-from agent.ranging.focus import Array, Refused, fit_peak, h, phase_sigma, range_variance
-from hw.camera import Image
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.focus import Array, NoPeak, fit_peak, h, phase_sigma, range_variance
+from agent.perception.clarity.breathing import GROWTH_POWER
+from agent.perception.clarity.clarity import tenengrad_grid
+from agent.perception.clarity.region import INNER_BOX
+from agent.perception.tracking.appearance import Box
+from hw.camera.camera import Image
 
 MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
 
 
 class BoxRange(NamedTuple):
-    """Position and sigma in lens positions; the range is the z-depth from the gimbal's pivot, if calibrated."""
+    """Sigma is in lens positions, too; the range is the z-depth from the gimbal's pivot, if calibrated."""
 
-    position: float
+    lens_position: float  # at which it is sharpest
     sigma: float  # standard deviation
     quality: float  # of the peak, 0 to 1
     range_m: float | None = None
     range_sigma_m: float | None = None
 
     def __str__(self) -> str:
-        peak = f"sharpest at {self.position:.5g} +- {self.sigma:.2g}, quality {self.quality:.3f}"
+        peak = f"sharpest at {self.lens_position:.5g} +- {self.sigma:.2g}, quality {self.quality:.3f}"
         if self.range_m is None or self.range_sigma_m is None:
             return peak
         return f"{self.range_m:.4f} m +- {1e3 * self.range_sigma_m:.1f} mm, {peak}"
@@ -54,26 +54,27 @@ def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
     return clarity
 
 
-def box_range(focus: Array, clarity: Array, box: Box, calibration: Calibration | None) -> BoxRange | Refused:
-    """Where the clarity (n,) at the lens positions (n,) has its one peak; Refused where it has none, or several."""
+def box_range(lens_positions: Array, clarity: Array, box: Box, calibration: Calibration | None) -> BoxRange | NoPeak:
+    """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several."""
     if clarity.max() - np.median(clarity) < MIN_RISE:
-        return Refused("no texture: it is as sharp at every lens position")
-    peak = fit_peak(focus.tolist(), clarity.tolist())
-    if isinstance(peak, Refused):
+        return NoPeak("no texture: it is as sharp at every lens position")
+    peak = fit_peak(lens_positions.tolist(), clarity.tolist())
+    if isinstance(peak, NoPeak):
         return peak
     sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height))
-    found = BoxRange(peak.position, sigma, peak.quality)
+    found = BoxRange(peak.lens_position, sigma, peak.quality)
     if calibration is None:
         return found
-    range_m = h(calibration.focus, peak.position)
+    range_m = h(calibration.focus, peak.lens_position)
     if range_m is None:
-        return Refused(f"the peak at {peak.position:.0f} is sharp beyond all ranges of this calibration")
-    sigma_m = math.sqrt(sum(range_variance(calibration.focus, peak.position, sigma)))
+        return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
+    sigma_m = math.sqrt(sum(range_variance(calibration.focus, peak.lens_position, sigma)))
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 
 
 def as_json(box: Box, found: BoxRange) -> str:
-    return json.dumps({"box_px": list(box), **found._asdict()}, indent=1) + "\n"
+    fields = found._asdict()
+    return json.dumps({"box_px": list(box), "position": fields.pop("lens_position"), **fields}, indent=1) + "\n"
 
 
 def _edges(first: float, length: float, limit: int, scale: float) -> np.ndarray:

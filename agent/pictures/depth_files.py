@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.depth_sweep import DepthMap
-from agent.perception.likeness import Box
-from agent.ranging.focus import Array
+from agent.kernel.ranging.focus import Array
+from agent.perception.tracking.appearance import Box
+from agent.pictures.depth_sweep import DepthMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,10 +22,10 @@ def write_csv(result: DepthMap, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns + (["range_m"] if result.range_m is not None else []))
-        for row, col in np.ndindex(result.position.shape):
+        for row, col in np.ndindex(result.lens_position.shape):
             cell = (row, col)
             centre = [(k + 0.5) * result.block_px - 0.5 for k in (col, row)]
-            line: list[object] = [row, col, *centre, f"{result.position[cell]:.6g}", f"{result.sigma[cell]:.3g}"]
+            line: list[object] = [row, col, *centre, f"{result.lens_position[cell]:.6g}", f"{result.sigma[cell]:.3g}"]
             line += [f"{result.quality[cell]:.4f}", int(result.accepted[cell])]
             if result.range_m is not None:
                 line.append("" if np.isnan(result.range_m[cell]) else f"{result.range_m[cell]:.5g}")
@@ -47,7 +47,7 @@ def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
     if result.range_m is not None:
         values, label = result.range_m, "z-depth in metres"
     else:
-        values, label = np.where(result.accepted, result.position, np.nan), "focus position of the clarity peak"
+        values, label = np.where(result.accepted, result.lens_position, np.nan), "lens position of the clarity peak"
     shown = np.isfinite(values)
     right.set_title(f"{np.count_nonzero(shown)} of {shown.size} blocks of {result.block_px} px; hatched: no distance")
     draw_cells(right, values, result.block_px, label)

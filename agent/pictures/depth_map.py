@@ -9,17 +9,18 @@ import numpy as np
 from msgspec.structs import replace
 from rich.console import Console
 
-from agent.config import ConfigError
-from agent.depth_box import BoxRange, as_json, box_range
-from agent.depth_files import draw, write_csv
-from agent.depth_sweep import DepthMap, OnStep, measure, sweep
-from agent.launch import Failed, with_bar
-from agent.perception.follow import parse_box
-from agent.perception.likeness import Box
-from agent.ranging.calibration import Calibration, load_calibration
-from agent.ranging.focus import Refused
-from agent.ranging.sag import at_tilt
-from hw.camera import open_camera
+from agent.failure import Failed
+from agent.kernel.config import ConfigError
+from agent.kernel.ranging.calibration import Calibration, load_calibration
+from agent.kernel.ranging.focus import NoPeak
+from agent.kernel.ranging.lens_sag import at_tilt
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.follow import parse_box
+from agent.pictures.depth_box import BoxRange, as_json, box_range
+from agent.pictures.depth_files import draw, write_csv
+from agent.pictures.depth_sweep import DepthMap, OnStep, measure, sweep
+from agent.progress import with_bar
+from hw.camera.open import open_camera
 
 
 def depth_map(
@@ -45,13 +46,13 @@ def depth_map(
     finally:
         camera.close()
     result = measure(taken, block, calibration)
-    if box is not None and taken.boxed is not None:
-        result = result._replace(thing=box_range(taken.focus, taken.boxed, box, calibration))
+    if box is not None and taken.box_clarity is not None:
+        result = result._replace(box_range=box_range(taken.lens_positions, taken.box_clarity, box, calibration))
     try:
         write_csv(result, out.with_suffix(".csv"))
         draw(result, out, box)
-        if box is not None and isinstance(result.thing, BoxRange):
-            out.with_suffix(".json").write_text(as_json(box, result.thing), encoding="utf-8")
+        if box is not None and isinstance(result.box_range, BoxRange):
+            out.with_suffix(".json").write_text(as_json(box, result.box_range), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}; choose another place") from None
     return result
@@ -85,13 +86,13 @@ def run(
         f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: "
         f"{out}, {out.with_suffix('.csv')}"
     )
-    if isinstance(result.thing, Refused):
-        raise Failed(f"box {box}: {result.thing.reason}; the map is in {out}")
-    return said if result.thing is None else f"{said}, {out.with_suffix('.json')}\nin the box: {result.thing}"
+    if isinstance(result.box_range, NoPeak):
+        raise Failed(f"box {box}: {result.box_range.reason}; the map is in {out}")
+    return said if result.box_range is None else f"{said}, {out.with_suffix('.json')}\nin the box: {result.box_range}"
 
 
 def _address(source: str) -> str:
-    """Of the camera that is meant; a folder of photographs is one."""
+    """The address of the camera that is meant; a folder of photographs is one."""
     if Path(source).is_dir():
         return f"stack:{source}"
     if ":" not in source:

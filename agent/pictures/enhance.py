@@ -13,21 +13,22 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from agent.config import ConfigError
-from agent.launch import with_bar
-from agent.perception.enhance import BUDGET_MS, Enhancer, Variant, enhancer
-from agent.perception.grey_world import Image
-from agent.pictures import Pictures, pictures
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, enhancer
+from agent.perception.enhancement.grey_world import Image
+from agent.perception.enhancement.variants import Variant
+from agent.pictures.sources import Pictures, pictures
+from agent.progress import with_bar
 
 FRAMES = 30  # of a camera, unless told
 
 
-class Target(NamedTuple):
+class Destination(NamedTuple):
     """Where results go; `source` stays as it is."""
 
     out: Path
     source: Path
-    show: Callable[[Image], Image]  # from a picture to what is written of it
+    render: Callable[[Image], Image]  # from a picture to what is written of it
 
     def file(self, name: str) -> Path:
         """Raises ConfigError where that is the source."""
@@ -52,10 +53,10 @@ def run(
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
-    target = Target(out, Path(source), side_by_side_with(way) if side_by_side else way.apply)
-    make_folder(target)
+    into = Destination(out, Path(source), side_by_side_with(way) if side_by_side else way.apply)
+    make_folder(into)
     work = film if found.kind == "video" else stills
-    with_bar(console, "enhance", lambda show: work(found, target, show))
+    with_bar(console, "enhance", lambda show: work(found, into, show))
     for problem in problems:
         console.print(f"skipped: {problem}" if found.kind == "images" else problem)
     console.print(f"written to {out}")
@@ -66,35 +67,35 @@ def side_by_side_with(way: Enhancer) -> Callable[[Image], Image]:
     return lambda image: np.hstack([image, way.apply(image)])
 
 
-def make_folder(target: Target) -> None:
+def make_folder(into: Destination) -> None:
     try:
-        target.out.mkdir(parents=True, exist_ok=True)
+        into.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--out {target.out}: {error.strerror}; give a folder that can be written") from None
-    if target.source.is_dir() and target.out.resolve() == target.source.resolve():
-        raise ConfigError(f"--out {target.out}: is the source folder, whose files stay as they are; give another one")
+        raise ConfigError(f"--out {into.out}: {error.strerror}; give a folder that can be written") from None
+    if into.source.is_dir() and into.out.resolve() == into.source.resolve():
+        raise ConfigError(f"--out {into.out}: is the source folder, whose files stay as they are; give another one")
 
 
-def stills(found: Pictures, target: Target, show: Callable[[int, int], None]) -> None:
+def stills(found: Pictures, into: Destination, show: Callable[[int, int], None]) -> None:
     """One PNG for each picture, with its name or number; two images of one stem keep their suffixes."""
     used: set[str] = set()
     for done, picture in enumerate(found.each, start=1):
         name = f"{Path(picture.name).stem}.png" if found.kind == "images" else f"{int(picture.name):06d}.png"
         name = f"{picture.name}.png" if name in used else name
         used.add(name)
-        file = target.file(name)
-        if not cv2.imwrite(str(file), target.show(picture.image)):
+        file = into.file(name)
+        if not cv2.imwrite(str(file), into.render(picture.image)):
             raise ConfigError(f"{file}: cannot be written; choose another folder with --out")
         show(done, found.total or done)
     if found.total:
         show(found.total, found.total)  # with those that were skipped
 
 
-def film(found: Pictures, target: Target, show: Callable[[int, int], None]) -> None:
+def film(found: Pictures, into: Destination, show: Callable[[int, int], None]) -> None:
     """One MP4 with the rate of the source."""
-    file, rate_hz = target.file(f"{target.source.stem}.mp4"), found.rate_hz or 30.0
+    file, rate_hz = into.file(f"{into.source.stem}.mp4"), found.rate_hz or 30.0
     first = next(found.each)  # there is one, or the walk has said why not
-    result = target.show(first.image)
+    result = into.render(first.image)
     size = (result.shape[1], result.shape[0])
     sink = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, size)
     if not sink.isOpened():
@@ -102,7 +103,7 @@ def film(found: Pictures, target: Target, show: Callable[[int, int], None]) -> N
     try:
         sink.write(result)
         for done, picture in enumerate(found.each, start=2):
-            sink.write(target.show(picture.image))
+            sink.write(into.render(picture.image))
             show(done, max(found.total or done, done))
     finally:
         sink.release()

@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from agent.config import ConfigError
-from agent.launch import with_bar
-from agent.perception.engines import load_engine
-from agent.perception.follow import Follower, parse_box
-from agent.perception.likeness import Box
-from agent.perception.seekers import BoxSeeker, Found, boxed
-from agent.pictures import Picture, Pictures, pictures
-from hw.camera import Image
+from agent.kernel.config import ConfigError
+from agent.perception.detection.detectors import BoxDetector, Found, boxed
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box_trackers import load_box_tracker
+from agent.perception.tracking.follow import Follower, parse_box
+from agent.pictures.sources import Picture, Pictures, pictures
+from agent.progress import with_bar
+from hw.camera.camera import Image
 
 VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
 RATE_HZ = 30.0  # of the annotated video
@@ -43,7 +43,7 @@ def run(
 
     Raises ConfigError and CameraError, one line each. Existing files are not overwritten.
     """
-    drawn, follower = parse_box(box), Follower(load_engine(backbone, neck))
+    drawn, follower = parse_box(box), Follower(load_box_tracker(backbone, neck))
     found = pictures(source, frames)
     say(HEADER)
     with writer(out) as show:
@@ -58,7 +58,7 @@ def follow(
     say: Callable[[str], None],
     progress: Callable[[int, int], None],
 ) -> bool:
-    seeker, size = BoxSeeker(follower), None
+    detector, size = BoxDetector(follower), None
     now: Found | None = boxed(box, 1.0)
     for k, picture in enumerate(found.each):
         if size is None:
@@ -67,7 +67,7 @@ def follow(
         elif picture.image.shape != size:
             raise ConfigError(f"{picture.name}: not of the size of the first picture; give pictures of one size")
         else:
-            now = seeker.find(picture.image)
+            now = detector.find(picture.image)
         box = now.box if now else box
         say(line(picture, now, box))
         show(annotated(picture.image, now, box), picture.name)

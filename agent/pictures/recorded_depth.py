@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.depth_sweep import MAX_GROWTH, clarity_of, measure
-from agent.ranging.calibration import Calibration
-from agent.ranging.focus import MIN_POSITIONS
-from replay.depth import SweepDepth, SweepFrame
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.focus import MIN_POSITIONS
+from agent.pictures.depth_sweep import MAX_GROWTH, clarity_of, measure
+from replay.viewers.whole_sweeps import SweepDepth, SweepFrame
 
 BLOCK_PX = 25  # half of what a whole view gets: the part that a sweep reads is half as wide
 MIN_BLOCKS = 4  # across and down; less is no map
@@ -34,8 +34,9 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     for frame in seen:
         x, y = _centre(frame)
         images.append(frame.image[y - half_y : y + half_y + 1, x - half_x : x + half_x + 1])
-    focus = np.array([float(frame.sighting.focus or 0) for frame in seen])
-    taken = clarity_of(images, focus, BLOCK_PX, growth(focus, [frame.sighting.radius_px or 0.0 for frame in seen]))
+    lens_positions = np.array([float(frame.sighting.focus or 0) for frame in seen])
+    grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
+    taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
     found = measure(taken, BLOCK_PX, calibration)
     assert found.range_m is not None  # there is a calibration
     reference = seen[taken.reference]
@@ -50,11 +51,11 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     )
 
 
-def growth(focus: np.ndarray, radius_px: Sequence[float]) -> float:
+def growth(lens_positions: np.ndarray, radius_px: Sequence[float]) -> float:
     """How much the target's radius grew from the first to the last frame, relative: a line over the lens position."""
-    slope, at_zero = np.polyfit(focus, radius_px, 1)
-    first = at_zero + slope * focus[0]
-    relative = slope * (focus[-1] - focus[0]) / first if first > 0 else 0.0
+    slope, at_zero = np.polyfit(lens_positions, radius_px, 1)
+    first = at_zero + slope * lens_positions[0]
+    relative = slope * (lens_positions[-1] - lens_positions[0]) / first if first > 0 else 0.0
     return float(np.clip(relative, -MAX_GROWTH, MAX_GROWTH))
 
 

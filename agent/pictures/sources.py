@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import cv2
-import numpy as np
 
-from agent.config import ConfigError
-from hw.camera import CameraGone, Image, open_camera
+from agent.kernel.config import ConfigError
+from hw.camera.camera import CameraGone, Image
+from hw.camera.open import open_camera
+from hw.picture_files import SUFFIXES, picture_files, read_picture
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 READ_TIMEOUT_S = 2.0  # a camera that has just been opened takes longer than one that runs
 WHOLE = 0.98  # of the frames that a video announces: files without an index state an estimate
 
@@ -43,9 +43,9 @@ def pictures(
     """
     place = Path(source)
     if place.is_dir():
-        paths = images_in(place)[:frames]
+        paths = picture_files(place)[:frames]
         return Pictures("images", _images(paths, problems), len(paths))
-    if place.suffix.lower() in IMAGES and place.is_file():
+    if place.suffix.lower() in SUFFIXES and place.is_file():
         return Pictures("images", _images([place], None), 1)
     if place.is_file():
         rate_hz, count = _announced(place)
@@ -58,34 +58,10 @@ def pictures(
     return Pictures("camera", _shots(source, most), most)
 
 
-def images_in(folder: Path) -> list[Path]:
-    """The images of a folder in order of their names. Raises ConfigError if there are none."""
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; give a folder of images")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES)
-    if not paths:
-        raise ConfigError(f"{folder}: no pictures in this folder; it needs files that end in {' '.join(IMAGES)}")
-    return paths
-
-
-def read(path: Path) -> Image:
-    """An image file as 8-bit blue green red: 16 bits are scaled by their largest value, grey becomes three equal
-    colours, an alpha plane is left out. Raises ConfigError for one that cannot be read."""
-    raw = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    if raw is None:
-        raise ConfigError(f"{path}: not an image that OpenCV can read; replace it or take it away")
-    if raw.dtype == np.uint8:
-        return np.asarray(raw, np.uint8)
-    if not np.isfinite(raw).all():
-        raise ConfigError(f"{path}: holds values that are not finite; convert it to 8 or 16 bits")
-    top = max(float(raw.max()), 1e-9)
-    return (np.clip(raw, 0, None).astype(np.float64) * (255.0 / top)).round().astype(np.uint8)
-
-
 def _images(paths: list[Path], problems: list[str] | None) -> Iterator[Picture]:
     for path in paths:
         try:
-            image = read(path)
+            image = read_picture(path, stretch=True)  # each is looked at by itself
         except ConfigError as error:
             if problems is None:
                 raise

@@ -11,14 +11,15 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from agent.config import ConfigError
-from agent.enhancement.dataset import Pairs, load, make_pairs, save, split
-from agent.enhancement.folders import folds, read_pairs
-from agent.enhancement.request import checkpoint_of
-from agent.enhancement.train import Plan, Point, Run, advance
-from agent.enhancement.validate import SIMPLE, Fold, cross_validate, mean, score, table
-from agent.launch import run_folder, with_bar
-from agent.perception import lu2net
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement import lu2net
+from agent.progress import with_bar
+from agent.run_folder import run_folder
+from agent.training.dataset import Pairs, load, make_pairs, save, split
+from agent.training.request import checkpoint_of
+from agent.training.scene_pairs import folds, read_pairs
+from agent.training.train import Plan, Point, Run, advance
+from agent.training.validate import SIMPLE, Fold, cross_validate, mean, score, table
 
 MADE, SIDE = 3120, 256  # pairs of our own, and their side in pixels; real pairs are scaled to the same
 VALIDATED = 24  # pairs: enough for a curve, and a small part of the time
@@ -51,7 +52,7 @@ def train(
         f"{len(training.raw)} pairs of {len(set(training.scene))} scenes to train on, "
         f"{len(validation.raw)} of {len(set(validation.scene))} others to validate"
     )
-    with progress(console) as bar:
+    with steps_bar(console) as bar:
         task = bar.add_task("training", total=plan.steps, completed=state.step)
         for value in advance(state, training, validation):
             seen = state.curve and math.isfinite(state.curve[-1].psnr_db)
@@ -71,7 +72,7 @@ def cross_validation(folders: tuple[Path, Path], start: Path, plan: Plan, count:
     rows = {name: mean(score(pairs, method)) for name, method in SIMPLE.items()}
     rows["weights as given"] = mean(score(pairs, lambda image: lu2net.run(net, image)))
     done: list[Fold] = []
-    with progress(console) as bar:
+    with steps_bar(console) as bar:
         task = bar.add_task("cross-validation", total=plan.steps * count)
         for item in cross_validate(net, pairs, plan, count):
             if isinstance(item, Fold):
@@ -109,7 +110,8 @@ def curves(points: Iterable[Point], out: Path) -> None:
     figure.savefig(out.with_suffix(".png"), dpi=100, bbox_inches="tight")
 
 
-def progress(console: Console) -> Progress:
+def steps_bar(console: Console) -> Progress:
+    """A bar with the steps done and the time left."""
     left = TimeRemainingColumn()
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), left, console=console)
 

@@ -7,7 +7,6 @@ or a tank; validation has scenes of its own, of which training sees nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -15,10 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.enhancement.degrade import Image, pair
-from agent.enhancement.landscapes import landscape
-from agent.enhancement.photographs import HELD_OUT, TEXTURES, photograph_files, photograph_scene, read
-from agent.enhancement.renders import Tankful
+from agent.progress import Progress
+from agent.training.degrade import Image, pair
+from agent.training.landscapes import landscape
+from agent.training.photographs import HELD_OUT, TEXTURES, photograph_files, photograph_scene
+from agent.training.renders import Tankful
+from hw.picture_files import read_picture
 
 VIEWS_PER_TANK = 40  # a tank takes a second to fill
 HELD_OUT_SHARE = 20  # every twentieth landscape and tank is for validation
@@ -32,10 +33,11 @@ class Pairs(NamedTuple):
     scene: NDArray[np.str_]
 
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Pairs:
+        """Some of them, by mask or by number."""
         return Pairs(self.raw[chosen], self.target[chosen], self.scene[chosen])
 
 
-def make_pairs(count: int, side: int, seed: int, show: Callable[[int, int], None] = lambda done, total: None) -> Pairs:
+def make_pairs(count: int, side: int, seed: int, show: Progress = lambda done, total: None) -> Pairs:
     """`count` pairs of side x side pixels. Raises ConfigError if the photographs are not installed."""
     raw, target = (np.empty((count, side, side, 3), np.uint8) for _ in range(2))
     scenes = []
@@ -47,6 +49,7 @@ def make_pairs(count: int, side: int, seed: int, show: Callable[[int, int], None
 
 
 def make_pair(i: int, side: int, seed: int) -> tuple[Image, Image, str]:
+    """Pair `i` of a seed: raw, target, and the name of its scene."""
     rng = np.random.default_rng([seed, i])
     kind, turn = i % 6, i // 6
     if kind == 5:
@@ -60,17 +63,19 @@ def make_pair(i: int, side: int, seed: int) -> tuple[Image, Image, str]:
 
 
 def split(pairs: Pairs) -> tuple[Pairs, Pairs]:
-    """For training and for validation."""
+    """The pairs for training and those for validation."""
     held = np.char.endswith(pairs.scene, "-held-out")
     return pairs.only(~held), pairs.only(held)
 
 
 def save(pairs: Pairs, file: Path) -> None:
+    """Write pairs as NPZ."""
     with file.open("wb") as out:
         np.savez(out, **pairs._asdict())
 
 
 def load(file: Path) -> Pairs:
+    """Read what `save` wrote."""
     with np.load(file) as data:
         return Pairs(data["raw"], data["target"], data["scene"])
 
@@ -91,4 +96,4 @@ def _files() -> list[Path]:
 
 @lru_cache(maxsize=16)
 def _read(file: Path) -> Image:
-    return read(file)
+    return read_picture(file)

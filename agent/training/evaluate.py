@@ -10,23 +10,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from agent.config import ConfigError
-from agent.enhancement.metrics import Quality, judge
-from agent.launch import with_bar
-from agent.perception.enhance import Enhancer, Variant, enhancer
-from agent.perception.grey_world import Image, classic, local_contrast, white_balance
-from agent.pictures import images_in, read
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement.enhance import Enhancer, enhancer
+from agent.perception.enhancement.grey_world import Image, clahe, classic, white_balance
+from agent.perception.enhancement.variants import Variant
+from agent.pictures.pairs import Size, paired, read_pair
+from agent.progress import Progress, with_bar
+from agent.training.metrics import Quality, judge
 
 OWN_SIZE = "own"  # as --size: each picture as large as it is
 LEAST_PX = 16  # a side; SSIM's window has 11
-NAMED = 5  # pictures without a partner; more are counted
 
-Size = tuple[int, int]  # width, height
 Ways = dict[str, Callable[[Image], Image]]
 Figures = dict[str, dict[str, Quality]]  # picture -> way -> figures
 
@@ -51,7 +49,7 @@ def run(
 
 def ways(way: Enhancer, weights: Path | None) -> Ways:
     """What `way` is set beside: doing nothing, the simple ways, and the network in full and fast."""
-    known: Ways = {"identity": lambda image: image, "grey-world": white_balance, "CLAHE": local_contrast}
+    known: Ways = {"identity": lambda image: image, "grey-world": white_balance, "CLAHE": clahe}
     known["classic"] = classic
     if way.variant != "classic":
         known |= {"plain": enhancer("plain", weights).apply, "fast": enhancer("fast", weights).apply}
@@ -68,33 +66,15 @@ def parse_size(text: str) -> Size | None:
     return int(width), int(height)
 
 
-def paired(raw: Path, reference: Path) -> tuple[list[tuple[Path, Path]], list[str]]:
-    """Files of the two folders with the same name, and a line for each folder with names that the other lacks.
-
-    Raises ConfigError if there are no pairs.
-    """
-    ours, theirs = ({path.stem: path for path in images_in(folder)} for folder in (raw, reference))
-    pairs = [(path, theirs[stem]) for stem, path in ours.items() if stem in theirs]
-    if not pairs:
-        raise ConfigError(f"{raw} and {reference}: no two pictures of the same name; give folders that belong together")
-    alone = []
-    for folder, here, there in ((raw, ours, theirs), (reference, theirs, ours)):
-        names = [path.name for stem, path in here.items() if stem not in there]
-        if names:
-            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-            alone.append(f"{folder}: without a partner in the other folder: {', '.join(names[:NAMED])}{more}")
-    return pairs, alone
-
-
 def evaluate(
-    pairs: list[tuple[Path, Path]], ways: Ways, size: Size | None, show: Callable[[int, int], None]
+    pairs: list[tuple[Path, Path]], ways: Ways, size: Size | None, show: Progress
 ) -> tuple[Figures, list[str]]:
     """Figures of each pair, and a line for each that cannot be compared."""
     figures: Figures = {}
     problems = []
     for done, (path, wanted) in enumerate(pairs, start=1):
         try:
-            image, target = scaled(path, wanted, size)
+            image, target = read_pair(path, wanted, size)
         except ConfigError as error:
             problems.append(str(error))
         else:
@@ -103,19 +83,8 @@ def evaluate(
     return figures, problems
 
 
-def scaled(raw: Path, reference: Path, size: Size | None) -> tuple[Image, Image]:
-    """Both pictures of a pair at one size. Raises ConfigError."""
-    image, target = read(raw), read(reference)
-    if image.shape != target.shape:
-        ours, theirs = (f"{one.shape[1]}x{one.shape[0]}" for one in (image, target))
-        raise ConfigError(f"{raw}: {ours}, but its reference {theirs} pixels; a pair must show the same pixels")
-    if size is None:
-        return image, target
-    small = [np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_AREA), np.uint8) for one in (image, target)]
-    return small[0], small[1]
-
-
 def table(figures: Figures, variant: str) -> Table:
+    """One way, picture by picture."""
     shown = Table(title=f"picture by picture: {variant}")
     for column in ("picture", "PSNR dB", "SSIM", "UCIQE", "UIQM"):
         shown.add_column(column, justify="left" if column == "picture" else "right")
@@ -125,6 +94,7 @@ def table(figures: Figures, variant: str) -> Table:
 
 
 def means(figures: Figures) -> Table:
+    """All ways, over all pictures."""
     shown = Table(title=f"means over {len(figures)} pictures")
     for column in ("way", "PSNR dB", "SSIM", "UCIQE", "UIQM"):
         shown.add_column(column, justify="left" if column == "way" else "right")
@@ -134,4 +104,5 @@ def means(figures: Figures) -> Table:
 
 
 def cells(quality: np.ndarray) -> list[str]:
+    """The four figures of one line."""
     return [f"{quality[0]:.2f}", *(f"{value:.3f}" for value in quality[1:])]

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.enhancement.degrade import Picture, Plane
+from agent.training.degrade import Picture, Plane
 
 BANK, SHEETS = 512, 12  # px a side; how many sheets of noise are kept to cut from
 FAR = 8.0  # range of open water, in units of the terrain's

@@ -26,6 +26,7 @@ TO_XYZ = ((0.4339, 0.3762, 0.1899), (0.2126, 0.7152, 0.0722), (0.0178, 0.1095, 0
 
 
 def loss(output: Tensor, target: Tensor) -> Tensor:
+    """The sum of the four terms."""
     ours, theirs = to_lab(output), to_lab(target)
     return (output - target).abs().mean() + lab_loss(ours, theirs) + lch_loss(ours, theirs) + 1 - ssim(output, target)
 
@@ -40,6 +41,7 @@ def to_lab(rgb: Tensor) -> Tensor:
 
 
 def lab_loss(ours: Tensor, theirs: Tensor) -> Tensor:
+    """Distance in lightness, and cross entropy of softly binned a and b; both arguments CIELAB."""
     lightness = (ours[:, 0] - theirs[:, 0]).abs().mean() / 100
     centres = torch.linspace(-AB_RANGE, AB_RANGE, AB_LEVELS, device=ours.device).view(-1, 1, 1, 1, 1)
     width = 2 * AB_RANGE / (AB_LEVELS - 1)
@@ -48,6 +50,7 @@ def lab_loss(ours: Tensor, theirs: Tensor) -> Tensor:
 
 
 def lch_loss(ours: Tensor, theirs: Tensor) -> Tensor:
+    """Distance in lightness and chroma, and cross entropy of softly binned hue; both arguments CIELAB."""
     lightness = (ours[:, 0] - theirs[:, 0]).abs().mean() / 100
     chroma = [(lab[:, 1:].square().sum(1) + 1e-2).sqrt() for lab in (ours, theirs)]
     bins = [

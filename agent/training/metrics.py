@@ -23,6 +23,8 @@ TRIMMED = 0.1  # of the pixels at either end do not vote in UIQM's colour
 
 
 class Quality(NamedTuple):
+    """The four figures of one picture."""
+
     psnr_db: float
     ssim: float
     uciqe: float

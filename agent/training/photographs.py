@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agent.config import ConfigError
-from agent.enhancement.degrade import GAMMA, Image, Picture, Plane
-from agent.enhancement.landscapes import FAR, colour, noise
+from agent.kernel.config import ConfigError
+from agent.training.degrade import GAMMA, Image, Picture, Plane
+from agent.training.landscapes import FAR, colour, noise
 
 COLOURED = ("astronaut.png", "coffee.png", "chelsea.png", "rocket.jpg", "grace_hopper.jpg")
 TEXTURES = ("brick.png", "gravel.png", "grass.png")  # grey: they are given two colours
@@ -29,10 +29,6 @@ def photograph_files() -> list[Path]:
     if len(found) < len(COLOURED + TEXTURES):
         raise ConfigError("the training photographs come with scikit-image: pip install 'aucamp[train]'")
     return found
-
-
-def read(file: Path) -> Image:
-    return np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR), np.uint8)
 
 
 def photograph_scene(image: Image, grey: bool, side: int, rng: np.random.Generator) -> tuple[Picture, Plane]:

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 
-from agent.config import Tank
-from agent.enhancement.degrade import GAMMA, Image, Picture, finish, pair
-from hw.twin.lens import Lens, draw_lens
-from hw.twin.painter import Painter
+from agent.kernel.config import Tank
+from agent.training.degrade import GAMMA, Image, Picture, finish, pair
+from hw.twin.optics.lens import Lens, draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.optics.view import Chessboard, Eye, Hull
 from hw.twin.scene import SceneWater, Solid, load_scene
-from hw.twin.view import Board, Eye, Hull
 
 INDEX = 1.333
 PRESETS: tuple[Literal["tap", "pool", "coastal", "turbid"], ...] = ("tap", "pool", "coastal", "turbid")
@@ -44,7 +44,7 @@ class Tankful:
         eye = _eye(rng, self._tank)
         sharp_m = self._lens.image_m(INDEX / float(rng.uniform(0.3, 1.2)))
         hulls = [Hull(_inside(rng, self._tank), np.eye(3))] if rng.random() < 0.4 else []
-        board = Board(_inside(rng, self._tank), _towards(rng.normal(size=3))) if rng.random() < 0.2 else None
+        board = Chessboard(_inside(rng, self._tank), _towards(rng.normal(size=3))) if rng.random() < 0.2 else None
         dry = _square(self._dry.frame(eye, sharp_m, hulls, board), side)
         clear = (dry.astype(np.float32) / np.float32(255)) ** np.float32(GAMMA)
         if rng.random() < 0.5:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.config import ConfigError
-from agent.enhancement.folders import paired
+from agent.kernel.config import ConfigError
+from agent.pictures.pairs import paired
 
 
 def check(

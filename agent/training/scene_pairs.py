@@ -1,56 +1,34 @@
-"""Pairs of pictures from two folders that use the same file names, and which of them show the same scene.
-
-The layouts in use: LSUI has input/ and GT/, UIEB raw-890/ and reference-890/, EUVP Paired/<subset>/trainA/ and trainB/.
-Suffixes may differ between the two folders.
-"""
+"""Pairs of pictures from two folders, and which of them show the same scene."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import ConfigError
-from agent.enhancement.dataset import Pairs
-from agent.enhancement.degrade import Image
+from agent.kernel.config import ConfigError
+from agent.pictures.pairs import paired, read_pair
+from agent.progress import Progress
+from agent.training.dataset import Pairs
+from agent.training.degrade import Image
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 HASH_SIDE = 16  # 256 bits
 SAME_BITS = 75  # of 256: frames of one clip; unrelated pictures differ in about 128
 THUMBNAIL, SAME_COLOUR = 8, 7.0  # px a side; rms CIELAB difference below which two views are of one place
 
 
-def read_pairs(
-    raw: Path, reference: Path, side: int, show: Callable[[int, int], None] = lambda done, total: None
-) -> Pairs:
+def read_pairs(raw: Path, reference: Path, side: int, show: Progress = lambda done, total: None) -> Pairs:
     """All pairs, scaled to side x side. Raises ConfigError: no pairs, a broken picture, sizes that differ."""
-    both = paired(raw, reference)
+    files, _ = paired(raw, reference)
     images: tuple[list[Image], list[Image]] = ([], [])
-    for done, files in enumerate(both, 1):
-        whole = [_read(file) for file in files]
-        if whole[0].shape != whole[1].shape:
-            sizes = " and ".join(f"{image.shape[1]}x{image.shape[0]}" for image in whole)
-            raise ConfigError(f"{files[0]}, {files[1]}: sizes {sizes} differ; a pair must show the same pixels")
-        for kept, image in zip(images, whole, strict=True):
-            kept.append(np.asarray(cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA), np.uint8))
-        show(done, len(both))
+    for done, pair in enumerate(files, 1):
+        for kept, image in zip(images, read_pair(*pair, (side, side)), strict=True):
+            kept.append(image)
+        show(done, len(files))
     stacks = np.stack(images[0]), np.stack(images[1])
     return Pairs(*stacks, np.array([f"scene-{number}" for number in scenes(stacks[0])]))
-
-
-def paired(raw: Path, reference: Path) -> list[tuple[Path, Path]]:
-    """The files of the same name in both folders, suffixes aside. Raises ConfigError if there are none."""
-    for folder in (raw, reference):
-        if not folder.is_dir():
-            raise ConfigError(f"{folder}: no such folder; give the folder of raw pictures, then that of references")
-    theirs = {file.stem: file for file in _pictures(reference)}
-    both = [(file, theirs[file.stem]) for file in _pictures(raw) if file.stem in theirs]
-    if not both:
-        raise ConfigError(f"{raw}, {reference}: no pairs; the same picture must have the same file name in both")
-    return both
 
 
 def scenes(images: NDArray[np.uint8]) -> list[int]:
@@ -94,14 +72,3 @@ def folds(scene: NDArray[np.str_], count: int, seed: int) -> NDArray[np.intp]:
         place[names[i]] = fold
         filled[fold] += int(sizes[i])
     return np.array([place[name] for name in scene])
-
-
-def _pictures(folder: Path) -> list[Path]:
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
-
-
-def _read(file: Path) -> Image:
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ConfigError(f"{file}: not a picture that OpenCV reads; mend it or take it out of the folder")
-    return np.asarray(image, np.uint8)

@@ -19,11 +19,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from agent.config import ConfigError
-from agent.enhancement.dataset import Pairs
-from agent.enhancement.losses import loss
-from agent.enhancement.metrics import psnr, ssim
-from agent.perception.lu2net import LU2Net, run
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement.lu2net import LU2Net, run
+from agent.training.dataset import Pairs
+from agent.training.losses import loss
+from agent.training.metrics import psnr, ssim
 
 SIZES = ((96, 8), (96, 8), (128, 5), (192, 2))  # px a side and pictures a batch; each step draws one
 NARROWEST = 0.6  # share of a picture that a crop keeps at least

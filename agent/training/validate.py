@@ -6,21 +6,18 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from rich.table import Table
 
-from agent.enhancement.dataset import Pairs
-from agent.enhancement.degrade import Image
-from agent.enhancement.folders import folds
-from agent.enhancement.metrics import Quality, judge
-from agent.enhancement.train import Plan, Run, advance
-from agent.perception.enhance import white_balance
-from agent.perception.lu2net import LU2Net, run
+from agent.perception.enhancement.grey_world import clahe, white_balance
+from agent.perception.enhancement.lu2net import LU2Net, run
+from agent.training.dataset import Pairs
+from agent.training.degrade import Image
+from agent.training.metrics import Quality, judge
+from agent.training.scene_pairs import folds
+from agent.training.train import Plan, Run, advance
 
 Method = Callable[[Image], Image]
-
-CLIP_LIMIT, TILES = 2.0, (8, 8)  # of CLAHE, as the literature's comparisons have it
 
 
 class Fold(NamedTuple):
@@ -32,21 +29,16 @@ class Fold(NamedTuple):
     after: list[Quality]
 
 
-def clahe(image: Image) -> Image:
-    """Local contrast of lightness alone."""
-    lab = cv2.cvtColor(image, cv2.COLOR_BGR2LAB)
-    lab[:, :, 0] = cv2.createCLAHE(CLIP_LIMIT, TILES).apply(np.ascontiguousarray(lab[:, :, 0]))
-    return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2BGR), np.uint8)
-
-
 SIMPLE: dict[str, Method] = {"identity": lambda image: image, "grey world": white_balance, "CLAHE": clahe}
 
 
 def score(pairs: Pairs, method: Method) -> list[Quality]:
+    """What a method makes of each pair."""
     return [judge(method(raw), target) for raw, target in zip(pairs.raw, pairs.target, strict=True)]
 
 
 def mean(figures: list[Quality]) -> Quality:
+    """Each figure by itself."""
     return Quality(*np.mean(figures, axis=0).tolist())
 
 
@@ -67,6 +59,7 @@ def cross_validate(start: LU2Net, pairs: Pairs, plan: Plan, count: int) -> Itera
 
 
 def table(rows: dict[str, Quality], title: str) -> Table:
+    """A line for each method."""
     out = Table(title=title)
     for heading in ("", "PSNR dB", "SSIM", "UCIQE", "UIQM"):
         out.add_column(heading, justify="left" if not heading else "right")

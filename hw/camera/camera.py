@@ -1,8 +1,7 @@
-"""A focusable camera, whatever is behind it: one protocol and the table from URL scheme to backend."""
+"""A focusable camera, whatever is behind it: the protocol that every backend keeps, its values and its errors."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -55,10 +54,10 @@ class Camera(Protocol):
     size: tuple[int, int]  # width, height of the full frame
 
     def focus_range(self) -> FocusRange | None:
-        """None: the focus cannot be set, sweeps are refused."""
+        """The range of lens positions; None where the focus cannot be set, and sweeps are refused."""
 
-    def set_focus(self, position: int) -> int:
-        """Move the lens; returns the position that the device reports afterwards."""
+    def set_focus(self, lens_position: int) -> int:
+        """Move the lens; returns the lens position that the device reports afterwards."""
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         """The first frame exposed after this call and at least `settle_s` after the last set_focus.
@@ -69,53 +68,9 @@ class Camera(Protocol):
     def close(self) -> None: ...
 
 
-def open_camera(url: str, twin_dir: Path, size: tuple[int, int] | None) -> Camera:
-    """Open what `url` names: SCHEME:PLACE, see SCHEMES. The caller closes it.
-
-    size: (width, height) that the calibration is for, in pixels; None takes what comes.
-    Raises CameraError for a wrong address or another size, CameraGone if nothing answers there now.
-    """
-    scheme, place = known_scheme(url)
-    camera = _open(scheme, place, twin_dir, size)
-    if size is not None and camera.size != size:
-        camera.close()
-        raise CameraError(
-            f"camera '{url}': delivers {camera.size[0]}x{camera.size[1]} pixels, not {size[0]}x{size[1]}; "
-            "correct width_px and height_px under [camera]"
-        )
-    return camera
-
-
-def known_scheme(url: str) -> tuple[str, str]:
-    """SCHEME and PLACE of an address. Raises CameraError for one that no backend serves."""
-    scheme, _, place = url.partition(":")
-    if scheme not in SCHEMES or not place:
-        known = ", ".join(f"{name}:{what}" for name, what in SCHEMES.items())
-        raise CameraError(f"camera '{url}': no such kind of camera; write one of {known}")
-    return scheme, place
-
-
-SCHEMES = {"twin": "ROBOT", "stack": "DIR", "video": "FILE", "v4l2": "/dev/video0 or NAME"}  # scheme -> what follows it
-
-
-def _open(scheme: str, place: str, twin_dir: Path, size: tuple[int, int] | None) -> Camera:
-    # Imported when asked for: nobody needs the libraries of a camera that is not there.
-    if scheme == "twin":
-        from hw.camera_twin import open_twin
-
-        return open_twin(Path(place) if "/" in place else twin_dir / f"{place}.camera")
-    if scheme == "v4l2":
-        from hw.camera_v4l2 import open_v4l2
-
-        return open_v4l2(place, size)
-    from hw.camera_files import open_stack, open_video
-
-    return open_stack(Path(place)) if scheme == "stack" else open_video(Path(place))
-
-
-def nearest(position: int, focus: FocusRange) -> int:
-    """The position that the lens can take which is nearest to the one wanted."""
-    steps = round((min(max(position, focus.lowest), focus.highest) - focus.lowest) / focus.step)
+def nearest(lens_position: int, focus: FocusRange) -> int:
+    """The lens position nearest to the one wanted among those that the lens can take."""
+    steps = round((min(max(lens_position, focus.lowest), focus.highest) - focus.lowest) / focus.step)
     return min(focus.lowest + steps * focus.step, focus.highest)
 
 

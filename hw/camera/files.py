@@ -16,7 +16,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from hw.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
+from agent.kernel.config import ConfigError
+from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
+from hw.picture_files import read_picture
 
 POSITIONS = "positions.csv"
 COLUMNS = ("file", "focus_position")
@@ -40,7 +42,7 @@ class StackCamera:
     def __init__(self, photographs: list[Photograph], first: Image) -> None:
         self.size = (first.shape[1], first.shape[0])
         self._photographs = photographs
-        self._position = 0
+        self._lens_position = 0
         self._image: Image | None = first
         self._seq = 0
 
@@ -52,10 +54,10 @@ class StackCamera:
     def focus_range(self) -> FocusRange:
         return FocusRange(0, len(self._photographs) - 1, 1)
 
-    def set_focus(self, position: int) -> int:
-        wanted = nearest(position, self.focus_range())
-        if wanted != self._position:
-            self._position, self._image = wanted, None
+    def set_focus(self, lens_position: int) -> int:
+        wanted = nearest(lens_position, self.focus_range())
+        if wanted != self._lens_position:
+            self._lens_position, self._image = wanted, None
         return wanted
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
@@ -69,7 +71,7 @@ class StackCamera:
         self._image = None
 
     def _photograph(self) -> Image:
-        path = self._photographs[self._position].path
+        path = self._photographs[self._lens_position].path
         image = _load(path)
         size = (image.shape[1], image.shape[0])
         if size != self.size:
@@ -104,7 +106,7 @@ class VideoCamera:
     def focus_range(self) -> FocusRange | None:
         return None
 
-    def set_focus(self, position: int) -> int:
+    def set_focus(self, lens_position: int) -> int:
         raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
@@ -128,10 +130,10 @@ def _frame(t_ns: int, seq: int, image: Image, roi: Roi | None) -> Frame:
 def _load(path: Path) -> Image:
     if not path.is_file():
         raise CameraGone(f"{path}: the photograph has gone; put it back")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)  # grey becomes three equal channels
-    if image is None:
-        raise CameraError(f"{path}: not an image that OpenCV can read; replace it or take its row out of {POSITIONS}")
-    return np.asarray(image, np.uint8)
+    try:
+        return read_picture(path)
+    except ConfigError as error:
+        raise CameraError(f"{error}, and its row out of {POSITIONS}") from None
 
 
 def _read_positions(directory: Path) -> list[Photograph]:
@@ -161,13 +163,13 @@ def _read_positions(directory: Path) -> list[Photograph]:
 
 
 def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Photograph:
-    name, position = (row[column] or "" for column in COLUMNS)
+    name, focus_position = (row[column] or "" for column in COLUMNS)
     try:
-        value = float(position)
+        value = float(focus_position)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise CameraError(f"{where}: focus_position '{position}' is not a number; correct it")
+        raise CameraError(f"{where}: focus_position '{focus_position}' is not a number; correct it")
     if not (directory / name).is_file():
         raise CameraError(f"{where}: there is no file '{name}' in {directory}; correct the name or remove the row")
     return Photograph(value, directory / name)

@@ -1,10 +1,4 @@
-"""The camera socket of the twin: what travels on it, and the server that feeds it from a source of frames.
-
-AF_UNIX stream. The client sends a request of fixed size; the server answers with a header of fixed size and then
-`nbytes` of payload: pixels (READ), numbers (INFO, SET_FOCUS) or, with any status but OK, one line of text.
-Integers are little-endian and CRC-32 (zlib's) covers all of a header before it. As with a real driver, nothing
-tells where the lens truly is or what is in front of it.
-"""
+"""The camera socket's other end: a thread that serves one source of frames, a camera seen from inside the twin."""
 
 from __future__ import annotations
 
@@ -12,106 +6,37 @@ import contextlib
 import select
 import socket
 import stat
-import struct
 import threading
 import time
-import zlib
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from hw.camera import CameraError, FocusRange, Frame, Roi
-
-MAGIC = b"AUC1"
-
-INFO, SET_FOCUS, READ = 1, 2, 3  # verbs
-OK, FAILED, UNKNOWN_VERB, BUSY, TORN = range(5)  # status; after the last two the server hangs up
-
-FULL = Roi(0, 0, 0, 0)  # asks for the whole frame
-
-MAX_PAYLOAD = 64 << 20  # bytes; more is taken for a torn stream, not for a frame
-
-_REQUEST = struct.Struct("<4sB3xIiI4H")  # magic, verb, id, focus position, settle us, x y width height
-_REPLY = struct.Struct("<4sB3xIQQ4HI")  # magic, status, id, seq, middle of exposure ns, x y width height, nbytes
-_CRC = struct.Struct("<I")
-REQUEST_SIZE = _REQUEST.size + _CRC.size
-REPLY_SIZE = _REPLY.size + _CRC.size
-
-FACTS = struct.Struct("<2H3i")  # payload of INFO: width, height, lowest, highest, step
-POSITION = struct.Struct("<i")  # payload of SET_FOCUS: the position that the driver reports
+from hw.camera.camera import CameraError, FocusRange, Frame, Roi
+from hw.camera.frame_socket import (
+    BUSY,
+    FAILED,
+    FULL,
+    INFO,
+    INFO_REPLY,
+    OK,
+    READ,
+    REQUEST_SIZE,
+    SET_FOCUS,
+    SET_FOCUS_REPLY,
+    TORN,
+    UNKNOWN_VERB,
+    Reply,
+    Request,
+    Torn,
+    pack_reply,
+    parse_request,
+    receive_into,
+)
 
 STALL_S = 2.0  # a client that stops in the middle of a message for longer is dropped
 POLL_S = 0.2  # how late the thread notices that it shall end
-
-
-class Request(NamedTuple):
-    verb: int
-    id: int
-    focus: int = 0
-    settle_us: int = 0
-    roi: Roi = FULL
-
-
-class Reply(NamedTuple):
-    status: int
-    id: int
-    seq: int = 0
-    t_ns: int = 0
-    roi: Roi = FULL
-    nbytes: int = 0
-
-
-class Torn(ValueError):
-    """What was read is no header of this protocol: the stream cannot be trusted any more."""
-
-
-def pack_request(request: Request) -> bytes:
-    return _sealed(_REQUEST.pack(MAGIC, request.verb, request.id, request.focus, request.settle_us, *request.roi))
-
-
-def parse_request(header: bytes) -> Request:
-    """Raises Torn."""
-    _, verb, number, focus, settle_us, *roi = _REQUEST.unpack(_opened(header))
-    return Request(verb, number, focus, settle_us, Roi(*roi))
-
-
-def pack_reply(reply: Reply) -> bytes:
-    return _sealed(_REPLY.pack(MAGIC, reply.status, reply.id, reply.seq, reply.t_ns, *reply.roi, reply.nbytes))
-
-
-def parse_reply(header: bytes) -> Reply:
-    """Raises Torn."""
-    _, status, number, seq, t_ns, x, y, width, height, nbytes = _REPLY.unpack(_opened(header))
-    if nbytes > MAX_PAYLOAD:
-        raise Torn(f"payload of {nbytes} bytes announced, limit {MAX_PAYLOAD}")
-    return Reply(status, number, seq, t_ns, Roi(x, y, width, height), nbytes)
-
-
-def receive_into(connection: socket.socket, buffer: memoryview, deadline_s: float) -> None:
-    """Fill `buffer`. Raises EOFError if the other side hangs up, TimeoutError after time.monotonic() `deadline_s`."""
-    while buffer:
-        left_s = deadline_s - time.monotonic()
-        if left_s <= 0:
-            raise TimeoutError
-        connection.settimeout(left_s)
-        count = connection.recv_into(buffer)
-        if count == 0:
-            raise EOFError
-        buffer = buffer[count:]
-
-
-def _sealed(fields: bytes) -> bytes:
-    return fields + _CRC.pack(zlib.crc32(fields))
-
-
-def _opened(header: bytes) -> bytes:
-    fields, seal = header[: -_CRC.size], header[-_CRC.size :]
-    if not fields.startswith(MAGIC):
-        raise Torn(f"begins with {fields[:4]!r}, not with {MAGIC!r}")
-    if _CRC.unpack(seal)[0] != zlib.crc32(fields):
-        raise Torn("checksum is wrong")
-    return fields
 
 
 class FrameSource(Protocol):
@@ -120,8 +45,8 @@ class FrameSource(Protocol):
     size: tuple[int, int]
     focus_range: FocusRange
 
-    def set_focus(self, position: int) -> int:
-        """Move the lens; returns the position that a driver would report."""
+    def set_focus(self, lens_position: int) -> int:
+        """Move the lens; returns the lens position that a driver would report."""
 
     def read(self, roi: Roi | None, settle_s: float) -> Frame:
         """The first frame exposed after this call and `settle_s` after the last set_focus; waits for it."""
@@ -200,15 +125,15 @@ class FrameServer:
         except Torn as error:
             return Reply(TORN, 0), str(error).encode()
         try:
-            return self._obey(request)
+            return self._execute(request)
         except CameraError as error:
             return Reply(FAILED, request.id), str(error).encode()
 
-    def _obey(self, request: Request) -> tuple[Reply, bytes | memoryview]:
+    def _execute(self, request: Request) -> tuple[Reply, bytes | memoryview]:
         if request.verb == INFO:
-            return Reply(OK, request.id), FACTS.pack(*self._source.size, *self._source.focus_range)
+            return Reply(OK, request.id), INFO_REPLY.pack(*self._source.size, *self._source.focus_range)
         if request.verb == SET_FOCUS:
-            return Reply(OK, request.id), POSITION.pack(self._source.set_focus(request.focus))
+            return Reply(OK, request.id), SET_FOCUS_REPLY.pack(self._source.set_focus(request.lens_position))
         if request.verb != READ:
             return Reply(UNKNOWN_VERB, request.id), f"unknown verb {request.verb}".encode()
         roi, (width, height) = request.roi, self._source.size

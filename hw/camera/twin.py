@@ -1,4 +1,4 @@
-"""twin: a camera of the tank twin, seen through its socket (hw.twin.frame_socket)."""
+"""twin: a camera of the tank twin, seen through its socket (hw.camera.frame_socket)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hw.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
-from hw.twin import frame_socket
-from hw.twin.frame_socket import FULL, INFO, OK, READ, SET_FOCUS, Reply, Request
+from hw.camera import frame_socket
+from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
+from hw.camera.frame_socket import FULL, INFO, OK, READ, SET_FOCUS, Reply, Request
 
 
 def open_twin(path: Path) -> TwinCamera:
@@ -28,7 +28,7 @@ def open_twin(path: Path) -> TwinCamera:
         raise CameraGone(f"{path}: no twin serves a camera here ({reason}); start it with: aucamp twin FLEET") from None
     camera = TwinCamera(connection, path)
     try:
-        camera.ask_facts()
+        camera.ask_info()
     except CameraError:
         camera.close()
         raise
@@ -36,7 +36,7 @@ def open_twin(path: Path) -> TwinCamera:
 
 
 class TwinCamera:
-    """After CameraGone the connection is closed: what was late must not be taken for the next answer."""
+    """One connection, closed after CameraGone: what was late must not be taken for the next answer."""
 
     def __init__(self, connection: socket.socket, path: Path) -> None:
         self.size = (0, 0)
@@ -45,17 +45,18 @@ class TwinCamera:
         self._path = path
         self._ids = itertools.count(1)
 
-    def ask_facts(self) -> None:
+    def ask_info(self) -> None:
         """Frame size and focus range, as a driver tells them."""
-        width, height, lowest, highest, step = self._ask_numbers(Request(INFO, next(self._ids)), frame_socket.FACTS)
+        request = Request(INFO, next(self._ids))
+        width, height, lowest, highest, step = self._ask_numbers(request, frame_socket.INFO_REPLY)
         self.size, self._focus_range = (width, height), FocusRange(lowest, highest, step)
 
     def focus_range(self) -> FocusRange:
         return self._focus_range
 
-    def set_focus(self, position: int) -> int:
-        wanted = nearest(position, self._focus_range)
-        return self._ask_numbers(Request(SET_FOCUS, next(self._ids), focus=wanted), frame_socket.POSITION)[0]
+    def set_focus(self, lens_position: int) -> int:
+        request = Request(SET_FOCUS, next(self._ids), lens_position=nearest(lens_position, self._focus_range))
+        return self._ask_numbers(request, frame_socket.SET_FOCUS_REPLY)[0]
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         part = FULL if roi is None else deliverable(roi, self.size)

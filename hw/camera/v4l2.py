@@ -10,13 +10,13 @@ import logging
 import time
 from collections.abc import Callable
 
-from hw import v4l2_calls as v4l2
-from hw.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable, nearest
-from hw.v4l2_calls import Device
-from hw.v4l2_controls import Controls, free_focus, freeze
-from hw.v4l2_format import MJPG, Format, negotiate
-from hw.v4l2_node import LINUX, System, find
-from hw.v4l2_stream import Stream
+from hw.camera import v4l2_calls as v4l2
+from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable, nearest
+from hw.camera.v4l2_calls import Device
+from hw.camera.v4l2_controls import Controls, free_focus, freeze
+from hw.camera.v4l2_format import MJPG, Format, negotiate
+from hw.camera.v4l2_node import LINUX, System, find
+from hw.camera.v4l2_stream import Stream
 
 WARM_UP_FRAMES = 20  # for the automatic exposure to come to rest before it is locked; 0.7 s at 30 frames/s
 FIRST_FRAME_S = 3.0  # limit while warming up; cameras need up to two seconds after they were plugged in
@@ -43,8 +43,8 @@ def open_v4l2(
         controls = Controls(device)
         missing = freeze(controls)
         focus = free_focus(controls)
-        if controls.query(v4l2.EXPOSURE_100US) is not None:
-            stream.exposure_ns = controls.get(v4l2.EXPOSURE_100US) * 100_000
+        if controls.query(v4l2.EXPOSURE_ABSOLUTE) is not None:
+            stream.exposure_ns = controls.get(v4l2.EXPOSURE_ABSOLUTE) * 100_000
     except CameraError:
         if stream is not None:
             stream.close()
@@ -76,12 +76,12 @@ class V4l2Camera:
     def focus_range(self) -> FocusRange | None:
         return self._focus
 
-    def set_focus(self, position: int) -> int:
+    def set_focus(self, lens_position: int) -> int:
         if self._focus is None:
             raise CameraError(
                 f"{self._device.path}: its focus cannot be set; use a camera with the control focus_absolute"
             )
-        reported = self._controls.set(v4l2.FOCUS_ABSOLUTE, nearest(position, self._focus))
+        reported = self._controls.set(v4l2.FOCUS_ABSOLUTE, nearest(lens_position, self._focus))
         self._focus_set_ns = self._clock_ns()
         return reported
 

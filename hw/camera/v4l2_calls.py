@@ -1,5 +1,6 @@
 """What is said to a Video4Linux driver: numbers and structs of linux/videodev2.h and linux/v4l2-controls.h.
 
+Numbers have their names there, without V4L2_ and CID_.
 A `Device` is one open node. Requests go through `ioctl`, whose argument is a struct that the driver reads and writes.
 Structs are in the machine's own layout (struct's "@"), as the kernel reads them.
 """
@@ -34,29 +35,31 @@ S_PARM = _number(_BOTH, 22, STREAM_PARAMETERS)
 G_CTRL, S_CTRL = _number(_BOTH, 27, CONTROL), _number(_BOTH, 28, CONTROL)
 QUERYCTRL = _number(_BOTH, 36, QUERY_CONTROL)
 
-CAN_CAPTURE, CAN_STREAM, HAS_DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000  # capabilities
-VIDEO_CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+CAP_VIDEO_CAPTURE, CAP_STREAMING, CAP_DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000  # capabilities
+BUF_TYPE_VIDEO_CAPTURE = 1
 MEMORY_MMAP = 1
 FIELD_NONE = 1  # progressive
 
 # flags of a buffer
-DAMAGED = 0x40  # V4L2_BUF_FLAG_ERROR: the bytes may be wrong, the next buffer will be right again
-CLOCK_MASK, CLOCK_MONOTONIC = 0xE000, 0x2000  # else unknown, or copied from elsewhere
-TAKEN_MASK, TAKEN_AT_START = 0x7_0000, 0x1_0000  # of the exposure; else when the last byte had come
+BUF_FLAG_ERROR = 0x40  # the bytes may be wrong, the next buffer will be right again
+BUF_FLAG_TIMESTAMP_MASK, BUF_FLAG_TIMESTAMP_MONOTONIC = 0xE000, 0x2000  # else unknown, or copied from elsewhere
+BUF_FLAG_TSTAMP_SRC_MASK = 0x7_0000
+BUF_FLAG_TSTAMP_SRC_SOE = 0x1_0000  # stamped at the start of the exposure; else when the last byte had come
 
 # flags of a control
 UNUSABLE = 0x0001 | 0x0004  # DISABLED, READ_ONLY
 
-WHITE_BALANCE_AUTO, WHITE_BALANCE_K = 0x0098_090C, 0x0098_091A
-GAIN_AUTO, GAIN = 0x0098_0912, 0x0098_0913
+AUTO_WHITE_BALANCE, WHITE_BALANCE_TEMPERATURE = 0x0098_090C, 0x0098_091A  # the latter in kelvin
+AUTOGAIN, GAIN = 0x0098_0912, 0x0098_0913
 SHARPNESS = 0x0098_091B
-EXPOSURE_AUTO, EXPOSURE_100US, EXPOSURE_MAY_SLOW = 0x009A_0901, 0x009A_0902, 0x009A_0903
+EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0x009A_0901, 0x009A_0902  # the latter in units of 100 us
+EXPOSURE_AUTO_PRIORITY = 0x009A_0903  # the exposure may slow the frames down
 FOCUS_ABSOLUTE, FOCUS_AUTO = 0x009A_090A, 0x009A_090C
-EXPOSURE_MANUAL = 1  # V4L2_EXPOSURE_MANUAL; 0 would be automatic
+EXPOSURE_MANUAL = 1  # 0 would be automatic
 
 
 class Device(Protocol):
-    """One open video node, real (hw.v4l2_node) or not."""
+    """One open video node, real (hw.camera.v4l2_node) or not."""
 
     path: str
 
@@ -67,7 +70,7 @@ class Device(Protocol):
         """The memory of one of the driver's buffers."""
 
     def wait(self, timeout_s: float) -> bool:
-        """Until a buffer is filled, or the device has something else to say; False if nothing came in time."""
+        """Wait until a buffer is filled, or the device has something else to say; False if nothing came in time."""
 
     def close(self) -> None: ...
 
@@ -85,8 +88,8 @@ def identity(device: Device) -> Identity:
     argument = bytearray(CAPABILITY.size)
     device.ioctl(QUERYCAP, argument)
     _, card, bus, _, whole, node = CAPABILITY.unpack(argument)
-    can = node if whole & HAS_DEVICE_CAPS else whole
-    return Identity(_text(card), _text(bus), can & CAN_CAPTURE != 0 and can & CAN_STREAM != 0)
+    can = node if whole & CAP_DEVICE_CAPS else whole
+    return Identity(_text(card), _text(bus), can & CAP_VIDEO_CAPTURE != 0 and can & CAP_STREAMING != 0)
 
 
 def _text(raw: bytes) -> str:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import errno
 from typing import NamedTuple
 
-from hw import v4l2_calls as v4l2
-from hw.camera import CameraError, CameraGone, FocusRange
-from hw.v4l2_calls import CONTROL, QUERY_CONTROL, Device
+from hw.camera import v4l2_calls as v4l2
+from hw.camera.camera import CameraError, CameraGone, FocusRange
+from hw.camera.v4l2_calls import CONTROL, QUERY_CONTROL, Device
 
 
 class Control(NamedTuple):
@@ -30,19 +30,19 @@ class Lock(NamedTuple):
 
 
 LOCKS = (
-    Lock("exposure", v4l2.EXPOSURE_AUTO, v4l2.EXPOSURE_MANUAL, v4l2.EXPOSURE_100US),
-    Lock("gain", v4l2.GAIN_AUTO, 0, v4l2.GAIN),
-    Lock("white balance", v4l2.WHITE_BALANCE_AUTO, 0, v4l2.WHITE_BALANCE_K),
+    Lock("exposure", v4l2.EXPOSURE_AUTO, v4l2.EXPOSURE_MANUAL, v4l2.EXPOSURE_ABSOLUTE),
+    Lock("gain", v4l2.AUTOGAIN, 0, v4l2.GAIN),
+    Lock("white balance", v4l2.AUTO_WHITE_BALANCE, 0, v4l2.WHITE_BALANCE_TEMPERATURE),
 )
 
 NAMES = {
     v4l2.EXPOSURE_AUTO: "the automatic exposure",
-    v4l2.EXPOSURE_100US: "the exposure time",
-    v4l2.EXPOSURE_MAY_SLOW: "the frame rate that follows the light",
-    v4l2.GAIN_AUTO: "the automatic gain",
+    v4l2.EXPOSURE_ABSOLUTE: "the exposure time",
+    v4l2.EXPOSURE_AUTO_PRIORITY: "the frame rate that follows the light",
+    v4l2.AUTOGAIN: "the automatic gain",
     v4l2.GAIN: "the gain",
-    v4l2.WHITE_BALANCE_AUTO: "the automatic white balance",
-    v4l2.WHITE_BALANCE_K: "the white balance",
+    v4l2.AUTO_WHITE_BALANCE: "the automatic white balance",
+    v4l2.WHITE_BALANCE_TEMPERATURE: "the white balance",
     v4l2.SHARPNESS: "the sharpness",
     v4l2.FOCUS_AUTO: "the autofocus",
     v4l2.FOCUS_ABSOLUTE: "the focus",
@@ -56,7 +56,7 @@ class Controls:
         self._device = device
 
     def query(self, control: int) -> Control | None:
-        """None if the camera does not have the control."""
+        """Range of a control; None if the camera does not have it."""
         argument = bytearray(QUERY_CONTROL.pack(control, 0, b"", *7 * (0,)))
         try:
             self._device.ioctl(v4l2.QUERYCTRL, argument)
@@ -113,8 +113,8 @@ class Controls:
 def freeze(controls: Controls) -> list[str]:
     """Hold exposure, gain and white balance where their automatics left them; returns what the camera cannot hold."""
     missing = [lock.what for lock in LOCKS if not controls.lock(lock.automatic, lock.off, lock.governed)]
-    if controls.query(v4l2.EXPOSURE_MAY_SLOW) is not None:
-        controls.set(v4l2.EXPOSURE_MAY_SLOW, 0)
+    if controls.query(v4l2.EXPOSURE_AUTO_PRIORITY) is not None:
+        controls.set(v4l2.EXPOSURE_AUTO_PRIORITY, 0)
     sharpness = controls.query(v4l2.SHARPNESS)
     if sharpness is None:
         return [*missing, "sharpening"]

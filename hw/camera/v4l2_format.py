@@ -8,10 +8,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from hw import v4l2_calls as v4l2
-from hw.camera import CameraError, Image
-from hw.v4l2_calls import FORMAT, STREAM_PARAMETERS, Device
-from hw.v4l2_controls import gone
+from hw.camera import v4l2_calls as v4l2
+from hw.camera.camera import CameraError, Image
+from hw.camera.v4l2_calls import FORMAT, STREAM_PARAMETERS, Device
+from hw.camera.v4l2_controls import gone
 
 YUYV, MJPG = (int.from_bytes(name, "little") for name in (b"YUYV", b"MJPG"))
 ENCODINGS = (YUYV, MJPG)  # in this order: JPEG moves and flattens the focus peak
@@ -59,7 +59,7 @@ def decode(data: memoryview, form: Format) -> Image | None:
 
 
 def _current_size(device: Device) -> tuple[int, int]:
-    argument = bytearray(FORMAT.pack(v4l2.VIDEO_CAPTURE, *12 * (0,)))
+    argument = bytearray(FORMAT.pack(v4l2.BUF_TYPE_VIDEO_CAPTURE, *12 * (0,)))
     device.ioctl(v4l2.G_FMT, argument)
     _, width, height, *_ = FORMAT.unpack(argument)
     return width, height
@@ -67,14 +67,14 @@ def _current_size(device: Device) -> tuple[int, int]:
 
 def _set(device: Device, fourcc: int, size: tuple[int, int]) -> Format:
     """Ask for a format; a driver takes the nearest that it has."""
-    argument = bytearray(FORMAT.pack(v4l2.VIDEO_CAPTURE, *size, fourcc, v4l2.FIELD_NONE, *8 * (0,)))
+    argument = bytearray(FORMAT.pack(v4l2.BUF_TYPE_VIDEO_CAPTURE, *size, fourcc, v4l2.FIELD_NONE, *8 * (0,)))
     device.ioctl(v4l2.S_FMT, argument)
     _, width, height, got, _, stride, *_ = FORMAT.unpack(argument)
     return Format((width, height), got, max(stride, 2 * width), _set_period_ns(device))
 
 
 def _set_period_ns(device: Device) -> int:
-    argument = bytearray(STREAM_PARAMETERS.pack(v4l2.VIDEO_CAPTURE, 0, 0, 1, WANTED_HZ, 0, 0))
+    argument = bytearray(STREAM_PARAMETERS.pack(v4l2.BUF_TYPE_VIDEO_CAPTURE, 0, 0, 1, WANTED_HZ, 0, 0))
     try:
         device.ioctl(v4l2.S_PARM, argument)
     except OSError as error:

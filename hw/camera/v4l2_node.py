@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from hw.camera import CameraError, CameraGone
-from hw.v4l2_calls import Device, Identity, identity
+from hw.camera.camera import CameraError, CameraGone
+from hw.camera.v4l2_calls import Device, Identity, identity
 
 
 class Node:
-    """One open node; see hw.v4l2_calls.Device."""
+    """One open node; see hw.camera.v4l2_calls.Device."""
 
     def __init__(self, path: str, descriptor: int) -> None:
         self.path = path

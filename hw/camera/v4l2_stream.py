@@ -11,11 +11,11 @@ import errno
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hw import v4l2_calls as v4l2
-from hw.camera import CameraError, CameraGone, Image
-from hw.v4l2_calls import BUFFER, BUFFER_TYPE, REQUEST_BUFFERS, Device
-from hw.v4l2_controls import gone
-from hw.v4l2_format import Format, decode
+from hw.camera import v4l2_calls as v4l2
+from hw.camera.camera import CameraError, CameraGone, Image
+from hw.camera.v4l2_calls import BUFFER, BUFFER_TYPE, REQUEST_BUFFERS, Device
+from hw.camera.v4l2_controls import gone
+from hw.camera.v4l2_format import Format, decode
 
 BUFFERS = 3  # one being filled, one to be filled next, one being read
 
@@ -33,7 +33,8 @@ class Picture(NamedTuple):
 
 def clock_is_known(flags: int, stamp_ns: int, arrived_ns: int, period_ns: int) -> bool:
     """Whether a buffer's stamp is of CLOCK_MONOTONIC, as the driver says and as can be: others say nothing here."""
-    return flags & v4l2.CLOCK_MASK == v4l2.CLOCK_MONOTONIC and stamp_ns <= arrived_ns + period_ns
+    monotonic = flags & v4l2.BUF_FLAG_TIMESTAMP_MASK == v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC
+    return monotonic and stamp_ns <= arrived_ns + period_ns
 
 
 def exposed(flags: int, stamp_ns: int, arrived_ns: int, exposure_ns: int, period_ns: int) -> Exposure:
@@ -43,7 +44,7 @@ def exposed(flags: int, stamp_ns: int, arrived_ns: int, exposure_ns: int, period
     exposure and one period for reading the sensor out. A stamp of an unknown clock is replaced by the arrival.
     """
     known = clock_is_known(flags, stamp_ns, arrived_ns, period_ns)
-    if known and flags & v4l2.TAKEN_MASK == v4l2.TAKEN_AT_START:
+    if known and flags & v4l2.BUF_FLAG_TSTAMP_SRC_MASK == v4l2.BUF_FLAG_TSTAMP_SRC_SOE:
         return Exposure(stamp_ns, stamp_ns + exposure_ns // 2)
     took_ns = exposure_ns + period_ns
     began_ns = (stamp_ns if known else arrived_ns) - took_ns
@@ -63,13 +64,13 @@ class Stream:
     def start(self) -> None:
         """Raises CameraError where the driver has no buffers to give, as when another program reads from it."""
         try:
-            argument = bytearray(REQUEST_BUFFERS.pack(BUFFERS, v4l2.VIDEO_CAPTURE, v4l2.MEMORY_MMAP, 0))
+            argument = bytearray(REQUEST_BUFFERS.pack(BUFFERS, v4l2.BUF_TYPE_VIDEO_CAPTURE, v4l2.MEMORY_MMAP, 0))
             self._device.ioctl(v4l2.REQBUFS, argument)
             for index in range(REQUEST_BUFFERS.unpack(argument)[0]):
                 *_, offset, length, _, _ = BUFFER.unpack(self._buffer_call(v4l2.QUERYBUF, index))
                 self._buffers.append(self._device.map(offset, length))
                 self._buffer_call(v4l2.QBUF, index)
-            self._device.ioctl(v4l2.STREAMON, bytearray(BUFFER_TYPE.pack(v4l2.VIDEO_CAPTURE)))
+            self._device.ioctl(v4l2.STREAMON, bytearray(BUFFER_TYPE.pack(v4l2.BUF_TYPE_VIDEO_CAPTURE)))
         except OSError as error:
             if error.errno == errno.ENODEV:
                 raise gone(self._device) from None
@@ -91,7 +92,7 @@ class Stream:
             when = exposed(flags, stamp_ns, arrived_ns, self.exposure_ns, period_ns)
             self.clock_known = clock_is_known(flags, stamp_ns, arrived_ns, period_ns)
             self._number += 1
-            usable = when.began_ns >= not_before_ns and not flags & v4l2.DAMAGED
+            usable = when.began_ns >= not_before_ns and not flags & v4l2.BUF_FLAG_ERROR
             image = decode(self._buffers[index][:count], self._form) if usable else None
             self._call(v4l2.QBUF, index)
             if image is not None:
@@ -105,7 +106,7 @@ class Stream:
         if not self._buffers:
             return
         with contextlib.suppress(OSError):  # it may be gone
-            self._device.ioctl(v4l2.STREAMOFF, bytearray(BUFFER_TYPE.pack(v4l2.VIDEO_CAPTURE)))
+            self._device.ioctl(v4l2.STREAMOFF, bytearray(BUFFER_TYPE.pack(v4l2.BUF_TYPE_VIDEO_CAPTURE)))
         for view in self._buffers:
             view.release()
         self._buffers.clear()
@@ -129,7 +130,7 @@ class Stream:
             raise CameraGone(f"{self._device.path}: its driver fails: {error.strerror}; opening it again") from None
 
     def _buffer_call(self, request: int, index: int) -> bytearray:
-        fields = (index, v4l2.VIDEO_CAPTURE, 0, 0, 0, 0, 0, b"", 0, v4l2.MEMORY_MMAP, 0, 0, 0, 0)
+        fields = (index, v4l2.BUF_TYPE_VIDEO_CAPTURE, 0, 0, 0, 0, 0, b"", 0, v4l2.MEMORY_MMAP, 0, 0, 0, 0)
         argument = bytearray(BUFFER.pack(*fields))
         self._device.ioctl(request, argument)
         return argument

@@ -30,13 +30,13 @@ class Ladder:
         self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
 
     def resume(self):
-        """By order: back to normal. False where only a reboot helps."""
+        """Go back to normal, by order. False where only a reboot helps."""
         if self.level != LATCHED:
             self.__init__()
         return self.level == OK
 
     def surface(self):
-        """By order: go up."""
+        """Go up, by order."""
         if self.level < SURFACE:
             self._climb(SURFACE, ORDER)
 

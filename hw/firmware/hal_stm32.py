@@ -84,7 +84,7 @@ class Hal:
         return self._timers[timer].channel(channel, pyb.Timer.PWM, pin=pyb.Pin(pin), pulse_width=1500)
 
     def _on_tick(self, _timer):
-        """In the interrupt: no allocation, no floats."""
+        """Runs in the interrupt: no allocation, no floats."""
         self._due += 1
 
     def wait_tick(self):

@@ -38,7 +38,7 @@ class Observer:
         self._d = [0.0] * 3  # disturbance, N down or Nm
 
     def reset(self, y):
-        """At rest at y, thrusters idle, nothing learnt."""
+        """Begin at rest at y, thrusters idle, nothing learnt."""
         for i in range(3):
             self._p[i] = y[i]
             self._v[i] = self._a[i] = self._d[i] = 0.0

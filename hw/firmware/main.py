@@ -3,7 +3,7 @@
 #   without arguments                          on the board
 import sys
 
-import control
+import motor_control
 import failsafe
 import flash
 import tether
@@ -17,7 +17,7 @@ class Firmware:
 
     def __init__(self, hal):
         self.hal = hal
-        self.control = control.Control()
+        self.control = motor_control.Control()
         hal.pulses_us = self.control.pulses_us  # one list: what control decides is what the pins show
         self.flash = flash.Flash(hal)
         self.tether = tether.Tether(hal, self.control, self.flash, hal.boot_info())
@@ -43,7 +43,7 @@ class Firmware:
         line.event(wire.EV_BOOT, 0, module.ladder.level, wire.INFO, line.reset_cause)
 
     def run(self):
-        """Until the hardware goes (False) or an order to reboot comes (True).
+        """Cycle until the hardware goes (False) or an order to reboot comes (True).
 
         Whatever goes wrong in a cycle, the motors stop before it is told.
         """

@@ -123,7 +123,7 @@ class Control:
         return level != before
 
     def surface(self):
-        """By order: level and upwards, whatever the set-point says, until an order to arm calls the robot back."""
+        """Go up level, by order, whatever the set-point says, until an order to arm calls the robot back."""
         if self.ladder.level < failsafe.SURFACE:
             self.ladder.surface()
             self.hold_here()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hw.firmware import wire
-from hw.stm32_fields import Said
+from hw.stm32.fields import StatusText
 
 AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
 
@@ -31,7 +31,7 @@ class Arming:
         self._refusal = ""
 
     def want(self) -> None:
-        """As soon as the board can. One that is armed and surfaces is called back to work by the same order."""
+        """Ask as soon as the board can. One that is armed and surfaces is called back to work by the same order."""
         self.wanted = self._ordered = True
         self.begin()
 
@@ -53,23 +53,23 @@ class Arming:
         self._ordered = self._ordered and not ok
         self.later(now_ns)
 
-    def seen(self, armed: bool) -> Said | None:
+    def seen(self, armed: bool) -> StatusText | None:
         """What telemetry shows. A board that disarms by itself is not armed again."""
         line = self.give_up("the board has disarmed") if self.armed and not armed else None
         self.armed = armed
         return line
 
-    def refused(self, mask: int) -> Said | None:
+    def refused(self, mask: int) -> StatusText | None:
         """Why, as the bits of wire.ARM_CHECKS; the same reason is told once."""
         why = [check for i, check in enumerate(wire.ARM_CHECKS) if mask >> i & 1]
         text, before = ", ".join(why), self._refusal
         self._refusal = text
         if not CURABLE.issuperset(why):
             return self.give_up(f"arming refused: {text}; put it right, then arm again")
-        return Said("info", f"arming waits: {text}") if text != before else None
+        return StatusText("info", f"arming waits: {text}") if text != before else None
 
-    def give_up(self, text: str) -> Said | None:
+    def give_up(self, text: str) -> StatusText | None:
         """The board is not armed, and from here on nobody wants it to be until somebody says so again."""
-        line = Said("error", text) if self.wanted else None
+        line = StatusText("error", text) if self.wanted else None
         self.wanted = self.armed = False
         return line

@@ -15,12 +15,12 @@ from typing import Literal
 
 import serial
 
-from agent.config import ConfigError
-from agent.messages import SetPoint, Telemetry
+from agent.kernel.config import ConfigError
+from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
-from hw.stm32_fields import Greeting, Said
-from hw.stm32_orders import Outcome
-from hw.stm32_talk import Counters, Talk
+from hw.stm32.fields import Greeting, StatusText
+from hw.stm32.orders import Outcome
+from hw.stm32.protocol import Counters, HostProtocol
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
@@ -71,8 +71,8 @@ class Stm32:
         self._clock = clock
         self._tap = tap
         self._baud = baud
-        self._talk = Talk(0)
-        self._lock = threading.Lock()  # guards everything below and the talk
+        self._protocol = HostProtocol(0)
+        self._lock = threading.Lock()  # guards everything below and the protocol
         self._waiting = bytearray()
         self._connected = False
         self._closing = threading.Event()
@@ -84,40 +84,40 @@ class Stm32:
         """Begin to look for the board. A port that is missing or drops is tried again, for ever."""
         if self._thread is not None:
             return
-        self._talk = Talk(int.from_bytes(os.urandom(4), "little"))
+        self._protocol = HostProtocol(int.from_bytes(os.urandom(4), "little"))
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
         self._thread = threading.Thread(target=self._run, name=f"serial {self.port}", daemon=True)
         self._thread.start()
 
-    def drain(self) -> tuple[list[Telemetry], list[Said]]:
+    def drain(self) -> tuple[list[Telemetry], list[StatusText]]:
         """What arrived since the last call, oldest first. Raises RuntimeError if the thread has died of a fault."""
         if self._thread is not None and not self._thread.is_alive():
             raise RuntimeError(f"the driver of {self.port} has died; its own traceback says why")
         with self._lock:
-            telemetry, said = list(self._talk.telemetry), list(self._talk.said)
-            self._talk.telemetry.clear()
-            self._talk.said.clear()
-        return telemetry, said
+            telemetry, lines = list(self._protocol.telemetry), list(self._protocol.lines)
+            self._protocol.telemetry.clear()
+            self._protocol.lines.clear()
+        return telemetry, lines
 
     def send(self, set_point: SetPoint, now_ns: int) -> None:
         """Hand over a set-point. With no board there, or one that takes nothing, it is forgotten."""
         with self._lock:
             if self._connected and len(self._waiting) < MAX_WAITING:
-                self._waiting += self._talk.set_point(set_point, now_ns)
+                self._waiting += self._protocol.set_point(set_point, now_ns)
         self._wake()
 
     @property
     def wants_armed(self) -> bool:
         """Whether arming is asked for. Falls by itself when the board disarms, restarts, or refuses for good."""
         with self._lock:
-            return self._talk.wants_armed
+            return self._protocol.wants_armed
 
     def arm(self) -> None:
         """Ask for arming; what came of it shows in the telemetry, refusals among the lines of `drain`."""
         with self._lock:
-            self._talk.arm()
+            self._protocol.arm()
         self._wake()
 
     def disarm(self) -> None:
@@ -142,12 +142,15 @@ class Stm32:
         return self._ask(wire.PARAM_GET, parameter_id(name))
 
     def parameters(self) -> Future[Outcome]:
-        """All of them."""
+        """All parameters, by name."""
         return self._ask(wire.PARAM_LIST)
 
     def set_parameter(self, name: str, value: float) -> Future[Outcome]:
-        """Until the next boot, or for good with `save_parameters`; refused while armed. Raises ConfigError for a name
-        or value that cannot be. A board that restarts while we look on is told again what was set and not saved."""
+        """Set one until the next boot, or for good with `save_parameters`; refused while armed.
+
+        Raises ConfigError for a name or value that cannot be. A board that restarts while we look on is told again
+        what was set and not saved.
+        """
         i = parameter_id(name)
         if not parameters.in_range(i, value):
             _, unit, _, lowest, highest, kind, _ = parameters.TABLE[i]
@@ -169,12 +172,12 @@ class Stm32:
     def greeting(self) -> Greeting | None:
         """What the board said of itself when it last greeted."""
         with self._lock:
-            return self._talk.greeting
+            return self._protocol.greeting
 
     @property
     def counters(self) -> Counters:
         with self._lock:
-            return self._talk.counters
+            return self._protocol.counters
 
     def close(self) -> None:
         """Motors off first, then the port. Returns after LAST_ORDER_S even if nobody answers."""
@@ -205,13 +208,13 @@ class Stm32:
 
     def _ask(self, kind: int, *fields: float) -> Future[Outcome]:
         with self._lock:
-            future = self._talk.ask(kind, *fields)
+            future = self._protocol.ask(kind, *fields)
         self._wake()
         return future
 
     def _stop(self, kind: int) -> None:
         with self._lock:
-            self._talk.stop(kind)
+            self._protocol.stop(kind)
             self._waiting.clear()  # nothing goes before this
             self._waiting += b"\0"  # ends a frame that was cut
             self._silent.clear()
@@ -240,26 +243,26 @@ class Stm32:
     def _lost(self, error: OSError) -> None:
         with self._lock:
             self._connected = False
-            self._talk.hung_up()
-            self._talk.say("warning", f"{self.port}: {reason(error)}")
+            self._protocol.hung_up()
+            self._protocol.say("warning", f"{self.port}: {reason(error)}")
 
     def _serve(self, fd: int) -> None:
-        """Until close(). Raises OSError when the port goes away."""
+        """Carry bytes both ways until close(). Raises OSError when the port goes away."""
         os.set_blocking(fd, False)
         with self._lock:
-            self._talk.connected()
+            self._protocol.connected()
             self._waiting.clear()
             self._connected = True
         while not self._closing.is_set():
             with self._lock:
-                self._waiting += self._talk.due(self._clock())
+                self._waiting += self._protocol.due(self._clock())
                 if self._waiting:
                     with contextlib.suppress(BlockingIOError):
                         sent = self._waiting[: os.write(fd, self._waiting)]
                         del self._waiting[: len(sent)]
                         if self._tap is not None:
                             self._tap(False, bytes(sent))
-                if self._talk.is_answered():
+                if self._protocol.is_answered():
                     self._silent.set()
                 writable = [fd] if self._waiting else []
             readable, _, _ = select.select([fd, self._wake_read], writable, [], TURN_S)
@@ -272,4 +275,4 @@ class Stm32:
                 if self._tap is not None:
                     self._tap(True, chunk)
                 with self._lock:
-                    self._talk.receive(chunk, self._clock())
+                    self._protocol.receive(chunk, self._clock())

@@ -1,11 +1,11 @@
-"""Between our messages and the fields of the wire's frames (hw.firmware.wire), one way and the other."""
+"""Fields of the wire's frames (hw.firmware.wire) from our messages, and our messages from such fields."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from agent.messages import SetPoint, Telemetry
+from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import wire
 
 TTL_MS = 500  # of a set-point; the board holds position after it
@@ -14,7 +14,7 @@ Level = Literal["info", "warning", "error"]
 LEVELS: tuple[Level, ...] = ("info", "warning", "error")  # in the order of wire.INFO ...
 
 
-class Said(NamedTuple):
+class StatusText(NamedTuple):
     """A line for people, from the board or about it."""
 
     level: Level
@@ -33,7 +33,7 @@ class Greeting(NamedTuple):
 
 
 def set_point_fields(asked: SetPoint, now_ns: int) -> tuple[int, ...]:
-    """Of SETPOINT; what is beyond the wire's range is clipped."""
+    """Fields of a SETPOINT; what is beyond the wire's range is clipped."""
     i16 = wire.fixed
     return (
         i16(asked.depth_m, 1e4),
@@ -50,16 +50,14 @@ def set_point_fields(asked: SetPoint, now_ns: int) -> tuple[int, ...]:
     )
 
 
-class Heard(NamedTuple):
-    """One frame of telemetry."""
-
+class TelemetryFrame(NamedTuple):
     telemetry: Telemetry
     greeted: bool  # the board knows us; not so after a restart
     set_point_seq: int  # number of the frame that brought the set-point in force
 
 
-def heard(fields: Sequence[int], now_ns: int) -> Heard:
-    """Of TELEM that arrived at now_ns."""
+def telemetry_frame(fields: Sequence[int], now_ns: int) -> TelemetryFrame:
+    """A TELEM that arrived at now_ns."""
     t_us, state, ladder, flags, *rest = fields
     zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
     _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
@@ -78,16 +76,16 @@ def heard(fields: Sequence[int], now_ns: int) -> Heard:
         flags=flags,
         loop_us=loop_us,
     )
-    return Heard(telemetry, bool(flags & wire.FLAG_HELLO), set_point_seq)
+    return TelemetryFrame(telemetry, bool(flags & wire.FLAG_HELLO), set_point_seq)
 
 
-def log_line(level: int, text: bytes) -> Said:
-    """Of LOG."""
-    return Said(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
+def log_line(level: int, text: bytes) -> StatusText:
+    """The line of a LOG."""
+    return StatusText(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
 
 
-def event_line(code: int, before: int, after: int, severity: int, arg: int) -> Said:
-    """Of EVENT, but for a refusal to arm."""
+def event_line(code: int, before: int, after: int, severity: int, arg: int) -> StatusText:
+    """The line of an EVENT, but for a refusal to arm."""
     reason = wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
     ladder = f"failsafe level {before} -> {after}: {reason}" if after else f"failsafe over, it was level {before}"
     text = {
@@ -96,4 +94,4 @@ def event_line(code: int, before: int, after: int, severity: int, arg: int) -> S
         wire.EV_DISARMED: f"disarmed: {reason}",
         wire.EV_LADDER: ladder,
     }.get(code, f"event {code}")
-    return Said(LEVELS[min(severity, 2)], f"board: {text}")
+    return StatusText(LEVELS[min(severity, 2)], f"board: {text}")

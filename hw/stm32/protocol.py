@@ -6,16 +6,16 @@ from collections import deque
 from concurrent.futures import Future
 from typing import NamedTuple
 
-from agent.messages import SetPoint, Telemetry
+from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
-from hw.stm32_arming import Arming
-from hw.stm32_fields import Greeting, Level, Said, event_line, heard, log_line, set_point_fields
-from hw.stm32_orders import NO_BOARD, Order, Orders, Outcome
+from hw.stm32.arming import Arming
+from hw.stm32.fields import Greeting, Level, StatusText, event_line, log_line, set_point_fields, telemetry_frame
+from hw.stm32.orders import NO_BOARD, Order, Orders, Outcome
 
 HELLO_EVERY_NS = 500_000_000
 
 # Telemetry kept for a caller who is late: 5 s at 50 Hz. Lines of text: more is a babbling board.
-KEEP_TELEMETRY, KEEP_SAID = 256, 64
+KEEP_TELEMETRY, KEEP_LINES = 256, 64
 
 
 class Counters(NamedTuple):
@@ -29,7 +29,7 @@ class Counters(NamedTuple):
     board_rx_bad: int = 0  # broken ones
 
 
-class Talk:
+class HostProtocol:
     """State of one conversation. It outlives the port: a board that comes back with a new boot id is not armed again.
 
     `now_ns` counts on any one clock.
@@ -38,7 +38,7 @@ class Talk:
     def __init__(self, host_boot: int) -> None:
         self._arming = Arming()
         self.telemetry: deque[Telemetry] = deque()
-        self.said: deque[Said] = deque(maxlen=KEEP_SAID)
+        self.lines: deque[StatusText] = deque(maxlen=KEEP_LINES)
         self._host_boot = host_boot
         self._writer = wire.Writer()
         self.greeting: Greeting | None = None  # of the newest boot
@@ -195,7 +195,7 @@ class Talk:
                 self.ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
 
     def _on_telemetry(self, fields: tuple[int, ...]) -> None:
-        telemetry, greeted, set_point_seq = heard(fields, self._now_ns)
+        telemetry, greeted, set_point_seq = telemetry_frame(fields, self._now_ns)
         if not greeted:  # it has restarted behind our back
             self.hung_up()
             return
@@ -234,12 +234,12 @@ class Talk:
         else:
             self._say(event_line(code, before, after, severity, arg))
 
-    def _say(self, line: Said | None) -> None:
+    def _say(self, line: StatusText | None) -> None:
         if line is not None:
             self.say(*line)
 
     def say(self, level: Level, text: str) -> None:
         """Add a line, unless it is the one said last."""
         if text != self._last_text:
-            self.said.append(Said(level, text))
+            self.lines.append(StatusText(level, text))
         self._last_text = text

@@ -13,17 +13,20 @@ from pathlib import Path
 
 import msgspec
 
-from agent.config import ConfigError, Fleet, load_fleet, load_robot
-from hw.camera import CameraError
-from hw.twin.bench import Bench, serve
-from hw.twin.camera_device import FRAME_NS, DiveCamera, FrameClock
-from hw.twin.devices import Board, interpreter
-from hw.twin.dive import Dive, run_at_wall_clock
-from hw.twin.frame_socket import FrameServer
-from hw.twin.lens import Lens, Vcm, draw_lens
-from hw.twin.painter import Painter
-from hw.twin.place import claimed, twin_dir
-from hw.twin.rotation import euler_rad
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.fleet_reader import load_fleet, load_robot
+from hw.camera.camera import CameraError
+from hw.camera.frame_server import FrameServer
+from hw.twin.bench import Bench
+from hw.twin.bench_socket import serve
+from hw.twin.devices.board import Board, interpreter
+from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
+from hw.twin.devices.twin_folder import locked, twin_dir
+from hw.twin.dive import Dive
+from hw.twin.optics.lens import Lens, Vcm, draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.pace import run_at_wall_clock
+from hw.twin.physics.rotation import euler_rad
 from hw.twin.scene import Scene, generator, load_scene
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -42,7 +45,7 @@ def run(fleet_path: Path, *, bench: str | None = None) -> int:
         if bench is not None:
             load_robot(fleet, bench, fleet_path)
         with ExitStack() as stack:
-            folder = stack.enter_context(claimed(twin_dir(fleet)))
+            folder = stack.enter_context(locked(twin_dir(fleet)))
             try:
                 if bench is None:
                     _dive(fleet, fleet_path, folder, stop, stack)
@@ -70,7 +73,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     targets_m = _targets_m(fleet, scene, fleet_path)
     optics = [_optics(fleet, scene, name) for name in robots]
     Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
-    dive = Dive(fleet, robots, time.monotonic_ns(), waves=scene.waves, events=scene.event)
+    dive = Dive(fleet, robots, time.monotonic_ns(), waves=scene.waves, faults=scene.event)
     runs = interpreter()
     sys.stdout.write(f"twin: {', '.join(robots)} in scene {scene.name}, firmware under {runs}, files in {folder}\n")
     dive.boards = [
@@ -94,7 +97,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
-    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing stands before the board
+    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing stands before the chessboard
     bench = Bench(fleet, robot, *_optics(fleet, empty, robot), time.monotonic_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)
@@ -158,7 +161,7 @@ def _write_truth(path: Path, fleet: Fleet, targets_m: dict[str, tuple[float, flo
 
 
 def _be_ready(folder: Path, stop: threading.Event) -> None:
-    """From now on a signal ends the loop between two ticks instead of interrupting whatever runs."""
+    """Say so; from now on a signal ends the loop between two ticks instead of interrupting whatever runs."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: stop.set())
     (folder / "ready").touch()

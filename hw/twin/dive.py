@@ -1,40 +1,50 @@
 """One tick of the whole fleet: what the boards command moves the robots, and what the water then is they read.
 
-Also where everything that goes wrong is set off, by an event of the scene file or by a call from a test.
+Also where faults are applied, those of the scene file at their times or one that a test calls for.
 """
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Mapping, Sequence
+from typing import assert_never
 
 import numpy as np
 
-from agent.config import ConfigError, Fleet
-from agent.messages import Vector
-from hw.twin.battery import OPEN_V, current_a, supply_v, thrust_loss
-from hw.twin.body import BODY, draw_body
-from hw.twin.boot import Act
-from hw.twin.devices import PATIENCE_S, Board
-from hw.twin.event import Event
-from hw.twin.faults import Faults
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import Vector
+from hw.twin.devices.board import Board
+from hw.twin.devices.boot import Act
+from hw.twin.devices.sensor_faults import SensorFaults
+from hw.twin.faults import (
+    AnyFault,
+    Battery,
+    FirmwareHang,
+    Leak,
+    PowerCut,
+    Push,
+    SensorDead,
+    SensorOffset,
+    SensorStuck,
+    SensorWell,
+    SerialUnplug,
+    ThrusterDead,
+    ThrusterGain,
+)
 from hw.twin.history import History
-from hw.twin.plant import Plant, set_body
-from hw.twin.rotation import quaternion
+from hw.twin.physics.battery import OPEN_V, current_a, supply_v, thrust_loss
+from hw.twin.physics.body import BODY, draw_body
+from hw.twin.physics.plant import Plant, set_body
+from hw.twin.physics.rotation import quaternion
+from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
+from hw.twin.physics.tank import STATE, STEP_S, STEPS_PER_TICK, TICK_NS, advance, push
+from hw.twin.physics.waves import add_waves
 from hw.twin.scene import Waves
-from hw.twin.sensors import PA_PER_M, PressureSensors, water_pressure_pa
-from hw.twin.tank import STATE, STEP_S, STEPS_PER_TICK, TICK_NS, advance, push
-from hw.twin.waves import add_waves
-
-LOCK_STEP_S = 5.0  # in virtual time a firmware that is silent for longer is taken for dead
-LATE_S = 0.1  # a tick that is later is an overrun: the machine cannot keep up
 
 
 class Dive:
     """All robots of a fleet in one tank, and its clock: start_ns + ticks * 10 ms.
 
-    `plants` overrides what is drawn for the robots that it names. Raises ConfigError for an event whose robot does
+    `plants` overrides what is drawn for the robots that it names. Raises ConfigError for a fault whose robot does
     not dive.
     """
 
@@ -46,7 +56,7 @@ class Dive:
         *,
         plants: Mapping[str, Plant] | None = None,
         waves: Waves | None = None,
-        events: Sequence[Event] = (),
+        faults: Sequence[AnyFault] = (),
     ) -> None:
         seed, surface_m = fleet.twin.seed, fleet.tank.surface_m
         self.robots = list(robots)
@@ -65,7 +75,7 @@ class Dive:
 
         self.sensors = PressureSensors(seed, self.robots, [p.noise_m for p in rows], [p.late_samples for p in rows])
         self.tare_pa = self.sensors.tare_pa()
-        self.faults = Faults(len(robots))
+        self.sensor_faults = SensorFaults(len(robots))
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
         self.boards: list[Board] = []
         self.history = History(len(robots), start_ns)
@@ -77,11 +87,11 @@ class Dive:
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
-        self._events = sorted(events, key=lambda event: event.at_s, reverse=True)  # the next is the last
-        for event in events:
-            if event.robot not in robots:
+        self._to_come = sorted(faults, key=lambda fault: fault.at_s, reverse=True)  # the next is the last
+        for fault in faults:
+            if fault.robot not in robots:
                 names = ", ".join(robots)
-                raise ConfigError(f"event at {event.at_s} s: no robot '{event.robot}' dives; name one of {names}")
+                raise ConfigError(f"event at {fault.at_s} s: no robot '{fault.robot}' dives; name one of {names}")
         self._measure()
 
     @property
@@ -96,20 +106,20 @@ class Dive:
         for i, board in enumerate(self.boards):
             act = board.act(patience_s)
             if act is not None:
-                self._obey(i, act)
+                self._actuate(i, act)
             elif not board.driving:
                 self._pulses_us[i] = 0.0
-        while self._events and self._events[-1].at_s * 1e9 <= self.ticks * TICK_NS:
-            self._events.pop().strike(self)
+        while self._to_come and self._to_come[-1].at_s * 1e9 <= self.ticks * TICK_NS:
+            apply(self._to_come.pop(), self)
         self.move()
         for i, board in enumerate(self.boards):
             board.tick(
                 self.ticks * TICK_NS // 1000,
                 self._readings_pa[i],
-                self.faults.answered[i],
+                self.sensor_faults.answered[i],
                 round(self._supply_v[i] * 1000),
                 round(self._drawn_a[i] * 100),
-                self.faults.leak[i],
+                self.sensor_faults.leak[i],
             )
 
     def move(self) -> None:
@@ -133,13 +143,13 @@ class Dive:
         water_pressure_pa(self.bodies, self.states, self._surface_m, self._water_pa)
         if self._waves.amplitude_m:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)
-        self._readings_pa = self.faults.spoil(self.sensors.sample(self._water_pa, t_s)).tolist()
+        self._readings_pa = self.sensor_faults.corrupt(self.sensors.sample(self._water_pa, t_s)).tolist()
         drawn_a = current_a(self.states["thrust_n"])
         supply = supply_v(self.battery_v, drawn_a)
         self.states["thrust_loss"] = thrust_loss(supply)
         self._drawn_a, self._supply_v = drawn_a.tolist(), supply.tolist()
 
-    def _obey(self, i: int, act: Act) -> None:
+    def _actuate(self, i: int, act: Act) -> None:
         self._pulses_us[i] = act.pulses_us
         for k, servo_us in enumerate(act.servos_us):
             if servo_us:  # a servo without pulses stays where it is
@@ -148,30 +158,31 @@ class Dive:
         if act.armed:
             self.states[i]["held"] = 0  # the crew lets go, once
 
-    # --- what goes wrong, from now on -----------------------------------------------------------------------------
+    # --- faults, from now on --------------------------------------------------------------------------------------
 
     def push(self, robot: str, force_n: Vector, point_m: Vector, for_s: float) -> None:
         """Push a robot: world-frame force at a body-frame point."""
         push(self.states[self._index(robot)], force_n, point_m, for_s)
 
     def kill_sensor(self, robot: str, sensor: int) -> None:
-        """Pressure sensor 1 to 4 answers no more."""
-        self.faults.kill(self._index(robot), sensor)
+        """Pressure sensor 1 to 4 does not answer any more."""
+        self.sensor_faults.kill(self._index(robot), sensor)
 
     def stick_sensor(self, robot: str, sensor: int) -> None:
-        """It repeats its last reading."""
-        self.faults.stick(self._index(robot), sensor)
+        """The sensor repeats its last reading."""
+        self.sensor_faults.stick(self._index(robot), sensor)
 
     def shift_sensor(self, robot: str, sensor: int, offset_m: float) -> None:
-        """It reads so much too deep."""
-        self.faults.shift(self._index(robot), sensor, offset_m * PA_PER_M)
+        """The sensor reads so much too deep."""
+        self.sensor_faults.shift(self._index(robot), sensor, offset_m * PA_PER_M)
 
     def mend_sensor(self, robot: str, sensor: int) -> None:
-        self.faults.mend(self._index(robot), sensor)
+        """The sensor is well again."""
+        self.sensor_faults.mend(self._index(robot), sensor)
 
     def leak(self, robot: str) -> None:
         """Water at the probe in the hull."""
-        self.faults.leak[self._index(robot)] = True
+        self.sensor_faults.leak[self._index(robot)] = True
 
     def set_battery(self, robot: str, volts: float) -> None:
         """Open-circuit voltage of the pack."""
@@ -186,7 +197,7 @@ class Dive:
         self.boards[self._index(robot)].unplug(round(for_s * 1e6))
 
     def cut_power(self, robot: str, for_s: float) -> None:
-        """Of board and thrusters."""
+        """Take the power from board and thrusters."""
         self.boards[self._index(robot)].cut_power(round(for_s * 1e6))
 
     def hang_firmware(self, robot: str) -> None:
@@ -197,23 +208,33 @@ class Dive:
         return self.robots.index(robot)
 
 
-def run_at_wall_clock(dive: Dive, stop: threading.Event) -> int:
-    """Tick with CLOCK_MONOTONIC until stopped; returns the overruns. No step is ever left out: time is caught up."""
-    overruns = 0
-    while not stop.is_set():
-        ahead_s = (dive.now_ns + TICK_NS - time.monotonic_ns()) * 1e-9
-        if ahead_s > 0:
-            time.sleep(ahead_s)
-        elif ahead_s < -LATE_S:
-            overruns += 1
-        dive.tick(PATIENCE_S)
-    return overruns
-
-
-def run_in_lock_step(dive: Dive, ticks: int) -> None:
-    """Tick as fast as every firmware answers. Raises TimeoutError naming one that does not."""
-    for _ in range(ticks):
-        dive.tick(LOCK_STEP_S)
-        for board in dive.boards:
-            if board.overdue:
-                raise TimeoutError(f"the firmware of {board.robot} did not answer for {LOCK_STEP_S} s")
+def apply(fault: AnyFault, dive: Dive) -> None:
+    """Make a fault happen now, whatever its time."""
+    robot = fault.robot
+    match fault:
+        case Push():
+            dive.push(robot, fault.force_n, fault.point_m, fault.for_s)
+        case SensorDead():
+            dive.kill_sensor(robot, fault.sensor)
+        case SensorStuck():
+            dive.stick_sensor(robot, fault.sensor)
+        case SensorOffset():
+            dive.shift_sensor(robot, fault.sensor, fault.offset_m)
+        case SensorWell():
+            dive.mend_sensor(robot, fault.sensor)
+        case Leak():
+            dive.leak(robot)
+        case Battery():
+            dive.set_battery(robot, fault.volts)
+        case ThrusterDead():
+            dive.scale_thruster(robot, fault.thruster, 0.0)
+        case ThrusterGain():
+            dive.scale_thruster(robot, fault.thruster, fault.gain)
+        case SerialUnplug():
+            dive.unplug(robot, fault.for_s)
+        case PowerCut():
+            dive.cut_power(robot, fault.for_s)
+        case FirmwareHang():
+            dive.hang_firmware(robot)
+        case _:
+            assert_never(fault)

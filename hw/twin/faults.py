@@ -1,60 +1,105 @@
-"""What is broken between the water and the firmware: sensors and the leak probe, robot by robot.
+"""Faults of a dive, each at its time for one robot: the [[event]] tables of a scene file, as data. hw.twin.dive applies
+them.
 
-Sensors are counted from 1 to 4, as on the paper's drawings. A fault lasts until `mend`.
+[[event]]
+at_s = 40.0           # since the twin began
+kind = "serial_unplug"
+robot = "r1"
+for_s = 5.0
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated, get_args
 
-from hw.twin.devices import ALL_SENSORS
+from msgspec import Meta
+
+from agent.kernel.config import Name, Positive, Struct
+from agent.kernel.messages import Vector
+
+Sensor = Annotated[int, Meta(ge=1, le=4)]
+Thruster = Annotated[int, Meta(ge=1, le=8)]
 
 
-class Faults:
-    """Nothing is, at first."""
+class Fault(Struct, frozen=True, kw_only=True, tag_field="kind"):
+    at_s: Annotated[float, Meta(ge=0)]
+    robot: Name
 
-    def __init__(self, robots: int) -> None:
-        self.answered = [ALL_SENSORS] * robots  # bit masks of the sensors that do
-        self.leak = [False] * robots
-        self._stuck_pa = np.full((robots, 4), np.nan)
-        self._offset_pa = np.zeros((robots, 4))
-        self._last_pa = np.zeros((robots, 4))
-        self._any = False
 
-    def spoil(self, readings_pa: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 4) readings as they arrive, from those of sensors that are well; a dead one reads 0."""
-        if self._any:
-            stuck = ~np.isnan(self._stuck_pa)
-            readings_pa = np.where(stuck, self._stuck_pa, readings_pa + self._offset_pa)
-            bits = (np.array(self.answered)[:, None] >> np.arange(4)) & 1
-            readings_pa = readings_pa * bits
-        self._last_pa = readings_pa
-        return readings_pa
+class Push(Fault, frozen=True, kw_only=True, tag="push"):
+    force_n: Vector  # world frame
+    point_m: Vector = (0.0, 0.0, 0.0)  # body frame
+    for_s: Positive
 
-    def kill(self, robot: int, sensor: int) -> None:
-        """It does not answer any more."""
-        self.answered[robot] &= ~(1 << self._index(sensor))
-        self._any = True
 
-    def stick(self, robot: int, sensor: int) -> None:
-        """It repeats its last reading."""
-        k = self._index(sensor)
-        self._stuck_pa[robot, k] = self._last_pa[robot, k]
-        self._any = True
+class SensorDead(Fault, frozen=True, kw_only=True, tag="sensor_dead"):
+    """A pressure sensor answers no more."""
 
-    def shift(self, robot: int, sensor: int, offset_pa: float) -> None:
-        """It reads too much, by more each time that this is called."""
-        self._offset_pa[robot, self._index(sensor)] += offset_pa
-        self._any = True
+    sensor: Sensor
 
-    def mend(self, robot: int, sensor: int) -> None:
-        k = self._index(sensor)
-        self.answered[robot] |= 1 << k
-        self._stuck_pa[robot, k], self._offset_pa[robot, k] = np.nan, 0.0
 
-    @staticmethod
-    def _index(sensor: int) -> int:
-        if sensor not in range(1, 5):
-            raise ValueError(f"no sensor {sensor}; they are 1 to 4")
-        return sensor - 1
+class SensorStuck(Fault, frozen=True, kw_only=True, tag="sensor_stuck"):
+    """A pressure sensor repeats its last reading."""
+
+    sensor: Sensor
+
+
+class SensorOffset(Fault, frozen=True, kw_only=True, tag="sensor_offset"):
+    """A pressure sensor reads so much too deep."""
+
+    sensor: Sensor
+    offset_m: float
+
+
+class SensorWell(Fault, frozen=True, kw_only=True, tag="sensor_well"):
+    """The end of a pressure sensor's faults."""
+
+    sensor: Sensor
+
+
+class Leak(Fault, frozen=True, kw_only=True, tag="leak"):
+    """Water at the probe in the hull."""
+
+
+class Battery(Fault, frozen=True, kw_only=True, tag="battery"):
+    volts: Positive  # without load
+
+
+class ThrusterDead(Fault, frozen=True, kw_only=True, tag="thruster_dead"):
+    thruster: Thruster
+
+
+class ThrusterGain(Fault, frozen=True, kw_only=True, tag="thruster_gain"):
+    thruster: Thruster
+    gain: float  # on what it gave before; negative: mounted the wrong way round
+
+
+class SerialUnplug(Fault, frozen=True, kw_only=True, tag="serial_unplug"):
+    for_s: Positive
+
+
+class PowerCut(Fault, frozen=True, kw_only=True, tag="power_cut"):
+    """Board and thrusters without power."""
+
+    for_s: Positive
+
+
+class FirmwareHang(Fault, frozen=True, kw_only=True, tag="firmware_hang"):
+    """The firmware's process stops, until the watchdog resets it."""
+
+
+AnyFault = (
+    Push
+    | SensorDead
+    | SensorStuck
+    | SensorOffset
+    | SensorWell
+    | Leak
+    | Battery
+    | ThrusterDead
+    | ThrusterGain
+    | SerialUnplug
+    | PowerCut
+    | FirmwareHang
+)
+KINDS = tuple(str(fault.__struct_config__.tag) for fault in get_args(AnyFault))

@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.camera import CameraGone
-from hw.twin.rotation import matrix
-from hw.twin.tank import TICK_NS
+from hw.camera.camera import CameraGone
+from hw.twin.physics.rotation import matrix
+from hw.twin.physics.tank import TICK_NS
 
 SPAN = 200  # ticks kept
 
 
-class Pose(NamedTuple):
+class RobotPose(NamedTuple):
     position_m: NDArray[np.float64]  # (3,) centre of the hull, world
     rotation: NDArray[np.float64]  # (3, 3) body -> world
     pan_deg: float  # where the camera's gimbal truly points
@@ -56,7 +56,7 @@ class History:
             if self._closed:
                 raise CameraGone("the twin has ended; start it again")
 
-    def at(self, t_ns: int) -> list[Pose]:
+    def at(self, t_ns: int) -> list[RobotPose]:
         """The pose of each robot at t_ns, interpolated between ticks.
 
         Raises CameraGone for a time that is not, or no longer, kept: the reader was stopped for too long.
@@ -69,7 +69,7 @@ class History:
             before, after = self._rows[k % SPAN], self._rows[(k + (rest_ns > 0)) % SPAN]
             # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
             rows = before + (rest_ns / TICK_NS) * (after - before)
-        return [Pose(row[:3], matrix(row[3:7]), float(row[7]), float(row[8])) for row in rows]
+        return [RobotPose(row[:3], matrix(row[3:7]), float(row[7]), float(row[8])) for row in rows]
 
     def close(self) -> None:
         """Send everybody who waits home."""

@@ -10,14 +10,15 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from agent.config import Colour, ConfigError, Positive, Struct, convert, read_toml
-from hw.twin.event import KINDS, Event
+from agent.kernel.config import Colour, ConfigError, Positive, Struct, WaterKind
+from agent.kernel.toml_files import convert, read_toml
+from hw.twin.faults import KINDS, AnyFault
 
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
 
 class SceneWater(Struct, frozen=True, kw_only=True):
-    preset: Literal["air", "tap", "pool", "coastal", "turbid"] = "tap"
+    preset: WaterKind = "tap"
     grey_per_m: float = 0.15  # scattering by particles, the same in all colours
 
 
@@ -41,10 +42,10 @@ class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
     room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
-    camera: str = "imx519_640"  # preset of hw.twin.lens
+    camera: str = "imx519_640"  # preset of hw.twin.optics.lens
     solid: tuple[Solid, ...] = ()
     waves: Waves = Waves()
-    event: tuple[Event, ...] = ()
+    event: tuple[AnyFault, ...] = ()
 
 
 def load_scene(name: str) -> Scene:

@@ -12,14 +12,15 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.config import ConfigError, Fleet, convert
-from agent.core import Agent
-from agent.messages import SCHEMA
-from agent.ranging.calibration import Calibration
-from replay.log import info, parts, read
-from replay.mcap_file import summary
-from replay.names import standing
-from replay.recover import STEP_IN, STEP_OUT
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.core import Agent
+from agent.kernel.messages import SCHEMA
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.toml_files import convert
+from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.log import info, parts, read
+from replay.files.mcap_file import summary
+from replay.files.names import standing
 
 STEP_BYTES = 4 * 1024 * 1024  # limit of one step: this is the robot's own file, not a stranger's message
 
@@ -44,7 +45,7 @@ class BlackBox(NamedTuple):
     complete: bool  # finished by its writer, nothing torn
 
     def agent(self) -> Agent:
-        """The robot's mind as it was before its first step."""
+        """The robot's agent as it was before its first step."""
         return Agent(self.fleet, self.robot, self.calibration, self.incarnation)
 
     def steps(self) -> Iterator[Step]:
@@ -52,14 +53,14 @@ class BlackBox(NamedTuple):
         waiting: Step | None = None
         expected = 0
         for record in read(self.path):
-            if record.channel == STEP_IN:
+            if record.channel == STEP_IN.name:
                 if waiting is not None:
                     yield waiting
                 if record.sequence != expected:
                     return
                 waiting = Step(record.sequence, record.log_time_ns, record.data, None)
                 expected += 1
-            elif record.channel == STEP_OUT and waiting is not None and record.sequence == waiting.number:
+            elif record.channel == STEP_OUT.name and waiting is not None and record.sequence == waiting.number:
                 yield waiting._replace(outputs=record.data)
                 waiting = None
         if waiting is not None:
@@ -132,7 +133,7 @@ def head(file: Path) -> Head:
     """What a file says of itself: read from the end of a finished one, which is quick; else by a walk through it."""
     about = summary(file)
     if about is not None and "aucamp.end" in about.notes:
-        return Head(about.notes.get("aucamp.run", {}), about.attachments, about.messages.get(STEP_IN, 0), True)
+        return Head(about.notes.get("aucamp.run", {}), about.attachments, about.messages.get(STEP_IN.name, 0), True)
     torn = info(file)
-    steps = torn.channels[STEP_IN].messages if STEP_IN in torn.channels else 0
+    steps = torn.channels[STEP_IN.name].messages if STEP_IN.name in torn.channels else 0
     return Head(torn.run, torn.attachments, steps, False)

@@ -12,44 +12,44 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from replay.blackbox import BlackBox, open_boxes
-from replay.compare import Ignored, load_ignored
-from replay.links import Correspondence, Link
-from replay.rerun import Divergence, Rerun, rerun
+from replay.check.black_box import BlackBox, open_boxes
+from replay.check.compare import Ignored, load_ignored
+from replay.check.links import Correspondence, Link
+from replay.check.reexecute import Divergence, Reexecution, reexecute
 
 
 class Checked(NamedTuple):
     """The verdict on a run. `exit_code` 0: reproduced; 1: it differs; 2: something could not be checked."""
 
-    reruns: list[Rerun]
+    results: list[Reexecution]
     links: dict[Path, list[Link]]  # by folder: what lies in one folder is one run
     unused: tuple[str, ...]  # rows of the ignore list that covered nothing
     wall_s: float
 
     @property
     def exit_code(self) -> int:
-        if any(each.verdict == "differs" for each in self.reruns):
+        if any(each.verdict == "differs" for each in self.results):
             return 1
-        return 0 if all(each.passed for each in self.reruns) else 2
+        return 0 if all(each.passed for each in self.results) else 2
 
     @property
     def first(self) -> Divergence | None:
         """The earliest of all robots: what came later may be its consequence."""
-        found = [each.first for each in self.reruns if each.first is not None]
+        found = [each.first for each in self.results if each.first is not None]
         return min(found, key=lambda divergence: divergence.now_ns, default=None)
 
     @property
     def speed(self) -> float:
         """Times real time: how long each run took, by its longest recording, over the time that checking all took."""
         runs: dict[Path, float] = {}
-        for each in self.reruns:
+        for each in self.results:
             runs[each.box.path.parent] = max(each.recorded_s, runs.get(each.box.path.parent, 0.0))
         return sum(runs.values()) / self.wall_s
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "identical": all(each.verdict == "identical" for each in self.reruns),
-            "steps": sum(each.steps for each in self.reruns),
+            "identical": all(each.verdict == "identical" for each in self.results),
+            "steps": sum(each.steps for each in self.results),
             "speed_x_realtime": round(self.speed, 1),
             "first_divergence": self.first.as_json() if self.first else None,
             "recordings": [
@@ -66,7 +66,7 @@ class Checked(NamedTuple):
                     "ignored": each.ignored,
                     "notes": list(each.notes),
                 }
-                for each in self.reruns
+                for each in self.results
             ],
             "links": [{"run": str(run), **link._asdict()} for run, found in self.links.items() for link in found],
             "unused_ignore_rows": list(self.unused),
@@ -82,35 +82,38 @@ def check(paths: Sequence[Path], ignore: Path | None = None, console: Console | 
     rows = load_ignored(ignore) if ignore else ()
     started_s = time.monotonic()
     boxes = open_boxes(paths)
-    said = {run: Correspondence() for run in sorted({box.path.parent for box in boxes})}
-    reruns = _rerun_all(boxes, rows, said, console)
-    heard = {run: correspondence.links() for run, correspondence in said.items()}
+    correspondences = {run: Correspondence() for run in sorted({box.path.parent for box in boxes})}
+    results = _reexecute_all(boxes, rows, correspondences, console)
+    found = {run: correspondence.links() for run, correspondence in correspondences.items()}
     wall_s = time.monotonic() - started_s
     used: Counter[str] = Counter()
-    for each in reruns:
+    for each in results:
         used.update(each.ignored)
     unused = tuple(row.field for row in rows if row.field not in used)
-    return Checked(reruns, heard, unused, wall_s)
+    return Checked(results, found, unused, wall_s)
 
 
-def _rerun_all(
-    boxes: Sequence[BlackBox], rows: Sequence[Ignored], said: dict[Path, Correspondence], console: Console | None
-) -> list[Rerun]:
+def _reexecute_all(
+    boxes: Sequence[BlackBox],
+    rows: Sequence[Ignored],
+    correspondences: dict[Path, Correspondence],
+    console: Console | None,
+) -> list[Reexecution]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"))
     found = []
     with Progress(*columns, TimeElapsedColumn(), console=console, disable=console is None, transient=True) as bar:
         task = bar.add_task("", total=sum(box.recorded for box in boxes))
         for box in boxes:
             bar.update(task, description=box.path.name)
-            watch = partial(said[box.path.parent].add, box.robot)
-            found.append(rerun(box, rows, lambda steps: bar.advance(task, steps), watch))
+            watch = partial(correspondences[box.path.parent].add, box.robot)
+            found.append(reexecute(box, rows, lambda steps: bar.advance(task, steps), watch))
     return found
 
 
 def text(checked: Checked) -> str:
     """The verdict for a person, most important last."""
     lines = []
-    for each in checked.reruns:
+    for each in checked.results:
         lines.append(f"{each.box.path}: {each.verdict}, {each.steps} steps, {each.recorded_s:.1f} s")
         lines += [f"  {note}" for note in each.notes]
         lines += [f"  ignored: {count} x {field}" for field, count in each.ignored.items()]
@@ -118,16 +121,16 @@ def text(checked: Checked) -> str:
     lines += [line for found in checked.links.values() for link in found if (line := _link_line(link))]
     lines += [f"ignore list: '{field}' covered nothing; remove the row" for field in checked.unused]
     whole = "identical" if checked.exit_code == 0 else "differs" if checked.exit_code == 1 else "cannot be checked"
-    if checked.exit_code == 0 and any(each.verdict != "identical" for each in checked.reruns):
+    if checked.exit_code == 0 and any(each.verdict != "identical" for each in checked.results):
         whole = "equal within tolerance"
-    steps = sum(each.steps for each in checked.reruns)
-    unchecked = sum(each.unchecked for each in checked.reruns)
+    steps = sum(each.steps for each in checked.results)
+    unchecked = sum(each.unchecked for each in checked.results)
     rest = f"; {unchecked} steps could not be checked" if unchecked else ""
     lines.append(f"{whole}: {steps} steps in {checked.wall_s:.2f} s, {checked.speed:.0f} times real time{rest}")
     return "\n".join(lines)
 
 
-def _divergence_lines(each: Rerun) -> list[str]:
+def _divergence_lines(each: Reexecution) -> list[str]:
     if each.first is None:
         return []
     lines = [f"  first at step {each.first.step} of {each.first.robot}, now_ns {each.first.now_ns}:"]

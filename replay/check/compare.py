@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from agent.config import ConfigError, Struct, convert
+from agent.kernel.config import ConfigError, Struct
+from agent.kernel.toml_files import convert
 
 
 class Absent:

@@ -7,9 +7,13 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.config import ConfigError
-from agent.messages import Explain, LogLine, Outputs, State, decode
-from replay.blackbox import STEP_BYTES, open_box
+from msgspec import UNSET
+
+from agent.kernel.codec import decode
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import Explain, LogLine, State
+from agent.kernel.step_io import Outputs, SweepOutcome
+from replay.check.black_box import STEP_BYTES, open_box
 
 RULES = {
     "mix": "mixed its own measurement with what its neighbours said",
@@ -31,6 +35,7 @@ class Moment(NamedTuple):
     state: State
     before: State | None  # of the iteration before
     log: tuple[LogLine, ...]
+    sweeps: tuple[SweepOutcome, ...] = ()  # that ended since then
 
 
 def explain(path: Path, at: str | None = None) -> str:
@@ -71,6 +76,7 @@ def find(path: Path, at: str | None, target: str | None = None) -> Moment | None
     others = tuple(f"{name}: " for name in box.fleet.target if name != target)
     found: Moment | None = None
     log: list[LogLine] = []
+    sweeps: list[SweepOutcome] = []
     for step in box.steps():
         start_ns = start_ns or step.now_ns
         seconds = (step.now_ns - start_ns) * 1e-9
@@ -80,13 +86,15 @@ def find(path: Path, at: str | None, target: str | None = None) -> Moment | None
             continue
         outputs = decode(step.outputs, Outputs, limit=STEP_BYTES)
         log += [line for line in outputs.log if not line.text.startswith(others)]
+        if outputs.outcome is not UNSET and outputs.outcome.target == target:
+            sweeps.append(outputs.outcome)
         state = outputs.state
         if state is None or state.target != target or state.t == 0 or (found is not None and state.t == found.state.t):
             continue
         if wanted.over(state.t, step.number, seconds):
             break
-        found = Moment(step.number, seconds, state, found.state if found else None, tuple(log))
-        log = []
+        found = Moment(step.number, seconds, state, found.state if found else None, tuple(log), tuple(sweeps))
+        log, sweeps = [], []
     else:
         if found is not None and at is not None and wanted.after(found.state.t, step.number, seconds):
             reach = f"iterations of '{target}' from 1 to {found.state.t}, steps to {step.number}, {seconds:.1f}s in all"
@@ -134,6 +142,7 @@ def sentences(moment: Moment) -> list[str]:
         + (f" The protocol calls the outcome {why.status}." if why.status else ""),
         f"It {_knows(state)}.",
     ]
+    lines += [_sweep(outcome) for outcome in moment.sweeps]
     if state.prior_m is not None and state.alpha:
         lines.append(f"Its own measurement: {_place(state.prior_m, state.prior_sigma_m)}; alpha {state.alpha:.4f}.")
     if why.nis is not None:
@@ -151,6 +160,19 @@ def sentences(moment: Moment) -> list[str]:
     lines += [f"Refused so far: {count} x {kind}." for kind, count in state.refused.items()]
     lines += [f"log, {line.level}: {line.text}" for line in moment.log]
     return lines
+
+
+def _sweep(outcome: SweepOutcome) -> str:
+    """What came of one sweep of the lens."""
+    said = []
+    if outcome.lens_position is not None:
+        peak = f"peak at lens position {outcome.lens_position:.1f} ± {outcome.sigma:.1f}"
+        said.append(f"{peak}, quality {outcome.quality:.3f}")
+    if outcome.x_m is not None:
+        said.append(f"which puts the target at {_place(outcome.x_m, None)}")
+    if outcome.rejected:
+        said.append(f"rejected: {outcome.rejected}")
+    return f"Sweep {outcome.sweep}: {', '.join(said)}."
 
 
 def _knows(state: State) -> str:

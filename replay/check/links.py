@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import msgpack
 
-from replay.blackbox import BlackBox, Step
+from replay.check.black_box import BlackBox, Step
 
 
 class Link(NamedTuple):

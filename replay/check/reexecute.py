@@ -13,11 +13,13 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from typing import Any, Literal, NamedTuple
 
-from agent.core import Agent
-from agent.messages import Estimate, Inputs, Refusal, decode, encode
-from replay.blackbox import STEP_BYTES, BlackBox, Step
-from replay.compare import Difference, Ignored, differences
-from replay.environment import environment
+from agent.kernel.codec import Refusal, decode, encode
+from agent.kernel.core import Agent
+from agent.kernel.messages import Estimate
+from agent.kernel.step_io import Inputs
+from replay.check.black_box import STEP_BYTES, BlackBox, Step
+from replay.check.compare import Difference, Ignored, differences
+from replay.files.environment import environment
 
 TOLERANCE = 1e-9  # relative or absolute: a thousand times what rounding leaves, a millionth of what a measurement means
 CPU_CLASS = ("machine", "cpu.features")  # entries of the header that decide how floats are added up
@@ -59,7 +61,7 @@ class Divergence(NamedTuple):
         }
 
 
-class Rerun(NamedTuple):
+class Reexecution(NamedTuple):
     """What came of one recording."""
 
     box: BlackBox
@@ -82,12 +84,12 @@ class Rerun(NamedTuple):
         return self.verdict in ("identical", "within tolerance")
 
 
-def rerun(
+def reexecute(
     box: BlackBox,
     ignored: Sequence[Ignored] = (),
     progress: Progress = lambda steps: None,
     watch: Callable[[Step], None] = lambda step: None,
-) -> Rerun:
+) -> Reexecution:
     """Replay one recording from its first step to its last sound one; `watch` is shown each step as it was recorded."""
     agent = box.agent()
     tolerance = TOLERANCE if other_cpu(box) else 0.0
@@ -115,7 +117,7 @@ def rerun(
     notes = (*environment_notes(box), *range_notes(box, taken, tally))
     verdict: Verdict = "cannot check" if tally.compared == 0 and tally.first is None else tally.verdict
     seconds = (now_ns - start_ns) * 1e-9
-    return Rerun(
+    return Reexecution(
         box, verdict, tally.compared, seconds, tally.first, tally.fields, dict(tally.ignored), notes, digest.hexdigest()
     )
 
@@ -181,9 +183,9 @@ def _floats(difference: Difference) -> bool:
     return isinstance(difference.recorded, float) and isinstance(difference.replayed, float)
 
 
-def unreadable(box: BlackBox, step: Step, why: str) -> Rerun:
+def unreadable(box: BlackBox, step: Step, why: str) -> Reexecution:
     note = f"the inputs of step {step.number} are not of this version ({why}); replay it with the version it names"
-    return Rerun(box, "cannot check", 0, 0.0, None, {}, {}, (*environment_notes(box), note), "")
+    return Reexecution(box, "cannot check", 0, 0.0, None, {}, {}, (*environment_notes(box), note), "")
 
 
 def other_cpu(box: BlackBox) -> bool:

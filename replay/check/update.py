@@ -11,15 +11,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.config import ConfigError
-from agent.messages import Outputs, State, Vector, decode, encode
-from replay.backlog import Entry
-from replay.blackbox import STEP_BYTES, BlackBox, open_boxes
-from replay.log import info, parts, read
-from replay.mcap_file import Part
-from replay.names import active
-from replay.recover import STEP_OUT
-from replay.rerun import rerun, take
+from agent.kernel.codec import decode, encode
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import State, Vector
+from agent.kernel.step_io import Outputs
+from replay.check.black_box import STEP_BYTES, BlackBox, open_boxes
+from replay.check.reexecute import reexecute, take
+from replay.files.backlog import Entry
+from replay.files.channels import STEP_OUT
+from replay.files.log import info, parts, read
+from replay.files.mcap_file import Part
+from replay.files.names import active
 
 GIT_S = 10.0
 
@@ -33,7 +35,7 @@ class Outcome(NamedTuple):
     sigma_m: float | None
 
 
-class Accepted(NamedTuple):
+class Updated(NamedTuple):
     box: BlackBox
     steps: int  # whose outputs changed
     before: Outcome
@@ -48,7 +50,7 @@ class Accepted(NamedTuple):
         return "\n".join(shown)
 
 
-def accept(paths: Iterable[Path], reason: str) -> list[Accepted]:
+def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
     """Rewrite the black boxes that today's kernel does not reproduce; returns those.
 
     Raises ConfigError without a reason, in a checkout with uncommitted changes, and for a recording that is torn, has
@@ -62,17 +64,17 @@ def accept(paths: Iterable[Path], reason: str) -> list[Accepted]:
     for box in boxes:
         if not box.complete or len(list(box.steps())) < box.recorded or len(parts(box.path)) > 1:
             raise ConfigError(f"{box.path}: is torn, lacks steps or has later parts; only whole recordings are updated")
-    accepted = []
+    updated = []
     for box in boxes:
-        result = rerun(box)
+        result = reexecute(box)
         if result.verdict == "cannot check":
             raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
         if result.verdict != "identical":
-            accepted.append(_rewrite(box, reason.strip()))
-    return accepted
+            updated.append(_rewrite(box, reason.strip()))
+    return updated
 
 
-def _rewrite(box: BlackBox, reason: str) -> Accepted:
+def _rewrite(box: BlackBox, reason: str) -> Updated:
     about = info(box.path)
     before = outcome(step.outputs for step in box.steps() if step.outputs is not None)
     outputs = list(_replayed(box))
@@ -83,7 +85,7 @@ def _rewrite(box: BlackBox, reason: str) -> Accepted:
         new.start({**about.run, "accepted": "; ".join([*reasons, reason])}, about.attachments)
         for record in read(box.path):
             data = record.data
-            if record.channel == STEP_OUT:
+            if record.channel == STEP_OUT.name:
                 data = outputs[record.sequence]
                 changed += data != record.data
             channel = about.channels[record.channel]
@@ -104,7 +106,7 @@ def _rewrite(box: BlackBox, reason: str) -> Accepted:
         active(new.path).unlink(missing_ok=True)
         raise ConfigError(f"{new.path}: cannot be written: {error.strerror}; the old file is as it was") from None
     new.path.replace(box.path)
-    return Accepted(box, changed, before, outcome(outputs))
+    return Updated(box, changed, before, outcome(outputs))
 
 
 def _replayed(box: BlackBox) -> Iterator[bytes]:
@@ -114,7 +116,7 @@ def _replayed(box: BlackBox) -> Iterator[bytes]:
 
 
 def outcome(outputs: Iterable[bytes]) -> Outcome:
-    """From the last state that the robot showed."""
+    """What the last state says that the robot showed."""
     last: State | None = None
     for data in outputs:
         last = decode(data, Outputs, limit=STEP_BYTES).state or last

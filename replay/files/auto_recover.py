@@ -16,9 +16,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 
-from replay.claim import claimed
-from replay.names import SUFFIX, parts, recovered
-from replay.recover import sound
+from replay.files.file_lock import is_held
+from replay.files.names import SUFFIX, parts, recovered
+from replay.files.recover import sound
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ PAUSE_S = 3.0  # who has just started needs the machine for itself
 Say = Callable[[str], None]
 
 
-def mended(paths: Iterable[Path], say: Say) -> list[Path]:
+def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
     """What to open for each of some folders and files, after their torn files were mended; a line for each of those.
 
     In a folder, and for later parts, the mended copy stands in for the torn file by its name.
@@ -46,23 +46,23 @@ def mended(paths: Iterable[Path], say: Say) -> list[Path]:
     return found
 
 
-def leftovers(path: Path) -> list[Path]:
+def torn_files(path: Path) -> list[Path]:
     """Torn files of the recording `path`, of its parts and of earlier starts, that nobody has mended yet."""
     name = re.compile(re.escape(path.name.removesuffix(".mcap")) + r"(\.\d+)?(\.part\d{3,})?\.mcap" + re.escape(SUFFIX))
     if not path.parent.is_dir():
         return []
     torn = sorted(file for file in path.parent.iterdir() if name.fullmatch(file.name))
-    return [file for file in torn if not recovered(file).exists() and not claimed(file)]
+    return [file for file in torn if not recovered(file).exists() and not is_held(file)]
 
 
 @contextmanager
-def mending(files: Sequence[Path], say: Say = logger.warning, pause_s: float = PAUSE_S) -> Iterator[None]:
+def recovering(files: Sequence[Path], say: Say = logger.warning, pause_s: float = PAUSE_S) -> Iterator[None]:
     """Mend these files meanwhile, in a process that gives way to all others; `say` gets a line for each.
 
     Not before `pause_s` have passed. What is not done at the end is left to the next start.
     """
     stop = Event()
-    worker = Thread(target=_mend, args=(files, say, pause_s, stop), name="mending", daemon=True)
+    worker = Thread(target=_mend, args=(files, say, pause_s, stop), name="recovering", daemon=True)
     if files:
         worker.start()
     try:

@@ -1,4 +1,4 @@
-"""With what a recording was made: code, versions and machine, the first suspects when a replay differs."""
+"""What a recording was made with: code, versions and machine, the first suspects when a replay differs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def environment() -> dict[str, str]:
         **_cpu(),
         "blas": f"{blas.get('name', 'unknown')} {blas.get('version', '')}".strip(),
         **{name: os.environ[name] for name in THREADS if name in os.environ},
-        **_checkout(Path(__file__).parents[1]),
+        **_checkout(Path(__file__).parents[2]),
         **{f"version.{package}": version(package) for package in PACKAGES},
     }
 

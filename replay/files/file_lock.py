@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import IO
 
 
-def claim(file: IO[bytes]) -> None:
+def hold(file: IO[bytes]) -> None:
     """Mark an open file as being written, until it is closed."""
     with contextlib.suppress(OSError):
         fcntl.flock(file, fcntl.LOCK_EX)
 
 
-def claimed(path: Path) -> bool:
+def is_held(path: Path) -> bool:
     """Whether a writer is at work on this file."""
     try:
         with path.open("rb") as file:

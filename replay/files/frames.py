@@ -13,10 +13,11 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.config import ConfigError
-from agent.messages import Message, Sighting, encode
+from agent.kernel.codec import encode
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import Message
+from agent.kernel.step_io import Sighting
 
-FRAME, VISION = "/raw/frame", "/raw/vision"
 # Of a JPEG: 60 kB for a full frame of 640x480 with sensor noise, 1.1 ms; PNG: 520 kB, 16 ms. Colour is kept at full
 # resolution, unlike a JPEG's habit: it is by their colour that balls are found. That costs a quarter more bytes, and
 # vision sees a centre 0.06 px from where it was, not 0.2 px (median), and 0.3 px at worst, not 2 px.
@@ -25,13 +26,13 @@ JPEG = [
     *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
 ]
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-MAX_FRAME = 16 * 1024 * 1024  # bytes of a record on /raw/frame: for `agent.messages.decode`
+MAX_FRAME = 16 * 1024 * 1024  # bytes of a Picture: for `codec.decode`
 
 Format = Literal["jpeg", "png"]
 
 
 class Picture(Message, frozen=True, kw_only=True):
-    """One frame as vision got it: the message on /raw/frame. The Sighting on /raw/vision has the same sequence."""
+    """One frame as vision got it, on the channel FRAME. The Sighting on VISION has the same sequence."""
 
     t_ns: int  # middle of the exposure
     frame: int  # as the camera counts
@@ -44,7 +45,7 @@ class Picture(Message, frozen=True, kw_only=True):
 
 
 def picture(image: NDArray[np.uint8], roi: tuple[int, int, int, int], sighting: Sighting, lossless: bool) -> bytes:
-    """The record for /raw/frame; `image` is (height, width, 3), blue green red."""
+    """The record for FRAME; `image` is (height, width, 3), blue green red."""
     format_: Format = "png" if lossless else "jpeg"
     _, data = cv2.imencode(".png" if lossless else ".jpg", image, PNG if lossless else JPEG)
     return encode(

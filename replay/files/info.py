@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from agent import topics
-from replay.mcap_file import Attachment, Channel, Message, Metadata, Schema, Tear, records
-from replay.names import parts
+from agent.kernel import topics
+from replay.files.channels import STEP_IN, STEP_OUT, network_topic
+from replay.files.mcap_file import Attachment, Channel, Message, Metadata, Schema, Tear, records
+from replay.files.names import parts
 
 STEP_HZ = 20.0  # of an agent's loop
 SHOWN = ("kind", "fleet", "robot", "protocol", "part", "incarnation", "commit", "dirty", "cpu", "machine", "python")
@@ -147,13 +148,13 @@ def _lines(about: Info) -> Iterator[str]:
 
 def counts_by_one(channel: str) -> bool:
     """Whether a missing sequence number on this channel is a missing message."""
-    row = topics.match(channel.removeprefix("/zenoh/"))
-    return channel in ("/raw/step_in", "/raw/step_out") or (row is not None and row[0] is not topics.LOG)
+    row = network_topic(channel)
+    return channel in (STEP_IN.name, STEP_OUT.name) or (row is not None and row[0] is not topics.LOG)
 
 
 def nominal_hz(channel: str) -> float:
     """How often this channel should have a message; 0: no such rate."""
-    if channel in ("/raw/step_in", "/raw/step_out"):
+    if channel in (STEP_IN.name, STEP_OUT.name):
         return STEP_HZ
-    row = topics.match(channel.removeprefix("/zenoh/"))
+    row = network_topic(channel)
     return row[0].hz if row else 0.0

@@ -21,12 +21,13 @@ from typing import NamedTuple, Self
 
 import msgpack
 
-from replay.backlog import Backlog, Drop, Entry
-from replay.info import ChannelInfo, Info, info
-from replay.mcap_file import Channel, Message, Part, Tear, records
-from replay.names import active, part, parts, unused
+from replay.files.backlog import Backlog, Drop, Entry
+from replay.files.channels import DROPS, entry_on
+from replay.files.info import ChannelInfo, Info, info
+from replay.files.mcap_file import Channel, Message, Part, Tear, records
+from replay.files.names import active, part, parts, unused
 
-__all__ = ["DROPS", "ChannelInfo", "Info", "Limits", "LogWriter", "Record", "info", "parts", "read", "unused"]
+__all__ = ["ChannelInfo", "Info", "Limits", "LogWriter", "Record", "info", "parts", "read", "unused"]
 
 logger = logging.getLogger(__name__)
 
@@ -35,7 +36,6 @@ SYNC_S = 5.0  # and forces it to the disk this often; what a power cut can take 
 CLOSE_S = 10.0  # a disk that takes longer to finish a file is given up
 BACKLOG_MESSAGES = 4096
 BACKLOG_BYTES = 16 * 1024 * 1024
-DROPS = "/raw/drops"
 
 Derive = Callable[[Entry], Iterable[Entry]]
 
@@ -52,7 +52,7 @@ class Limits(NamedTuple):
 class LogWriter:
     """Writes a recording from a thread of its own; the caller appends to a bounded backlog and never waits for a disk.
 
-    A full backlog loses frames first, then its oldest messages; both are counted and noted on the channel /raw/drops.
+    A full backlog loses frames first, then its oldest messages; both are counted and noted on the channel DROPS.
     Whatever goes wrong in the thread ends the recording and stands in `failed`; the caller goes on. Context manager.
     """
 
@@ -92,26 +92,8 @@ class LogWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self.close("clean" if kind is None else f"exception:{kind.__name__}")
 
-    def write(
-        self,
-        channel: str,
-        log_time_ns: int,
-        publish_time_ns: int,
-        sequence: int,
-        data: bytes,
-        encoding: str = "msgpack",
-        metadata: Mapping[str, str] | None = None,
-        expendable: bool = False,
-    ) -> None:
-        """Queue one message. `encoding` and `metadata` are the channel's and count at its first message only.
-
-        An `expendable` message, a frame, is lost before any other when the disk does not keep up.
-        """
-        about = metadata or {}
-        self.put(Entry(channel, log_time_ns, publish_time_ns, sequence, data, encoding, about, expendable=expendable))
-
     def put(self, entry: Entry) -> None:
-        """Queue one message."""
+        """Queue one message; what it says of its channel counts at the channel's first message only."""
         if not self.failed and self._backlog.put(entry):
             self._wake.set()
 
@@ -217,7 +199,7 @@ class LogWriter:
 def drop_note(channel: str, drop: Drop) -> Entry:
     """What the file says about messages that are not in it."""
     note = {"channel": channel, **drop._asdict()}
-    return Entry(DROPS, drop.last_ns, drop.last_ns, drop.last, bytes(msgpack.packb(note)), "msgpack", {})
+    return entry_on(DROPS, drop.last_ns, drop.last_ns, drop.last, bytes(msgpack.packb(note)))
 
 
 # --- the reader ---------------------------------------------------------------------------------------------------

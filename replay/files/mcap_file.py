@@ -21,11 +21,11 @@ from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metada
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
-from agent.config import ConfigError
-from replay.backlog import Entry
-from replay.claim import claim, claimed
-from replay.environment import version
-from replay.names import active
+from agent.kernel.config import ConfigError
+from replay.files.backlog import Entry
+from replay.files.environment import version
+from replay.files.file_lock import hold, is_held
+from replay.files.names import active
 
 __all__ = ["Attachment", "Channel", "Message", "Metadata", "Part", "Schema", "Summary", "Tear", "records", "summary"]
 
@@ -41,7 +41,7 @@ class Part:
         """Create the file. Raises ConfigError if it cannot be created, or if there is one already."""
         if path.is_dir():
             raise ConfigError(f"{path}: is a folder; give the name of a file in it")
-        if claimed(active(path)):
+        if is_held(active(path)):
             raise ConfigError(f"{active(path)}: is being written by another process; give another name")
         for taken in (path, active(path)):
             if taken.exists():
@@ -51,7 +51,7 @@ class Part:
             self._file: IO[bytes] = active(path).open("xb")
         except OSError as error:
             raise ConfigError(f"{active(path)}: cannot be written: {error.strerror}; give another place") from None
-        claim(self._file)
+        hold(self._file)
         self.path = path
         self._writer: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._channels: dict[str, int] = {}

@@ -13,16 +13,14 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.config import ConfigError
-from replay.backlog import Entry
-from replay.backlog import Schema as ChannelSchema
-from replay.claim import claimed
-from replay.info import info
-from replay.mcap_file import Channel, Message, Part, Schema, Tear, records, summary
-from replay.names import active, recovered, standing
-
-STEP_IN, STEP_OUT = "/raw/step_in", "/raw/step_out"
-CUT = "/raw/step_in_cut"  # inputs of a step whose outputs are missing
+from agent.kernel.config import ConfigError
+from replay.files.backlog import Entry
+from replay.files.backlog import Schema as ChannelSchema
+from replay.files.channels import CUT, STEP_IN, STEP_OUT
+from replay.files.file_lock import is_held
+from replay.files.info import info
+from replay.files.mcap_file import Channel, Message, Part, Schema, Tear, records, summary
+from replay.files.names import active, recovered, standing
 
 
 class Recovered(NamedTuple):
@@ -35,7 +33,7 @@ class Recovered(NamedTuple):
     bytes_lost: int  # written, but cannot be believed
     tears: int
     last_step: int | None  # of a black box: the last one with inputs and outputs
-    cut_step: int | None  # a step with inputs alone, kept on the channel /raw/step_in_cut
+    cut_step: int | None  # a step with inputs alone, kept on the channel CUT
     last_ns: int | None  # newest log time that was kept
 
     @property
@@ -69,11 +67,11 @@ def recover(path: Path, force: bool = False) -> Recovered:
     if about.complete or about.recovered or not about.channels:
         counts = {name: channel.messages for name, channel in about.channels.items()}
         return Recovered(path, None, counts, size, 0, 0, None, None, None)
-    if not force and claimed(path):
+    if not force and is_held(path):
         raise ConfigError(f"{path}: still being written; end its writer first, or give --force for what is in it now")
     half_done = active(recovered(path))
-    if half_done.exists() and not claimed(half_done):
-        half_done.unlink()  # of a mending that was broken off; the torn file itself is as it was
+    if half_done.exists() and not is_held(half_done):
+        half_done.unlink()  # of a recovery that was broken off; the torn file itself is as it was
     part = Part(recovered(path))
     walk = _Walk(path)
     try:
@@ -110,7 +108,7 @@ def sound(path: Path, say: Callable[[str], None]) -> Path:
     if ends is not None and "aucamp.end" in ends.notes:  # finished: no need to walk through it
         return there
     about = info(there)
-    if about.complete or about.recovered or claimed(there):
+    if about.complete or about.recovered or is_held(there):
         if about.recovered:
             say(f"{there}: {about.recovered.get('summary', '')}")
         return there
@@ -141,13 +139,13 @@ class _Walk:
         held: list[Entry] = []  # since a step's inputs: they count when its outputs come
         for entry in self._messages():
             self._last_ns = max(entry.log_time_ns, self._last_ns or 0)
-            if entry.channel == STEP_IN and not held:
+            if entry.channel == STEP_IN.name and not held:
                 held.append(entry)
-            elif entry.channel == STEP_OUT and held and held[0].sequence == entry.sequence:
+            elif entry.channel == STEP_OUT.name and held and held[0].sequence == entry.sequence:
                 self._last_step = entry.sequence
                 yield from self._counted([*held, entry])
                 held = []
-            elif held and entry.channel != STEP_IN:
+            elif held and entry.channel != STEP_IN.name:
                 held.append(entry)
             elif held:  # the outputs of the step before are missing
                 yield from self._counted(self._without_step(held))
@@ -172,7 +170,7 @@ class _Walk:
     def _without_step(self, held: list[Entry]) -> list[Entry]:
         if not held:
             return []
-        self._cut = held[0]._replace(channel=CUT)
+        self._cut = held[0]._replace(channel=CUT.name)
         return [self._cut, *held[1:]]
 
     def _counted(self, entries: list[Entry]) -> list[Entry]:

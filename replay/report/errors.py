@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.messages import Vector
-from replay.figures_belief import VARIANCES
-from replay.story import Array, Story
+from agent.kernel.messages import Vector
+from replay.report.figures_belief import VARIANCES
+from replay.report.robot_timeline import Array, RobotTimeline
 
 LATE = 10  # iterations at the end over which the posterior is judged
 AXES = ("x", "y", "z")
@@ -30,19 +30,19 @@ class ErrorRow(NamedTuple):
     within_2_sigma: float | None  # share, by the covariance that the robot stated; None: it stated none
 
 
-def error_table(stories: Sequence[Story], truth_m: Vector) -> list[ErrorRow]:
+def error_table(timelines: Sequence[RobotTimeline], truth_m: Vector) -> list[ErrorRow]:
     """Priors over the whole run, posteriors over the last LATE iterations."""
     rows = []
-    for story in stories:
-        priors = np.array([x for _, x in story.priors]).reshape(-1, 3) - truth_m
+    for timeline in timelines:
+        priors = np.array([x for _, x in timeline.priors]).reshape(-1, 3) - truth_m
         if len(priors):
-            rows += _rows(story.label, "prior", 1e3 * priors, None)
-        late = [belief for belief in story.beliefs if belief.state.posterior_m is not None][-LATE:]
+            rows += _rows(timeline.label, "prior", 1e3 * priors, None)
+        late = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None][-LATE:]
         if late:
             errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
             covariances = [belief.cov_m2 for belief in late]
             sigmas = np.array([[math.sqrt(c[k]) for k in VARIANCES] if c else [math.nan] * 3 for c in covariances])
-            rows += _rows(story.label, "posterior", 1e3 * errors, 1e3 * sigmas)
+            rows += _rows(timeline.label, "posterior", 1e3 * errors, 1e3 * sigmas)
     return rows
 
 

@@ -10,37 +10,39 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from agent.messages import State, Vector
-from replay.story import Belief, Story
+from agent.kernel.messages import State, Vector
+from replay.report.robot_timeline import Belief, RobotTimeline
 
 AXES = "xyz"
 VARIANCES = (0, 3, 5)  # of x, y, z among xx xy xz yy yz zz
 KNOWS = {"blind": "0.85", "told": "C1", "sees": "C2"}
 
 
-def iterations(story: Story, truth_m: Vector | None) -> Figure:
+def iterations(timeline: RobotTimeline, truth_m: Vector | None) -> Figure:
     """x̂ as dots and x as a line with ± 2σ, one panel for each axis; the upper scale is time."""
     figure = Figure(figsize=(4.6, 6.4), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
-    held = [belief for belief in story.beliefs if belief.state.posterior_m is not None]
+    held = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None]
     for axis, (name, panel) in enumerate(zip(AXES, panels, strict=True)):
         if truth_m is not None:
             panel.axhline(1e3 * truth_m[axis], color="black", linewidth=0.8, linestyle="--", label="truth")
-        panel.plot([t for t, _ in story.priors], [1e3 * x[axis] for _, x in story.priors], ".", color="C1", label="x̂")
+        panel.plot(
+            [t for t, _ in timeline.priors], [1e3 * x[axis] for _, x in timeline.priors], ".", color="C1", label="x̂"
+        )
         t, x, sigma = _series(held, axis)
         panel.plot(t, x, color="C0", label="x")
         panel.fill_between(t, x - 2 * sigma, x + 2 * sigma, color="C0", alpha=0.2, linewidth=0, label=r"$\pm 2\sigma$")
-        for first in sorted({b.state.acquired_t for b in story.beliefs if b.state.acquired_t is not None}):
+        for first in sorted({b.state.acquired_t for b in timeline.beliefs if b.state.acquired_t is not None}):
             panel.axvline(first, color="C2", linewidth=0.8)
         panel.set_ylabel(f"{name}, mm")
         panel.margins(x=0.02)
     panels[0].legend(fontsize="small", ncols=4, loc="best")
     panels[2].set_xlabel("iteration")
-    if len(story.beliefs) > 1:
-        ticks = story.beliefs[:: max(1, len(story.beliefs) // 5)]
+    if len(timeline.beliefs) > 1:
+        ticks = timeline.beliefs[:: max(1, len(timeline.beliefs) // 5)]
         above = panels[0].secondary_xaxis("top")
         above.set_xticks([belief.t for belief in ticks], [f"{belief.t_s:.0f}" for belief in ticks])
-        above.set_xlabel(f"{story.label}: time, s")
+        above.set_xlabel(f"{timeline.label}: time, s")
     return figure
 
 
@@ -51,20 +53,20 @@ def _series(held: Sequence[Belief], axis: int) -> tuple[np.ndarray, np.ndarray, 
     return np.array([belief.t for belief in held]), np.array(x), 1e3 * np.sqrt(np.array(variances, float))
 
 
-def valid_set(story: Story) -> Figure:
+def valid_set(timeline: RobotTimeline) -> Figure:
     """The observer's own view of S: what it knows itself, and which neighbours counted in its updates."""
-    names = sorted({n.robot for _, state in story.states for n in state.neighbours})
+    names = sorted({n.robot for _, state in timeline.states for n in state.neighbours})
     figure = Figure(figsize=(4.6, 0.9 + 0.36 * (1 + len(names))), layout="constrained")
     panel = figure.subplots()
-    times = [*[t_s for t_s, _ in story.states], story.ends_s]
-    states = [state for _, state in story.states]
+    times = [*[t_s for t_s, _ in timeline.states], timeline.ends_s]
+    states = [state for _, state in timeline.states]
     rows = [[KNOWS[state.knows] for state in states], *([_seen(state, name) for state in states] for name in names)]
     for row, colours in enumerate(rows):
         for colour, begin, end in _bars(colours, times):
             panel.barh(row, end - begin, left=begin, height=0.7, color=colour, linewidth=0)
     panel.set_yticks(range(1 + len(names)), ["itself", *names])
     panel.invert_yaxis()
-    panel.set(xlabel="time, s", title=f"S as {story.robot} sees it" + story.label.removeprefix(story.robot))
+    panel.set(xlabel="time, s", title=f"S as {timeline.robot} sees it" + timeline.label.removeprefix(timeline.robot))
     # One key for both kinds of rows: green is in S, orange has an estimate without a view.
     keys = {"in S, counted": "C2", "in S, not counted": "C9", "told": "C1", "not in S": "0.85", "unheard": "white"}
     handles = [Patch(facecolor=colour, edgecolor="0.6", label=label) for label, colour in keys.items()]
@@ -92,32 +94,34 @@ def _seen(state: State, name: str) -> str:
     return "C9" if neighbour.valid else "0.85"
 
 
-def disagreement(stories: Sequence[Story], truth_m: Vector | None) -> Figure:
-    """Of the stories about one target: the largest distance between two posteriors at a time; with a truth also that
+def disagreement(timelines: Sequence[RobotTimeline], truth_m: Vector | None) -> Figure:
+    """The largest distance between two posteriors at a time, of the timelines about one target; with a truth also that
     of each robot from it."""
     figure = Figure(figsize=(4.6, 3.5), layout="constrained")
     panel = figure.subplots()
     if truth_m is not None:
-        for k, story in enumerate(stories):
+        for k, timeline in enumerate(timelines):
             errors = [
-                (b.t_s, 1e3 * math.dist(b.state.posterior_m, truth_m)) for b in story.beliefs if b.state.posterior_m
+                (b.t_s, 1e3 * math.dist(b.state.posterior_m, truth_m)) for b in timeline.beliefs if b.state.posterior_m
             ]
-            panel.plot([t for t, _ in errors], [e for _, e in errors], color=f"C{k}", linewidth=0.9, label=story.robot)
+            panel.plot(
+                [t for t, _ in errors], [e for _, e in errors], color=f"C{k}", linewidth=0.9, label=timeline.robot
+            )
         limit_mm = 1e3 * 0.004 * math.hypot(*truth_m)
         panel.axhline(limit_mm, color="0.5", linestyle=":", linewidth=1.0, label="0.4 % of |x*|")
-    times, apart = _apart(stories)
+    times, apart = _apart(timelines)
     panel.plot(times, apart, color="black", linewidth=1.2, label="disagreement")
-    about = stories[0].label.removeprefix(stories[0].robot)  # the target, where there are several
+    about = timelines[0].label.removeprefix(timelines[0].robot)  # the target, where there are several
     panel.set(xlabel="time, s", ylabel="mm", title=f"posteriors{about}: error and largest distance", yscale="log")
     figure.legend(loc="outside lower center", ncols=5, fontsize="x-small", frameon=False)
     return figure
 
 
-def _apart(stories: Sequence[Story]) -> tuple[list[float], list[float]]:
-    """At each iteration of any robot, the largest distance of two newest posteriors, mm."""
+def _apart(timelines: Sequence[RobotTimeline]) -> tuple[list[float], list[float]]:
+    """The largest distance of two newest posteriors at each iteration of any robot: times in s, and mm."""
     newest: dict[str, Vector] = {}
     times, apart = [], []
-    for belief in sorted((b for story in stories for b in story.beliefs), key=lambda b: b.t_s):
+    for belief in sorted((b for timeline in timelines for b in timeline.beliefs), key=lambda b: b.t_s):
         if belief.state.posterior_m is not None:
             newest[belief.state.robot] = belief.state.posterior_m
         if len(newest) > 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from replay.depth import SweepDepth
+from replay.viewers.whole_sweeps import SweepDepth
 
 
 def depth_map(robot: str, t_s: float, depth: SweepDepth) -> Figure:

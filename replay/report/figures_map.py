@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, Rectangle
 
-from agent.config import Fleet
-from agent.messages import Symmetric, Vector
-from replay.story import Story
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Symmetric, Vector
+from replay.report.robot_timeline import RobotTimeline
 
 
-def above(fleet: Fleet, stories: Sequence[Story], truths_m: Mapping[str, Vector]) -> Figure:
+def above(fleet: Fleet, timelines: Sequence[RobotTimeline], truths_m: Mapping[str, Vector]) -> Figure:
     """World axes: walls, robots and where they point, estimates, and by target the truth where it is known."""
     figure = Figure(figsize=(4.6, 4.2), layout="constrained")
     panel = figure.subplots()
@@ -29,7 +29,11 @@ def above(fleet: Fleet, stories: Sequence[Story], truths_m: Mapping[str, Vector]
         panel.arrow(pose.x_m, pose.y_m, 0.1 * math.cos(yaw), 0.1 * math.sin(yaw), color=f"C{index}", width=0.01)
         behind = (-12 * math.cos(yaw), -12 * math.sin(yaw))
         panel.annotate(name, (pose.x_m, pose.y_m), behind, textcoords="offset points", ha="center", va="center")
-        estimates = [story.estimate[0][:2] for story in stories if story.robot == name and story.estimate is not None]
+        estimates = [
+            timeline.estimate[0][:2]
+            for timeline in timelines
+            if timeline.robot == name and timeline.estimate is not None
+        ]
         if estimates:
             panel.plot(*zip(*estimates, strict=True), "x", color=f"C{index}", label=name)
     panel.set_aspect("equal")
@@ -39,33 +43,33 @@ def above(fleet: Fleet, stories: Sequence[Story], truths_m: Mapping[str, Vector]
     return figure
 
 
-def near_target(fleet: Fleet, stories: Sequence[Story], truth_m: Vector | None) -> Figure:
-    """Of the stories about one target: priors as dots, last posteriors with their 2σ ellipse, in mm from the truth or
-    from the posteriors' mean.
+def near_target(fleet: Fleet, timelines: Sequence[RobotTimeline], truth_m: Vector | None) -> Figure:
+    """Priors as dots and last posteriors with their 2σ ellipse, of the timelines about one target, in mm from the truth
+    or from the posteriors' mean.
     """
     figure = Figure(figsize=(4.6, 4.2), layout="constrained")
     panel = figure.subplots()
     names = list(fleet.robot)
-    last = {story.robot: story.estimate for story in stories}
+    last = {timeline.robot: timeline.estimate for timeline in timelines}
     held = [estimate[0] for estimate in last.values() if estimate is not None]
     if not held:
         panel.set_title("nobody has an estimate")
         return figure
     origin_m = truth_m or tuple(float(x) for x in np.mean(held, axis=0))
-    for story in stories:
-        colour = f"C{names.index(story.robot)}" if story.robot in names else "0.5"
-        priors = [(1e3 * (x[0] - origin_m[0]), 1e3 * (x[1] - origin_m[1])) for _, x in story.priors]
+    for timeline in timelines:
+        colour = f"C{names.index(timeline.robot)}" if timeline.robot in names else "0.5"
+        priors = [(1e3 * (x[0] - origin_m[0]), 1e3 * (x[1] - origin_m[1])) for _, x in timeline.priors]
         panel.plot([x for x, _ in priors], [y for _, y in priors], ".", color=colour, alpha=0.35, markersize=4)
-        estimate = last[story.robot]
+        estimate = last[timeline.robot]
         if estimate is not None:
             x, y = (1e3 * (estimate[0][k] - origin_m[k]) for k in (0, 1))
-            panel.plot(x, y, "x", color=colour, label=story.robot)
+            panel.plot(x, y, "x", color=colour, label=timeline.robot)
             if estimate[1] is not None:
                 add_ellipse(panel, (x, y), estimate[1], colour)
     if truth_m is not None:
         panel.plot(0, 0, "+", color="black", markersize=14, label="truth")
     panel.set_aspect("equal", adjustable="datalim")
-    about = "" if len(fleet.target) == 1 else f"{stories[0].target}: "
+    about = "" if len(fleet.target) == 1 else f"{timelines[0].target}: "
     title = about + r"x̂ as dots, x with its $2\sigma$ ellipse"
     where = "the truth" if truth_m is not None else "the mean of the estimates"
     panel.set(xlabel=f"x from {where}, mm", ylabel="y, mm", title=title)

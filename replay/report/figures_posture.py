@@ -1,20 +1,20 @@
-"""How the robot hung in the water: four pressures, the pulses of the four central thrusters, depth and tilt."""
+"""The robot's posture in the water: four pressures, the pulses of the four central thrusters, depth and tilt."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from replay.story import Array, Story
+from replay.report.robot_timeline import Array, RobotTimeline
 
 NEUTRAL_US = 1500  # a pulse at which a thruster stands still
 CENTRAL = 4  # the first four of eight thrusters point up and down
 POINTS = 600  # of a line; more cannot be told apart on a screen
 
 
-def posture(story: Story) -> Figure:
+def posture(timeline: RobotTimeline) -> Figure:
     """Panels over time, all by the robot's own sensors; without a black box depth and tilt alone."""
-    p = story.posture
+    p = timeline.posture
     every = thin(p.t_s)
     inside = bool(np.isfinite(p.sensors_m).any())
     figure = Figure(figsize=(4.6, 7.4 if inside else 4.0), layout="constrained")
@@ -29,14 +29,14 @@ def posture(story: Story) -> Figure:
         pressures.invert_yaxis()
         pulses.set_ylabel("Δ PWM, µs")
     depth.plot(p.t_s[every], 1e3 * p.depth_m[every], color="black", linewidth=0.9, label="depth")
-    steps = [*story.set_depth_m, (story.ends_s, story.set_depth_m[-1][1])] if story.set_depth_m else []
+    steps = [*timeline.set_depth_m, (timeline.ends_s, timeline.set_depth_m[-1][1])] if timeline.set_depth_m else []
     depth.step([t for t, _ in steps], [1e3 * d for _, d in steps], where="post", color="C3", label="set-point")
     tilt.plot(p.t_s[every], p.roll_deg[every], linewidth=0.9, label="roll")
     tilt.plot(p.t_s[every], p.pitch_deg[every], linewidth=0.9, label="pitch")
     depth.set_ylabel("depth, mm")
     tilt.set(ylabel="tilt, deg", xlabel="time, s")
     depth.invert_yaxis()
-    panels[0].set_title(story.robot)
+    panels[0].set_title(timeline.robot)
     for panel in panels:
         panel.legend(fontsize="x-small", ncols=4, loc="best")
     return figure
@@ -47,15 +47,15 @@ def thin(t_s: Array) -> slice:
     return slice(None, None, max(1, -(-len(t_s) // POINTS)))
 
 
-def hover(story: Story, band_m: float = 0.010) -> dict[str, float] | None:
+def hover(timeline: RobotTimeline, band_m: float = 0.010) -> dict[str, float] | None:
     """Root mean square of depth error (mm) and tilt (deg) since the depth was first within `band_m` of its goal.
 
     None if it never was.
     """
-    p = story.posture
-    if not story.set_depth_m or not len(p.t_s):
+    p = timeline.posture
+    if not timeline.set_depth_m or not len(p.t_s):
         return None
-    wanted = story.set_depth_m[-1][1]
+    wanted = timeline.set_depth_m[-1][1]
     near = np.flatnonzero(np.abs(p.depth_m - wanted) < band_m)
     if not len(near):
         return None

@@ -1,7 +1,7 @@
-"""The story of a run as its fleet file tells it: what robots show on the network, for those without a black box.
+"""The timeline of a run as its fleet file tells it: what robots show on the network, for those without a black box.
 
-It has what each robot believed, whom it says it heard and how it hung. It has no frames, no sweeps, no pressures and no
-pulses, and not what a robot really took in: that is in black boxes alone.
+It has what each robot believed, whom it says it heard, its depth and tilt. It has no frames, no sweeps, no pressures
+and no pulses, and not what a robot really took in: that is in black boxes alone.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent import topics
-from agent.config import ConfigError, Fleet, convert
-from agent.messages import SCHEMA, Estimate, LogLine, Refusal, State, decode
-from replay.blackbox import head
-from replay.links import Link
-from replay.log import parts, read
-from replay.story import Account, Posture, Story, label
-
-ZENOH = "/zenoh/"
+from agent.kernel.codec import Refusal, decode
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import SCHEMA, Estimate, LogLine, State
+from agent.kernel.toml_files import convert
+from replay.check.black_box import head
+from replay.check.links import Link
+from replay.files.channels import network_topic
+from replay.files.log import parts, read
+from replay.report.robot_timeline import Account, Posture, RobotTimeline, label
 
 
 class FleetFile(NamedTuple):
@@ -33,7 +33,7 @@ class FleetFile(NamedTuple):
 
 
 class Overheard(NamedTuple):
-    stories: list[Story]
+    timelines: list[RobotTimeline]
     links: list[Link]  # as the robots count what they heard, of what the recorder saw
 
 
@@ -56,7 +56,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
     robots = {name: _Robot() for name in file.fleet.robot}
     said: dict[tuple[str, str], set[tuple[int, int]]] = {}
     for record in read(file.path):
-        row = topics.match(record.channel.removeprefix(ZENOH)) if record.channel.startswith(ZENOH) else None
+        row = network_topic(record.channel)
         if row is None:
             continue
         topic, chunks = row
@@ -75,7 +75,12 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             robot.show(message, (message.sent_ns - start_ns) * 1e-9)
         elif isinstance(message, LogLine) and start_ns is not None:
             robot.log.append(((message.sent_ns - start_ns) * 1e-9, message))
-    found = [story for name, robot in robots.items() if name not in known for story in robot.stories(name, file.fleet)]
+    found = [
+        timeline
+        for name, robot in robots.items()
+        if name not in known
+        for timeline in robot.timelines(name, file.fleet)
+    ]
     heard = {(src, dst): n for dst, robot in robots.items() for src, n in robot.heard().items()}
     pairs = sorted({*said, *(pair for pair, n in heard.items() if n)})
     return Overheard(found, [Link(*pair, len(said.get(pair, ())), heard.get(pair, 0), 0, 0) for pair in pairs])
@@ -89,7 +94,7 @@ class _Robot:
         self.log: list[tuple[float, LogLine]] = []
         self._newest: dict[int, State] = {}  # by incarnation
         self._starts_s: list[float] = []
-        self._hung: list[tuple[float, float, float, float]] = []  # t_s, depth, roll, pitch
+        self._postures: list[tuple[float, float, float, float]] = []  # t_s, depth, roll, pitch
 
     def show(self, state: State, t_s: float) -> None:
         if state.incarnation not in self._newest:
@@ -97,7 +102,7 @@ class _Robot:
         self._newest[state.incarnation] = state
         self.accounts[state.target].show(state, t_s)
         if state.depth_m is not None and state.roll_deg is not None and state.pitch_deg is not None:
-            self._hung.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg))
+            self._postures.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg))
 
     def heard(self) -> Counter[str]:
         """Messages from each neighbour, by this robot's own count, over all of its starts."""
@@ -106,17 +111,17 @@ class _Robot:
             total.update({neighbour.robot: neighbour.heard for neighbour in state.neighbours})
         return total
 
-    def stories(self, name: str, fleet: Fleet) -> list[Story]:
+    def timelines(self, name: str, fleet: Fleet) -> list[RobotTimeline]:
         """One for each target; none of a robot that was never up."""
         if not self._newest:
             return []
-        hung = np.array(self._hung, float).reshape(-1, 4)
-        unknown = np.full((len(hung), 12), np.nan)
-        t_s, depth_m, roll_deg, pitch_deg = hung.T
+        postures = np.array(self._postures, float).reshape(-1, 4)
+        unknown = np.full((len(postures), 12), np.nan)
+        t_s, depth_m, roll_deg, pitch_deg = postures.T
         posture = Posture(t_s, depth_m, roll_deg, pitch_deg, unknown[:, :4], unknown[:, 4:])
         ends_s = max(account.states[-1][0] for account in self.accounts.values() if account.states)
         return [
-            Story(
+            RobotTimeline(
                 robot=name,
                 target=target,
                 label=label(name, target, fleet),

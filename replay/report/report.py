@@ -17,12 +17,21 @@ import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from replay import figures_belief, figures_depth, figures_focus, figures_map, figures_posture, report_tables
-from replay.depth import MeasureDepth, whole_sweeps
-from replay.log import read
-from replay.report_page import PAGE
-from replay.run import Run, open_run
-from replay.story import first_ns
+from replay.files.log import read
+from replay.report import (
+    figures_belief,
+    figures_depth,
+    figures_focus,
+    figures_map,
+    figures_posture,
+)
+from replay.report import (
+    tables as report_tables,
+)
+from replay.report.page_template import PAGE
+from replay.report.robot_timeline import first_ns
+from replay.report.run import Run, open_run
+from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
 
 
 class Section(NamedTuple):
@@ -62,7 +71,7 @@ def _about(run: Run) -> str:
     lines = [f"Protocol {run.fleet.estimation.protocol}, black boxes of {left} of {len(run.fleet.robot)} robots."]
     if robots:
         steps = f", {sum(box.recorded for box in run.boxes)} steps" if run.boxes else ""
-        lines.append(f"{max(story.ends_s for story in robots):.0f} s{steps}.")
+        lines.append(f"{max(timeline.ends_s for timeline in robots):.0f} s{steps}.")
     header = run.boxes[0].run if run.boxes else run.fleet_file.run if run.fleet_file else None
     if header is not None:
         dirty = " with uncommitted changes" if header.get("dirty") == "yes" else ""
@@ -75,7 +84,7 @@ def _about(run: Run) -> str:
     torn += [run.fleet_file.path.name] if run.fleet_file and not run.fleet_file.complete else []
     if torn:
         lines.append(f"Not finished by their writer: {', '.join(torn)}.")
-    if poor := [story.robot for story in robots if not story.boxes]:
+    if poor := [timeline.robot for timeline in robots if not timeline.boxes]:
         lines.append(
             f"From the fleet file alone: {', '.join(poor)}. What robots show on the network has no frames, lens "
             "sweeps, depth maps, pressures, thrusters and set-points, and does not prove what a robot heard: only "
@@ -85,12 +94,12 @@ def _about(run: Run) -> str:
 
 
 def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
-    """In the order of the paper; those for which nothing was recorded are left out."""
-    told, robots = run.stories, run.robots
-    inside = [story for story in told if story.boxes]
+    """The sections in the order of the paper; those for which nothing was recorded are left out."""
+    robots = run.robots
+    inside = [timeline for timeline in run.timelines if timeline.boxes]
     against = "" if not run.truths_m else " Dashed: the truth, by the twin."
     lower = "" if not run.truths_m else " Coloured: each robot's distance from the truth."
-    targets = [(target, stories) for target in run.fleet.target if (stories := run.about(target))]
+    targets = [(target, timelines) for target in run.fleet.target if (timelines := run.about(target))]
     sections = [
         Section("errors", "Errors", report_tables.error_note(run), report_tables.error_tables(run), []),
         Section(
@@ -99,21 +108,21 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "Dots: the robot's own measurement x̂. Line: its estimate x after hearing its neighbours, with twice the "
             f"standard deviation it states. Green: its first view of the target.{against}",
             [],
-            [_svg(figures_belief.iterations(story, run.truths_m.get(story.target))) for story in told],
+            [_svg(figures_belief.iterations(each, run.truths_m.get(each.target))) for each in run.timelines],
         ),
         Section(
             "valid",
             "Valid set",
             "S is the set of robots that see the target. Nobody knows it; each row is what the observer could know.",
-            [report_tables.events(run)] if told else [],
-            [_svg(figures_belief.valid_set(story)) for story in told],
+            [report_tables.events(run)] if run.timelines else [],
+            [_svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
         ),
         Section(
             "agreement",
             "Agreement",
             f"Black: the largest distance between what two robots believe at a time.{lower}",
             [],
-            [_svg(figures_belief.disagreement(stories, run.truths_m.get(target))) for target, stories in targets],
+            [_svg(figures_belief.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
         ),
         Section(
             "above",
@@ -121,7 +130,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "Robots where they were surveyed, and where they place the target; then the surroundings of the target.",
             [],
             [
-                _svg(figures_map.above(run.fleet, told, run.truths_m)),
+                _svg(figures_map.above(run.fleet, run.timelines, run.truths_m)),
                 *(_svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets),
             ],
         ),
@@ -130,7 +139,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "Clarity",
             "Clarity over the lens position in some of the sweeps. Vertical: the peak, ± its standard deviation.",
             [],
-            [_svg(figures_focus.clarity_curves(story)) for story in inside],
+            [_svg(figures_focus.clarity_curves(timeline)) for timeline in inside],
         ),
         Section(
             "depth",
@@ -146,7 +155,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "The range h at which the lens is sharp, as calibrated before the run, and the peaks of this run on it. "
             "RMSE is that of the range over the calibrated distances, once of the fit and once of distances left out.",
             [],
-            [_svg(figures_focus.calibration_fit(story)) for story in inside],
+            [_svg(figures_focus.calibration_fit(timeline)) for timeline in inside],
         ),
         Section(
             "posture",
@@ -156,7 +165,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             if inside
             else "Depth, roll and pitch, as the robots show them.",
             [report_tables.hover(run)] if inside else [],
-            [_svg(figures_posture.posture(story)) for story in robots],
+            [_svg(figures_posture.posture(timeline)) for timeline in robots],
         ),
         Section(
             "links",
@@ -170,18 +179,18 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
 
 
 def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
-    """Of the first whole sweep in each robot's recordings that gives one."""
+    """The map of the first whole sweep in each robot's recordings that gives one."""
     start_ns = first_ns(run.boxes) or 0
-    for story in run.robots:
+    for timeline in run.robots:
         sweeps = (
             (box, frames)
-            for box in story.boxes
+            for box in timeline.boxes
             for frames in whole_sweeps(read(box.path), box.fleet.camera.sweep_steps)
         )
         maps = (depth(frames, box.calibration) for box, frames in sweeps)
         found = next((each for each in maps if each is not None), None)
         if found is not None:
-            yield figures_depth.depth_map(story.robot, (found.t_ns - start_ns) * 1e-9, found)
+            yield figures_depth.depth_map(timeline.robot, (found.t_ns - start_ns) * 1e-9, found)
 
 
 def _svg(figure: Figure) -> Markup:

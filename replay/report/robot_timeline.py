@@ -1,4 +1,4 @@
-"""What a run's black boxes tell, in the shape in which figures need it: series over time, one story for each robot
+"""What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot
 and target.
 
 Times are seconds since the first step of any robot of the run, by the robots' own clocks.
@@ -12,25 +12,32 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 
-from agent.config import Fleet
-from agent.messages import Estimate, Inputs, LogLine, Outputs, Sighting, State, Symmetric, Vector, decode
-from agent.ranging.focus import Peak, Refused, fit_peak
-from replay.blackbox import STEP_BYTES, BlackBox
+from agent.kernel.codec import decode
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Estimate, LogLine, State, Symmetric, Vector
+from agent.kernel.step_io import Inputs, Outputs, Sighting, SweepOutcome
+from replay.check.black_box import STEP_BYTES, BlackBox
 
 Array = NDArray[np.float64]
 
 
-class Sweep(NamedTuple):
-    """One sweep of the lens: clarity at each position, and the peak if there is one."""
+class LoggedSweep(NamedTuple):
+    """One sweep of the lens as the log has it: clarity at each position, and what the kernel made of it."""
 
     number: int
     target: str
     t_s: float
-    focus: list[float]
+    lens_positions: list[int]
     clarity: list[float]
-    peak: Peak | Refused
+    outcome: SweepOutcome | None  # None: the recording ends before it, or is older than outcomes in the log
+
+    @property
+    def peak(self) -> float | None:
+        """Lens position of the peak that the kernel found."""
+        return self.outcome.lens_position if self.outcome is not None else None
 
 
 class Belief(NamedTuple):
@@ -53,18 +60,18 @@ class Posture(NamedTuple):
     pulses_us: Array  # (n, 8)
 
 
-class Story(NamedTuple):
+class RobotTimeline(NamedTuple):
     """One robot and one of its targets, over all of the robot's starts in the run."""
 
     robot: str
     target: str
     label: str  # what figures call it
-    boxes: tuple[BlackBox, ...]  # none: told by what the robot showed on the network
+    boxes: tuple[BlackBox, ...]  # none: known by what the robot showed on the network
     starts_s: tuple[float, ...]
     ends_s: float
     states: tuple[tuple[float, State], ...]  # every one that was shown
     beliefs: tuple[Belief, ...]  # the last of each iteration
-    sweeps: tuple[Sweep, ...]
+    sweeps: tuple[LoggedSweep, ...]
     posture: Posture
     set_depth_m: tuple[tuple[float, float], ...]  # (t_s, depth) where the set-point changed
     log: tuple[tuple[float, LogLine], ...]
@@ -98,14 +105,16 @@ def first_ns(boxes: Sequence[BlackBox]) -> int | None:
     return min((step.now_ns for box in boxes for step in itertools.islice(box.steps(), 1)), default=None)
 
 
-def stories(boxes: Sequence[BlackBox]) -> list[Story]:
+def timelines(boxes: Sequence[BlackBox]) -> list[RobotTimeline]:
     """The robots of one run, by name; of each its targets. Raises Refusal for steps of another version."""
     start_ns = first_ns(boxes) or 0
     robots = sorted({box.robot for box in boxes})
-    return [story for name in robots for story in _stories([box for box in boxes if box.robot == name], start_ns)]
+    return [
+        timeline for name in robots for timeline in _timelines([box for box in boxes if box.robot == name], start_ns)
+    ]
 
 
-def _stories(boxes: Sequence[BlackBox], start_ns: int) -> list[Story]:
+def _timelines(boxes: Sequence[BlackBox], start_ns: int) -> list[RobotTimeline]:
     collected = _Collected()
     starts = []
     t_s = 0.0
@@ -118,10 +127,10 @@ def _stories(boxes: Sequence[BlackBox], start_ns: int) -> list[Story]:
             collected.take_in(inputs, start_ns)
             if step.outputs is not None:
                 collected.take_out(decode(step.outputs, Outputs, limit=STEP_BYTES), t_s)
-        collected.end_sweep(box)
+        collected.end_box()
     posture = collected.posture()
     return [
-        Story(
+        RobotTimeline(
             robot=boxes[0].robot,
             target=target,
             label=label(boxes[0].robot, target, boxes[0].fleet),
@@ -169,16 +178,16 @@ class _Collected:
     """What one pass over a robot's steps leaves."""
 
     def __init__(self) -> None:
-        self.sweeps: list[Sweep] = []
+        self.sweeps: list[LoggedSweep] = []
         self.set_depth_m: list[tuple[float, float]] = []
         self.log: list[tuple[float, LogLine]] = []
         self._telemetry: list[tuple[float, ...]] = []
-        self._frames: list[tuple[float, Sighting]] = []  # of the sweep that is under way
-        self._ended: list[list[tuple[float, Sighting]]] = []
+        self._swept: dict[tuple[str, int], list[tuple[float, Sighting]]] = {}  # by target and number, since the start
+        self._outcomes: dict[tuple[str, int], SweepOutcome] = {}
         self._accounts: defaultdict[str, Account] = defaultdict(Account)
 
     def accounts(self, fleet: Fleet) -> dict[str, Account]:
-        """By target, in the order of the fleet file; one that says nothing where nothing was shown."""
+        """The accounts by target, in the order of the fleet file; an empty one where nothing was shown."""
         return {target: self._accounts[target] for target in fleet.target}
 
     def take_in(self, inputs: Inputs, start_ns: int) -> None:
@@ -186,11 +195,9 @@ class _Collected:
             t_s = (t.t_ns - start_ns) * 1e-9
             self._telemetry.append((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
         for sighting in inputs.sightings:
-            if self._frames and sighting.sweep != self._frames[-1][1].sweep:
-                self._ended.append(self._frames)
-                self._frames = []
             if sighting.sweep:
-                self._frames.append(((sighting.t_ns - start_ns) * 1e-9, sighting))
+                frames = self._swept.setdefault((sighting.target, sighting.sweep), [])
+                frames.append(((sighting.t_ns - start_ns) * 1e-9, sighting))
 
     def take_out(self, outputs: Outputs, t_s: float) -> None:
         self.log += [(t_s, line) for line in outputs.log]
@@ -200,19 +207,18 @@ class _Collected:
             self._accounts[estimate.target].say(estimate)
         if outputs.state is not None:
             self._accounts[outputs.state.target].show(outputs.state, t_s)
+        if outputs.outcome is not UNSET:
+            self._outcomes[outputs.outcome.target, outputs.outcome.sweep] = outputs.outcome
 
-    def end_sweep(self, box: BlackBox) -> None:
-        """At the end of a recording: fit the peaks of its sweeps, with the width that its calibration found."""
-        fit, full = box.calibration.focus, box.fleet.camera.sweep_steps
-        for frames in [*self._ended, self._frames] if self._frames else self._ended:
+    def end_box(self) -> None:
+        """Call it at the end of a recording: the next start of the robot numbers its sweeps anew."""
+        for (target, number), frames in self._swept.items():
             good = [(t_s, f.focus, f.clarity) for t_s, f in frames if f.focus is not None and f.clarity is not None]
             if good:
-                focus, clarity = [float(rho) for _, rho, _ in good], [float(value) for _, _, value in good]
-                width = None if len(frames) >= full else fit.width
-                peak = fit_peak(focus, clarity, width)
-                first = frames[0][1]
-                self.sweeps.append(Sweep(first.sweep, first.target, good[0][0], focus, clarity, peak))
-        self._ended, self._frames = [], []
+                times_s, lens_positions, clarity = (list(column) for column in zip(*good, strict=True))
+                outcome = self._outcomes.get((target, number))
+                self.sweeps.append(LoggedSweep(number, target, times_s[0], lens_positions, clarity, outcome))
+        self._swept, self._outcomes = {}, {}
 
     def posture(self) -> Posture:
         rows = np.array(self._telemetry, float).reshape(-1, 16)

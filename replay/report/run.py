@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.config import ConfigError, Fleet, load_fleet
-from agent.messages import Vector
-from replay.blackbox import BlackBox, black_boxes, head, open_boxes, recordings
-from replay.fleet_story import FleetFile, Overheard, open_fleet_file, overheard
-from replay.links import Link, links
-from replay.names import parts
-from replay.story import Story, first_ns, stories
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Vector
+from replay.check.black_box import BlackBox, black_boxes, head, open_boxes, recordings
+from replay.check.links import Link, links
+from replay.files.names import parts
+from replay.report.fleet_timeline import FleetFile, Overheard, open_fleet_file, overheard
+from replay.report.robot_timeline import RobotTimeline, first_ns, timelines
 
 
 class Run(NamedTuple):
@@ -21,18 +22,18 @@ class Run(NamedTuple):
     fleet: Fleet
     boxes: list[BlackBox]
     fleet_file: FleetFile | None  # only where some robot left no black box
-    stories: list[Story]  # by robot and target
+    timelines: list[RobotTimeline]  # by robot and target
     links: list[Link]
     summary: dict[str, Any] | None  # what the demo found
     truths_m: dict[str, Vector]  # by target, where a twin knows it
 
     @property
-    def robots(self) -> list[Story]:
-        """One story for each robot: what is not about a target is the same in all."""
-        return list({story.robot: story for story in reversed(self.stories)}.values())[::-1]
+    def robots(self) -> list[RobotTimeline]:
+        """One timeline for each robot: what is not about a target is the same in all."""
+        return list({timeline.robot: timeline for timeline in reversed(self.timelines)}.values())[::-1]
 
-    def about(self, target: str) -> list[Story]:
-        return [story for story in self.stories if story.target == target]
+    def about(self, target: str) -> list[RobotTimeline]:
+        return [timeline for timeline in self.timelines if timeline.target == target]
 
 
 def open_run(path: Path) -> Run:
@@ -44,14 +45,15 @@ def open_run(path: Path) -> Run:
     boxes, fleet_path = _recordings(path)
     if not boxes and summary is None and fleet_path is None:
         raise ConfigError(f"{path}: no recording and no summary.json; give the folder of a run, or a recording")
-    told, heard, file = stories(boxes), links(boxes), None
+    drawn, heard, file = timelines(boxes), links(boxes), None
     known = {box.robot for box in boxes}
     if fleet_path is not None and (not boxes or known != set(boxes[0].fleet.robot)):
         file = open_fleet_file(fleet_path)
         more = overheard(file, first_ns(boxes), known)
-        told, heard = sorted([*told, *more.stories], key=lambda story: story.robot), _joined(heard, more, known)
+        drawn = sorted([*drawn, *more.timelines], key=lambda timeline: timeline.robot)
+        heard = _joined(heard, more, known)
     fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
-    return Run(path, fleet, boxes, file, told, heard, summary, _truths(summary, fleet))
+    return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(summary, fleet))
 
 
 def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:

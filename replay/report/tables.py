@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from replay import figures_posture
-from replay.errors import LATE, error_table, relative_percent
-from replay.run import Run
-from replay.story import Story
+from replay.report import figures_posture
+from replay.report.errors import LATE, error_table, relative_percent
+from replay.report.robot_timeline import RobotTimeline
+from replay.report.run import Run
 
 Row = list[str]
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
@@ -28,9 +28,9 @@ def error_note(run: Run) -> str:
 def error_tables(run: Run) -> list[list[Row]]:
     """What each robot held at the end; and with a truth how far off its priors and posteriors were."""
     if not run.truths_m:
-        return [[HEAD, *(_stated(story) for story in run.stories)]]
-    ends = [[HEAD[0], *ERRORS, *HEAD[1:]], *(_ended(run, story) for story in run.stories)]
-    ends += [_told(name, row) for name, row in _silent(run).items()]
+        return [[HEAD, *(_stated(timeline) for timeline in run.timelines)]]
+    ends = [[HEAD[0], *ERRORS, *HEAD[1:]], *(_ended(run, timeline) for timeline in run.timelines)]
+    ends += [_from_summary(name, row) for name, row in _silent(run).items()]
     rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
     for target, truth_m in run.truths_m.items():
         for e in error_table(run.about(target), truth_m):
@@ -39,23 +39,23 @@ def error_tables(run: Run) -> list[list[Row]]:
     return [ends, rows] if len(rows) > 1 else [ends]
 
 
-def _stated(story: Story) -> Row:
+def _stated(timeline: RobotTimeline) -> Row:
     """The last belief of a robot."""
-    if not story.beliefs:
-        return [story.label]
-    state = story.beliefs[-1].state
+    if not timeline.beliefs:
+        return [timeline.label]
+    state = timeline.beliefs[-1].state
     place = [_mm(x) for x in state.posterior_m or [None] * 3]
     first = "never" if state.acquired_t is None else str(state.acquired_t)
-    return [story.label, *place, _mm(state.posterior_sigma_m), first, str(state.t)]
+    return [timeline.label, *place, _mm(state.posterior_sigma_m), first, str(state.t)]
 
 
-def _ended(run: Run, story: Story) -> Row:
+def _ended(run: Run, timeline: RobotTimeline) -> Row:
     """The last belief of a robot, and its error where the truth is known."""
-    name, *stated = _stated(story)
-    truth_m = run.truths_m.get(story.target)
-    if story.estimate is None or truth_m is None:
+    name, *stated = _stated(timeline)
+    truth_m = run.truths_m.get(timeline.target)
+    if timeline.estimate is None or truth_m is None:
         return [name, *[""] * len(ERRORS), *stated]
-    estimate_m, robot = story.estimate[0], run.fleet.robot[story.robot]
+    estimate_m, robot = timeline.estimate[0], run.fleet.robot[timeline.robot]
     eye_m = (robot.pose.x_m, robot.pose.y_m, run.fleet.tank.surface_m - robot.depth_m)
     relative = relative_percent(estimate_m, truth_m), relative_percent(estimate_m, truth_m, eye_m)
     errors = f"{1e3 * math.dist(estimate_m, truth_m):.2f}", *(f"{percent:.3f}" for percent in relative)
@@ -65,10 +65,10 @@ def _ended(run: Run, story: Story) -> Row:
 def _silent(run: Run) -> dict[str, dict[str, object]]:
     """Rows of summary.json about robots that left no recording."""
     agents: dict[str, dict[str, object]] = (run.summary or {}).get("agents", {})
-    return {name: row for name, row in agents.items() if name not in {story.robot for story in run.stories}}
+    return {name: row for name, row in agents.items() if name not in {timeline.robot for timeline in run.timelines}}
 
 
-def _told(name: str, row: dict[str, object]) -> Row:
+def _from_summary(name: str, row: dict[str, object]) -> Row:
     estimate_m, error_mm = row.get("estimate_m"), row.get("error_mm")
     places = [_mm(x) for x in estimate_m] if isinstance(estimate_m, list) else [""] * 3
     return [name, f"{error_mm:.2f}" if isinstance(error_mm, float) else "", "", "", *places]
@@ -77,19 +77,22 @@ def _told(name: str, row: dict[str, object]) -> Row:
 def events(run: Run) -> list[Row]:
     """What the robots wrote to their logs, without the sweeps: why somebody entered S or left it."""
     lines = [
-        (t_s, line.robot, line.text) for story in run.robots for t_s, line in story.log if "sweep" not in line.text
+        (t_s, line.robot, line.text)
+        for timeline in run.robots
+        for t_s, line in timeline.log
+        if "sweep" not in line.text
     ]
-    starts = [(t_s, story.robot, "starts again") for story in run.robots for t_s in story.starts_s[1:]]
+    starts = [(t_s, timeline.robot, "starts again") for timeline in run.robots for t_s in timeline.starts_s[1:]]
     return [["robot", "s", "event"], *([robot, f"{t_s:.1f}", text] for t_s, robot, text in sorted([*lines, *starts]))]
 
 
 def hover(run: Run) -> list[Row]:
     rows = [["robot", "depth error, rms mm", "tilt, rms deg"]]
-    for story in run.robots:
-        if story.boxes:  # the set-point is not on the network
-            found = figures_posture.hover(story)
+    for timeline in run.robots:
+        if timeline.boxes:  # the set-point is not on the network
+            found = figures_posture.hover(timeline)
             shown = [f"{value:.2f}" for value in found.values()] if found else ["never at depth", ""]
-            rows.append([story.robot, *shown])
+            rows.append([timeline.robot, *shown])
     return rows
 
 

@@ -27,11 +27,11 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
-from agent.config import Body
-from agent.config import Pose as Place
-from agent.messages import Level, LogLine, State, Vector
-from agent.ranging.calibration import CameraFit
-from replay.backlog import Schema
+from agent.kernel.config import Body
+from agent.kernel.config import Pose as Place
+from agent.kernel.messages import Level, LogLine, State, Vector
+from agent.kernel.ranging.calibration import CameraFit
+from replay.files.backlog import Schema
 
 WORLD = "world"
 LEVELS: dict[Level, Any] = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}

@@ -13,17 +13,18 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from agent.config import ConfigError, Fleet
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.topics import target_chunk
+from replay.files.channels import PREVIEW, match, name
 
-FIRST = "/r1/"  # how the channels begin that are repeated
-OF_TARGET = ("target", "plot/protocol", "plot/focus")  # behind which the target stands, where there are several
+FIRST = "r1"  # the robot whose channels are repeated
 COLOURS = ("#d62728", "#2ca02c", "#1f77b4", "#ff7f0e", "#9467bd", "#8c564b", "#e377c2", "#17becf")  # matplotlib's tab10
 SIZE_M = 1.5  # of the tank that the shipped view of 2.6 m distance fits
 
 
 def shipped(name: str) -> Path:
-    """A file of `replay/layouts`: foxglove.json, or rerun.rbl."""
-    return Path(str(resources.files("replay") / "layouts" / name))
+    """A file of `replay/viewers/layouts`: foxglove.json, or rerun.rbl."""
+    return Path(str(resources.files("replay.viewers") / "layouts" / name))
 
 
 def write(fleet: Fleet, out: Path) -> None:
@@ -37,43 +38,50 @@ def write(fleet: Fleet, out: Path) -> None:
 def foxglove_layout(fleet: Fleet) -> dict[str, Any]:
     """What Foxglove imports, as JSON types."""
     layout: dict[str, Any] = json.loads(shipped("foxglove.json").read_text(encoding="utf-8"))
-    panels, first = layout["configById"], f"/{next(iter(fleet.robot))}/"
+    panels = layout["configById"]
     template = panels["Image!r1_preview"]
-    previews = {f"Image!{robot}_preview": f"/{robot}/preview" for robot in fleet.robot}
-    for old in [name for name in panels if name.endswith("_preview")]:
-        del panels[old]
-    for name, topic in previews.items():
-        panels[name] = {**template, "imageMode": {"imageTopic": topic}}
+    previews = {f"Image!{robot}_preview": name(PREVIEW, robot=robot) for robot in fleet.robot}
+    for title in [title for title in panels if title.endswith("_preview")]:
+        del panels[title]
+    for title, channel in previews.items():
+        panels[title] = {**template, "imageMode": {"imageTopic": channel}}
     camera, log = panels["Image!camera"]["imageMode"], panels["Log!lines"]
-    panels["Image!camera"]["imageMode"] = {what: topic.replace(FIRST, first, 1) for what, topic in camera.items()}
-    log["topicToRender"] = log["topicToRender"].replace(FIRST, first, 1)
-    for name, panel in panels.items():
-        if name.startswith("Plot!"):
+    panels["Image!camera"]["imageMode"] = {what: _of_first_robot(channel, fleet) for what, channel in camera.items()}
+    log["topicToRender"] = _of_first_robot(log["topicToRender"], fleet)
+    for title, panel in panels.items():
+        if title.startswith("Plot!"):
             panel["paths"] = list(_lines(panel["paths"], fleet))
     _tank(panels["3D!world"], fleet)
     layout["layout"] = _arranged(layout["layout"], list(previews))
     return layout
 
 
-def _channels(channel: str, fleet: Fleet) -> Iterator[tuple[str, str]]:
-    """(robot and target in words, channel) for each that one of r1's stands for."""
-    what = channel.removeprefix(FIRST)
-    about = next((group for group in OF_TARGET if what.startswith(group)), None) if len(fleet.target) > 1 else None
+def _channels(path: str, fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """(robot and target in words, path) for each that one of r1's stands for, and none for a path of another robot.
+
+    A path is a channel, or a channel and behind a dot a field of its messages.
+    """
+    channel, dot, field = path.partition(".")
+    found = match(channel)
+    if found is None or found[1].get("robot") != FIRST:
+        return
+    row, chunks = found
+    targets = [target_chunk(fleet.target, target) for target in fleet.target] if "{target}" in row.name else [{}]
     for robot in fleet.robot:
-        if about is None:
-            yield robot, f"/{robot}/{what}"
-            continue
-        for target in fleet.target:
-            yield f"{robot} {target}", f"/{robot}/{about}/{target}{what.removeprefix(about)}"
+        for target in targets:
+            yield " ".join([robot, *target.values()]), name(row, **{**chunks, "robot": robot, **target}) + dot + field
+
+
+def _of_first_robot(channel: str, fleet: Fleet) -> str:
+    return next(_channels(channel, fleet))[1]
 
 
 def _lines(paths: list[dict[str, Any]], fleet: Fleet) -> Iterator[dict[str, Any]]:
-    """Of a plot, each in a colour of its own."""
+    """The lines of a plot, each in a colour of its own."""
     colours = cycle(COLOURS)
     for path in paths:
-        if path["value"].startswith(FIRST):
-            for label, value in _channels(path["value"], fleet):
-                yield {**path, "value": value, "label": label, "color": next(colours)}
+        for label, value in _channels(path["value"], fleet):
+            yield {**path, "value": value, "label": label, "color": next(colours)}
 
 
 def _tank(panel: dict[str, Any], fleet: Fleet) -> None:
@@ -86,9 +94,8 @@ def _tank(panel: dict[str, Any], fleet: Fleet) -> None:
     grid["size"], grid["divisions"] = 2.0 * side_m, round(20.0 * side_m)  # lines 10 cm apart
     topics = {}
     for channel, how in panel["topics"].items():
-        if channel.startswith(FIRST):
-            for (_, own), colour in zip(_channels(channel, fleet), cycle(COLOURS), strict=False):
-                topics[own] = {**how, **({"color": colour} if "color" in how else {})}
+        for (_, own), colour in zip(_channels(channel, fleet), cycle(COLOURS), strict=False):
+            topics[own] = {**how, **({"color": colour} if "color" in how else {})}
     panel["topics"] = topics
 
 

@@ -1,28 +1,34 @@
 """Writes `layouts/rerun.rbl`, the arrangement of views in which Rerun opens a recording of three robots.
 
-Rerun keeps such files in a binary form of its own; this is the text behind it: `python -m replay.rerun_blueprint` with
-the extra `view` writes it again. Use: `rerun r1.mcap fleet.mcap .../replay/layouts/rerun.rbl`.
+Rerun keeps such files in a binary form of its own; this is the text behind it. With the extra `view`, `python -m
+replay.viewers.rerun_blueprint` writes it again. Use: `rerun r1.mcap fleet.mcap .../replay/viewers/layouts/rerun.rbl`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+
+from replay.files import channels
+from replay.files.channels import Channel, name
 
 ROBOTS = ("r1", "r2", "r3")
 OUT = Path(__file__).parent / "layouts" / "rerun.rbl"
 
 
-def channels() -> dict[str, list[str]]:
+def shown_channels() -> dict[str, list[str]]:
     """What each view shows, by the view's name."""
+
+    def of(robots: Sequence[str], *rows: Channel) -> list[str]:
+        return [name(row, robot=robot) for robot in robots for row in rows]
+
     return {
-        "tank": [
-            f"/{robot}/{what}" for robot in ROBOTS for what in ("tf", "target/prior", "target/estimate", "depth/points")
-        ],
-        **{robot: [f"/{robot}/preview"] for robot in ROBOTS},
-        "camera": ["/r1/camera/image", "/r1/camera/calibration"],
-        "sweep": ["/r1/sweep/image", "/r1/sweep/calibration"],
-        "log": [f"/{robot}/log" for robot in ROBOTS],
-        "protocol": [f"/{robot}/plot/protocol" for robot in ROBOTS],
+        "tank": of(ROBOTS, channels.TF, channels.PRIOR, channels.ESTIMATE, channels.POINTS),
+        **{robot: of([robot], channels.PREVIEW) for robot in ROBOTS},
+        "camera": of(ROBOTS[:1], channels.CAMERA_IMAGE, channels.CAMERA_MODEL),
+        "sweep": of(ROBOTS[:1], channels.SWEEP_IMAGE, channels.SWEEP_MODEL),
+        "log": of(ROBOTS, channels.LOG),
+        "protocol": of(ROBOTS, channels.PROTOCOL),
     }
 
 
@@ -30,10 +36,10 @@ def write(out: Path = OUT) -> None:
     """Needs the extra `view`."""
     import rerun.blueprint as rrb
 
-    shown = channels()
+    shown = shown_channels()
     left = rrb.Vertical(
         rrb.Spatial3DView(name="tank", origin="/", contents=shown["tank"]),
-        rrb.Horizontal(*(rrb.Spatial2DView(name=r, origin=f"/{r}/preview", contents=shown[r]) for r in ROBOTS)),
+        rrb.Horizontal(*(rrb.Spatial2DView(name=r, origin=shown[r][0], contents=shown[r]) for r in ROBOTS)),
         rrb.Horizontal(
             rrb.Spatial2DView(name="camera", origin="/r1/camera", contents=shown["camera"]),
             rrb.Spatial2DView(name="sweep", origin="/r1/sweep", contents=shown["sweep"]),

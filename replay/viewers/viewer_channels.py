@@ -8,15 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
-from agent import topics
-from agent.config import Fleet
-from agent.messages import Image, Inputs, LogLine, Message, Outputs, Refusal, Sighting, State, Telemetry, decode
-from agent.ranging.calibration import Calibration
-from replay import foxglove
-from replay.backlog import Entry
-from replay.depth import MeasureDepth, Sweeps, points
-from replay.frames import FRAME, MAX_FRAME, VISION, Picture
-from replay.plots import plot
+from agent.kernel import topics
+from agent.kernel.codec import Refusal, decode
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Image, LogLine, Message, State
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.step_io import Inputs, Outputs, Sighting, Telemetry
+from replay.files import channels
+from replay.files.backlog import Entry
+from replay.files.channels import name, network_topic
+from replay.files.frames import MAX_FRAME, Picture
+from replay.viewers import foxglove
+from replay.viewers.plots import plot
+from replay.viewers.whole_sweeps import MeasureDepth, SweepAssembler, points
 
 M = TypeVar("M", bound=Message)
 
@@ -24,8 +28,8 @@ KNOWS = {"blind": 0, "told": 1, "sees": 2}
 Made = tuple[str, int, Any]  # channel, time it is true for in ns, protobuf message
 
 
-class Derive:
-    """From an entry of a black box or of a fleet file to those for viewers: `LogWriter(derive=Derive(...))`."""
+class ViewerChannels:
+    """Makes of an entry of a black box or a fleet file those for viewers: `LogWriter(derive=ViewerChannels(...))`."""
 
     def __init__(
         self,
@@ -39,17 +43,17 @@ class Derive:
         `depth` makes a map of each whole sweep of the lens; None: there are no maps.
         """
         self._fleet, self._robot, self._calibration, self._depth = fleet, robot, calibration, depth
-        self._sweeps = Sweeps(fleet.camera.sweep_steps)
+        self._sweeps = SweepAssembler(fleet.camera.sweep_steps)
         self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
-            "/raw/step_in": self._inputs,
-            "/raw/step_out": self._outputs,
-            FRAME: self._frame,
-            VISION: self._vision,
+            channels.STEP_IN.name: self._inputs,
+            channels.STEP_OUT.name: self._outputs,
+            channels.FRAME.name: self._frame,
+            channels.VISION.name: self._vision,
         }
 
     def __call__(self, entry: Entry) -> Iterator[Entry]:
         """Entries with the log time of the raw one; nothing for what does not decode, which the raw one still shows."""
-        made_of = self._of.get(entry.channel, self._heard)
+        made_of = self._of.get(entry.channel, self._network)
         try:
             for channel, t_ns, message in made_of(entry):
                 yield Entry(
@@ -58,7 +62,7 @@ class Derive:
                     publish_time_ns=t_ns,
                     sequence=entry.sequence,
                     data=message.SerializeToString(),
-                    encoding="protobuf",
+                    encoding=channels.PROTOBUF,
                     metadata={},
                     schema=foxglove.schema(message.__class__),
                 )
@@ -68,31 +72,34 @@ class Derive:
     def _inputs(self, entry: Entry) -> Iterator[Made]:
         inputs = _own(entry, Inputs)
         for telemetry in inputs.telemetry:
-            yield f"/{self._robot}/plot/attitude", telemetry.t_ns, attitude(telemetry)
-            yield f"/{self._robot}/plot/thrusters", telemetry.t_ns, thrusters(telemetry)
+            yield name(channels.ATTITUDE, robot=self._robot), telemetry.t_ns, attitude(telemetry)
+            yield name(channels.THRUSTERS, robot=self._robot), telemetry.t_ns, thrusters(telemetry)
         for sighting in inputs.sightings:
-            which = f"/{sighting.target}" if len(self._fleet.target) > 1 else ""
-            yield f"/{self._robot}/plot/focus{which}", sighting.t_ns, focus(sighting)
+            chunks = {"robot": self._robot, **topics.target_chunk(self._fleet.target, sighting.target)}
+            yield name(channels.FOCUS, **chunks), sighting.t_ns, focus(sighting)
 
     def _outputs(self, entry: Entry) -> Iterator[Made]:
         outputs = _own(entry, Outputs)
         if outputs.state is not None:
             yield from self._state(outputs.state)
         for line in outputs.log:
-            yield f"/{line.robot}/log", line.sent_ns, foxglove.log_line(line)
+            yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
 
     def _frame(self, entry: Entry) -> Iterator[Made]:
         picture = _own(entry, Picture)
         # Those of a sweep show a part only, each another one: a channel of their own keeps the picture still.
-        name = f"/{self._robot}/{'sweep' if picture.sweep else 'camera'}"
-        yield f"{name}/image", picture.t_ns, foxglove.image(self._robot, picture.data, picture.format, picture.t_ns)
+        image, model = channels.CAMERA_IMAGE, channels.CAMERA_MODEL
+        if picture.sweep:
+            image, model = channels.SWEEP_IMAGE, channels.SWEEP_MODEL
+        shown = foxglove.image(self._robot, picture.data, picture.format, picture.t_ns)
+        yield name(image, robot=self._robot), picture.t_ns, shown
         if self._calibration is not None:
             about = foxglove.calibration(self._robot, self._calibration.camera, picture.roi, picture.t_ns)
-            yield f"{name}/calibration", picture.t_ns, about
+            yield name(model, robot=self._robot), picture.t_ns, about
         self._sweeps.picture(entry.sequence, picture)
 
     def _vision(self, entry: Entry) -> Iterator[Made]:
-        """Of a whole sweep's last frame: the depth map of all of them."""
+        """The depth map of a whole sweep, once its last frame is there."""
         if self._depth is None or self._calibration is None:
             return
         frames = self._sweeps.sighting(entry.sequence, _own(entry, Sighting))
@@ -101,38 +108,40 @@ class Derive:
         found = self._depth(frames, self._calibration)
         if found is not None:
             places_m, colours = points(found, self._calibration.camera)
-            yield f"/{self._robot}/depth/points", found.t_ns, foxglove.cloud(self._robot, places_m, colours, found.t_ns)
+            cloud = foxglove.cloud(self._robot, places_m, colours, found.t_ns)
+            yield name(channels.POINTS, robot=self._robot), found.t_ns, cloud
 
-    def _heard(self, entry: Entry) -> Iterator[Made]:
-        """Of a fleet file: what robots show to whoever looks."""
-        row = topics.match(entry.channel.removeprefix("/zenoh/"))
+    def _network(self, entry: Entry) -> Iterator[Made]:
+        """What robots show to whoever looks, in a fleet file."""
+        row = network_topic(entry.channel)
         if row is None:
             return
         topic, chunks = row
         if topic is topics.STATE and (state := decode(entry.data, State)).robot == chunks["robot"]:
             yield from self._state(state)
         elif topic is topics.LOG and (line := decode(entry.data, LogLine)).robot == chunks["robot"]:
-            yield f"/{line.robot}/log", line.sent_ns, foxglove.log_line(line)
+            yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
         elif topic is topics.IMAGE and (seen := decode(entry.data, Image, topic.limit)).robot == chunks["robot"]:
-            yield f"/{seen.robot}/preview", seen.t_ns, foxglove.image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
+            shown = foxglove.image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
+            yield name(channels.PREVIEW, robot=seen.robot), seen.t_ns, shown
 
     def _state(self, state: State) -> Iterator[Made]:
         robot, t_ns = state.robot, state.sent_ns
-        which = f"/{state.target}" if len(self._fleet.target) > 1 else ""
+        chunks = {"robot": robot, **topics.target_chunk(self._fleet.target, state.target)}
         own = self._fleet.robot.get(robot)
         if own is not None:
             tree = foxglove.transforms(state, own.pose, self._fleet.body, self._fleet.tank.surface_m)
             if tree is not None:
-                yield f"/{robot}/tf", t_ns, tree
+                yield name(channels.TF, robot=robot), t_ns, tree
         if state.prior_m is not None:
-            yield f"/{robot}/target{which}/prior", t_ns, foxglove.position(state.prior_m, t_ns)
+            yield name(channels.PRIOR, **chunks), t_ns, foxglove.position(state.prior_m, t_ns)
         if state.posterior_m is not None:
-            yield f"/{robot}/target{which}/estimate", t_ns, foxglove.position(state.posterior_m, t_ns)
-        yield f"/{robot}/plot/protocol{which}", t_ns, protocol(state)
+            yield name(channels.ESTIMATE, **chunks), t_ns, foxglove.position(state.posterior_m, t_ns)
+        yield name(channels.PROTOCOL, **chunks), t_ns, protocol(state)
         weights = state.explain.weights if state.explain is not None else {}
         for other in state.neighbours:
             yield (
-                f"/{robot}/plot/hears/{other.robot}{which}",
+                name(channels.NEIGHBOUR, **chunks, neighbour=other.robot),
                 t_ns,
                 plot(
                     "Neighbour",

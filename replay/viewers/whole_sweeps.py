@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.messages import Sighting, decode
-from agent.ranging.calibration import Calibration, CameraFit
-from replay.frames import FRAME, MAX_FRAME, VISION, Picture, pixels
-from replay.log import Record
+from agent.kernel.codec import decode
+from agent.kernel.ranging.calibration import Calibration, CameraFit
+from agent.kernel.step_io import Sighting
+from replay.files.channels import FRAME, VISION
+from replay.files.frames import MAX_FRAME, Picture, pixels
+from replay.files.log import Record
 
 
 class SweepFrame(NamedTuple):
@@ -41,7 +43,7 @@ class SweepDepth(NamedTuple):
 MeasureDepth = Callable[[Sequence[SweepFrame], Calibration], SweepDepth | None]
 
 
-class Sweeps:
+class SweepAssembler:
     """Gathers frames and sightings as they are recorded, until a sweep of `steps` positions is whole."""
 
     def __init__(self, steps: int) -> None:
@@ -70,12 +72,14 @@ class Sweeps:
 
 def whole_sweeps(records: Iterable[Record], steps: int) -> Iterator[list[SweepFrame]]:
     """Every sweep of `steps` positions in a recording whose frames are all there."""
-    gathered = Sweeps(steps)
+    gathered = SweepAssembler(steps)
     for record in records:
-        if record.channel == FRAME:
+        if record.channel == FRAME.name:
             gathered.picture(record.sequence, decode(record.data, Picture, MAX_FRAME))
-        if record.channel == VISION and (frames := gathered.sighting(record.sequence, decode(record.data, Sighting))):
-            yield frames
+        elif record.channel == VISION.name:
+            frames = gathered.sighting(record.sequence, decode(record.data, Sighting))
+            if frames:
+                yield frames
 
 
 def points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -42,14 +42,14 @@ def run() -> dict[str, dict]:
 
 
 def fidelity() -> dict[str, dict]:
-    from agent.enhancement import degrade
-    from agent.enhancement.landscapes import landscape
-    from agent.enhancement.metrics import psnr
-    from agent.perception import enhance
-    from agent.perception.lu2net import load
+    from agent.perception.enhancement import enhance
+    from agent.perception.enhancement.lu2net import load
+    from agent.training import degrade
+    from agent.training.landscapes import landscape
+    from agent.training.metrics import psnr
 
     net = load(enhance.shipped_weights())
-    works = {way: enhance.of(net, way).apply for way in ("plain", "folded", "fast")}
+    works = {way: enhance.network_enhancer(net, way).apply for way in ("plain", "folded", "fast")}
     to_target: dict[str, list[float]] = {way: [] for way in works}
     to_plain: dict[str, list[float]] = {way: [] for way in ("folded", "fast")}
     for k in range(PAIRS):
@@ -90,18 +90,18 @@ def measure(threads: int) -> dict[str, dict]:
 def ways(frame: np.ndarray) -> dict[str, Callable[[np.ndarray], object]]:
     import torch
 
-    from agent.perception import enhance, fast_enhance, lu2net
-    from agent.perception.grey_world import classic
+    from agent.perception.enhancement import enhance, fast_enhance, lu2net
+    from agent.perception.enhancement.grey_world import classic
 
     torch.manual_seed(0)
     stored, last = lu2net.LU2Net().eval(), lu2net.LU2Net().eval().to(memory_format=torch.channels_last)
-    fast = enhance.of(last, "fast")
+    fast = enhance.network_enhancer(last, "fast")
     assert fast.estimate is not None
     colours = fast.estimate(frame)
     return {
         "plain": lambda image: lu2net.run(stored, image),
-        "channels_last": enhance.of(last, "plain").apply,
-        "folded": enhance.of(last, "folded").apply,
+        "channels_last": enhance.network_enhancer(last, "plain").apply,
+        "folded": enhance.network_enhancer(last, "folded").apply,
         "fast": fast.apply,
         "fast_known_colours": lambda image: fast_enhance.apply(colours, image),
         "classic": classic,
@@ -122,11 +122,11 @@ def peak_mb(way: str) -> float:
 def alone(way: str) -> None:
     import torch
 
-    from agent.perception import enhance, lu2net
+    from agent.perception.enhancement import enhance, lu2net
 
     net = lu2net.LU2Net().eval().to(memory_format=torch.channels_last)
-    work = {"nothing": lambda image: image, "channels_last": enhance.of(net, "plain").apply}.get(way)
-    work = work or enhance.of(net, way).apply
+    work = {"nothing": lambda image: image, "channels_last": enhance.network_enhancer(net, "plain").apply}.get(way)
+    work = work or enhance.network_enhancer(net, way).apply
     for _ in range(3):
         work(picture())
     status = Path("/proc/self/status").read_text(encoding="ascii")  # ru_maxrss would hold the parent's as well

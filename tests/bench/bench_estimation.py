@@ -7,13 +7,14 @@ from random import Random
 from statistics import median
 from typing import Any
 
-from agent.estimation.evidence import Evidence
-from agent.estimation.face import Estimator, Prior
-from agent.estimation.mailbox import Mailbox
-from agent.estimation.metropolis import Metropolis
-from agent.estimation.paper import Paper
-from agent.estimation.validate import Bounds
-from agent.messages import Epoch, Estimate, decode, encode
+from agent.kernel.codec import decode, encode
+from agent.kernel.estimation.evidence import Evidence
+from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.interface import Estimator, Prior
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.estimation.metropolis import Metropolis
+from agent.kernel.estimation.paper import Paper
+from agent.kernel.messages import Epoch, Estimate
 from tests.sample_messages import estimate
 
 NEIGHBOURS = (3, 10, 50)

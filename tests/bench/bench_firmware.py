@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from hw.firmware import bus, wire
+from tests.places import ROOT
 
 CYCLES = 3000
 CYCLE_US = 10_000
 SHARE = 0.04  # of a core, at most: three of these run beside vision
-COST = Path(__file__).parents[1] / "firmware" / "cycle_cost.py"
+COST = ROOT / "tests" / "hw" / "firmware" / "cycle_cost.py"
 COST_CYCLES, COST_RUNS = 2000, 3
 BOARD_HEAP = 108_600  # bytes free on an STM32F407 after boot; an object there is half as large as on this machine
 PRESSURE_PA = (104262.0,) * 4  # 0.3 m of water over a tare of 101325 Pa

@@ -6,11 +6,11 @@ import time
 import cv2
 import numpy as np
 
-from agent.config import Tank
-from hw.twin.lens import draw_lens
-from hw.twin.painter import Painter
+from agent.kernel.config import Tank
+from hw.twin.optics.lens import draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.optics.view import Eye
 from hw.twin.scene import generator, load_scene
-from hw.twin.view import Eye
 
 REPEATS = 15
 PART = (170, 90, 300, 300)

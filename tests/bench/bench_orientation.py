@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from agent.experiments.manoeuvre import FIND_S, HOVER_S, PUSH, PUSH_S, Case, fly
-from agent.experiments.settling import LIMIT_S, STAY_S
+from agent.experiments.orientation.manoeuvre import FIND_S, HOVER_S, PUSH, PUSH_S, Case, respond
+from agent.experiments.orientation.settling import LIMIT_S, STAY_S
 
 ROUNDS = 3
 VIRTUAL_S = FIND_S + HOVER_S + PUSH_S + LIMIT_S + STAY_S  # the seconds before arming are not counted
@@ -25,7 +25,7 @@ def run() -> dict[str, dict[str, Any]]:
     for _ in range(ROUNDS):
         with tempfile.TemporaryDirectory() as folder:
             start_s = time.perf_counter()
-            fly(cases, PUSH, 0, Path(folder), sys.executable)
+            respond(cases, PUSH, 0, Path(folder), sys.executable)
             speeds.append(VIRTUAL_S / (time.perf_counter() - start_s))
     speed = statistics.median(speeds)
     against = f"target {TARGET} x real time"

@@ -6,9 +6,9 @@ import time
 from importlib import resources
 from pathlib import Path
 
-from agent.config import load_fleet
+from agent.kernel.fleet_reader import load_fleet
 from hw.twin.dive import Dive
-from hw.twin.tank import STEP_S, STEPS_PER_TICK, TICK_NS, advance
+from hw.twin.physics.tank import STEP_S, STEPS_PER_TICK, TICK_NS, advance
 
 TICKS, REPEATS = 1000, 5
 

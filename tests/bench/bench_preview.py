@@ -6,13 +6,13 @@ as it has where vision needs none.
 
 import cv2
 
-from agent.config import Link
-from agent.messages import Sighting
-from agent.perception.clear_view import DUE_NS, SHARE, ClearView
-from agent.perception.detect import find_ball
-from agent.perception.enhance import default, one_thread
+from agent.kernel.config import Link
+from agent.kernel.step_io import Sighting
+from agent.perception.detection.detect import find_ball
+from agent.perception.enhancement.enhance import default, one_thread
+from agent.perception.enhancement.on_demand import DUE_NS, SHARE, OnDemandEnhancer
 from agent.perception.preview import Preview
-from hw.camera import Frame
+from hw.camera.camera import Frame
 from tests.bench.bench_vision import CAMERA, ball, medians_s, row
 
 WHOLE = (640, 480)
@@ -33,8 +33,8 @@ def measure() -> dict[str, dict]:
     frame, at = ball(), Clock()
     seen = Sighting(t_ns=0, frame=0, target="ball", found=False)
     raw = Preview("r1", WHOLE, HZ)
-    clear = ClearView(default(), clock=lambda: at.now_ns * 1e-9)  # a core that is never busy elsewhere
-    enhanced = Preview("r1", WHOLE, HZ, clear)
+    enhancer = OnDemandEnhancer(default(), clock=lambda: at.now_ns * 1e-9)  # a core that is never busy elsewhere
+    enhanced = Preview("r1", WHOLE, HZ, enhancer)
 
     def made(preview: Preview) -> None:
         image = preview.of(at.next(frame), seen, at.now_ns)
@@ -43,7 +43,7 @@ def measure() -> dict[str, dict]:
     find_s, raw_s, enhanced_s = medians_s(
         (lambda: find_ball(frame.image, CAMERA), lambda: made(raw), lambda: made(enhanced))
     )
-    assert clear.raw == 0
+    assert enhancer.raw == 0
     return {
         "preview_640x480": row(1e3 * raw_s, "ms", "detection in the same frame", raw_s / find_s),
         "preview_640x480_enhanced": row(1e3 * enhanced_s, "ms", "the raw preview", enhanced_s / raw_s),

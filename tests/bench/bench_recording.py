@@ -23,20 +23,25 @@ import numpy as np
 import zenoh
 from mcap.writer import Writer
 
-from agent import topics
-from agent.config import Fleet, dump, load_fleet
+from agent.kernel import topics
+from agent.kernel.codec import encode
+from agent.kernel.config import Fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Estimate, NeighbourState, State
+from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting
+from agent.kernel.toml_files import dump
 from agent.launch import free_ports
-from agent.messages import Estimate, Inputs, NeighbourState, Outputs, SetPoint, Sighting, State, encode
-from agent.session import peer_config
-from replay.backlog import Backlog, Entry
-from replay.black_box_writer import FROM_BOARD, TO_BOARD
-from replay.derive import Derive
-from replay.frames import FRAME, VISION, picture
-from replay.log import LogWriter, read
-from replay.recover import STEP_IN, STEP_OUT, recover
+from replay.files.backlog import Backlog, Entry
+from replay.files.channels import FRAME, FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION
+from replay.files.frames import picture
+from replay.files.log import LogWriter, read
+from replay.files.recover import recover
+from replay.viewers.viewer_channels import ViewerChannels
+from router_config.session import peer_config
+from tests.places import ROOT
 from tests.sample_messages import estimate, telemetry
 
-FLEET = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
+FLEET = load_fleet(ROOT / "agent" / "fleets" / "tank.toml")
 SECONDS = 20
 START_NS = 1_767_225_600_000_000_000
 REPEATS = 3
@@ -46,15 +51,15 @@ def run() -> dict[str, dict]:
     agent, fleet = list(black_box()), list(traffic(robots=30, cameras=3))
     rows = {}
     for name, entries, derive in (
-        ("recording_agent_with_frames", agent, Derive(FLEET, "r1")),
+        ("recording_agent_with_frames", agent, ViewerChannels(FLEET, "r1")),
         ("recording_agent_with_frames_no_viewer_channels", agent, None),
-        ("recording_3_robots", list(traffic(robots=3, cameras=0)), Derive(FLEET)),
-        ("recording_30_robots_and_3_cameras", fleet, Derive(FLEET)),
+        ("recording_3_robots", list(traffic(robots=3, cameras=0)), ViewerChannels(FLEET)),
+        ("recording_30_robots_and_3_cameras", fleet, ViewerChannels(FLEET)),
     ):
         ours_s = statistics.median(cpu_s(lambda path, e=entries, d=derive: ours(path, e, d)) for _ in range(REPEATS))
         plain_s = statistics.median(cpu_s(lambda path, e=entries: plain(path, e)) for _ in range(REPEATS))
         rows[name] = row(100 * ours_s / SECONDS, "% of a core", "mcap alone, unsafe", ours_s / plain_s)
-    step = [entry for entry in agent if entry.channel == STEP_IN][-1]
+    step = [entry for entry in agent if entry.channel == STEP_IN.name][-1]
     image = frame(0)
     jpeg_s = median_s(lambda: picture(image, (0, 0, 640, 480), sighting(0, 0), lossless=False))
     png_s = median_s(lambda: picture(image, (0, 0, 640, 480), sighting(0, 0), lossless=True))
@@ -72,17 +77,17 @@ def black_box() -> Iterator[Entry]:
         sightings = (sighting(n, now_ns),) if n % 2 == 0 else ()
         readings = tuple(telemetry(now_ns) for _ in range(2 + n % 2))
         for _ in readings:
-            yield entry(FROM_BOARD, now_ns, n, random.Random(n).randbytes(90), "application/octet-stream")
-        yield entry(TO_BOARD, now_ns, n, random.Random(n).randbytes(40), "application/octet-stream")
+            yield entry(FROM_BOARD.name, now_ns, n, random.Random(n).randbytes(90), "application/octet-stream")
+        yield entry(TO_BOARD.name, now_ns, n, random.Random(n).randbytes(40), "application/octet-stream")
         for seen in sightings:
             data = picture(frame(n % 20), (0, 0, 640, 480), seen, lossless=False)
-            yield entry(FRAME, now_ns, n, data)._replace(expendable=True)
-            yield entry(VISION, now_ns, n, encode(seen))
-        yield entry(STEP_IN, now_ns, n, encode(Inputs(telemetry=readings, sightings=sightings)))
+            yield entry(FRAME.name, now_ns, n, data)._replace(expendable=True)
+            yield entry(VISION.name, now_ns, n, encode(seen))
+        yield entry(STEP_IN.name, now_ns, n, encode(Inputs(telemetry=readings, sightings=sightings)))
         shown = state("r1", n, now_ns) if n % 4 == 0 else None
         letters = (says("r1", "r2", n, now_ns), says("r1", "r3", n, now_ns)) if n % 2 == 0 else ()
         outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=shown, says=letters)
-        yield entry(STEP_OUT, now_ns, n, encode(outputs))
+        yield entry(STEP_OUT.name, now_ns, n, encode(outputs))
 
 
 def traffic(robots: int, cameras: int) -> Iterator[Entry]:
@@ -102,7 +107,7 @@ def traffic(robots: int, cameras: int) -> Iterator[Entry]:
             yield entry(f"/zenoh/aucamp/tank/camera/{names[k]}", now_ns, n, data)._replace(expendable=True)
 
 
-def ours(path: Path, entries: list[Entry], derive: Derive | None) -> None:
+def ours(path: Path, entries: list[Entry], derive: ViewerChannels | None) -> None:
     """All of it through the writer, a second's messages at a time, so that it flushes as it does in life."""
     with LogWriter(path, {}, derive=derive) as log:
         until_ns = START_NS

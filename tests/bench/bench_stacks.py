@@ -5,36 +5,34 @@ stack's truth and every method's peaks, 0.3 steps, is counted as error. Smooth o
 within one focus step of the median of the 3 x 3 around them; a bracket is piecewise flat.
 """
 
-import os
-from pathlib import Path
-
 import numpy as np
 
-from agent.depth_sweep import measure, sweep
-from hw.camera_files import open_stack
+from agent.pictures.depth_sweep import measure, sweep
+from hw.camera.files import open_stack
+from tests.places import DATA
 
-DATA = Path(os.environ.get("AUCAMP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data")) / "focal_stacks"
+STACKS = DATA / "focal_stacks"
 STEP, REAL_STEP = 0.02, 0.1  # between photographs, in the unit of positions.csv
 
 
 def run() -> dict[str, dict]:
-    if not DATA.is_dir():
+    if not STACKS.is_dir():
         return {}
     return {**simulated(12), **simulated(13), **real()}
 
 
 def simulated(block: int) -> dict[str, dict]:
-    stack = DATA / "bracket_simulated"
+    stack = STACKS / "bracket_simulated"
     taken = sweep(open_stack(stack), block, lambda done, total: None)
     ours, parabola = measure(taken, block, None), measure(taken, block, None, "parabola")
     with np.load(stack / "truth.npz") as truth:
         depth, mask = truth["depth"], truth["mask"]
-    rows, cols = ours.position.shape
+    rows, cols = ours.lens_position.shape
     shape = rows, block, cols, block
     inside = mask[: rows * block, : cols * block].reshape(shape).all(axis=(1, 3))
     true = depth[: rows * block, : cols * block].reshape(shape).mean(axis=(1, 3))
     kept = inside & ours.accepted
-    e, f = (np.abs(m.position - true)[kept] / STEP for m in (ours, parabola))
+    e, f = (np.abs(m.lens_position - true)[kept] / STEP for m in (ours, parabola))
     rmse, theirs = (float(np.sqrt(np.mean(x**2))) for x in (e, f))
     share = float(kept.sum() / inside.sum())
     name = f"stack_simulated_{block}px"
@@ -46,11 +44,11 @@ def simulated(block: int) -> dict[str, dict]:
 
 
 def real() -> dict[str, dict]:
-    found = measure(sweep(open_stack(DATA / "bracket_real"), 32, lambda done, total: None), 32, None)
-    position = np.where(found.accepted, found.position, np.nan)
-    rows, cols = position.shape
-    around = np.stack([position[r : rows - 2 + r, c : cols - 2 + c] for r in range(3) for c in range(3)])
-    rough = np.abs(position[1:-1, 1:-1] - np.nanmedian(around, axis=0))
+    found = measure(sweep(open_stack(STACKS / "bracket_real"), 32, lambda done, total: None), 32, None)
+    lens_position = np.where(found.accepted, found.lens_position, np.nan)
+    rows, cols = lens_position.shape
+    around = np.stack([lens_position[r : rows - 2 + r, c : cols - 2 + c] for r in range(3) for c in range(3)])
+    rough = np.abs(lens_position[1:-1, 1:-1] - np.nanmedian(around, axis=0))
     share, smooth = float(found.accepted.mean()), float(np.mean(rough[np.isfinite(rough)] <= REAL_STEP))
     return {
         "stack_real_32px_accepted": row(share, "share", "0.95 wanted", share / 0.95),

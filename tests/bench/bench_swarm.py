@@ -17,14 +17,17 @@ from typing import Any
 
 import msgspec
 
-from agent.config import Fleet, Robot, dump
 from agent.demo import demo_fleet
+from agent.kernel.config import Fleet, Robot
+from agent.kernel.messages import State
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import STATE
 from agent.launch import free_ports
-from agent.messages import State
-from agent.topics import STATE
 from agent.transport import Observer
+from tests.network.relay import Links, Relay, refused
+from tests.network.swarm_in_namespaces import WATCHER, Swarm
+from tests.places import ROOT
 
-NETWORK = Path(__file__).parents[1] / "network"
 AGENTS = 20
 REACH = 3  # robots on either side along a ring that a robot talks to: six neighbours, 120 directed links
 NEAR_M = 0.004
@@ -44,8 +47,8 @@ def twenty() -> dict[str, dict[str, Any]]:
         fleet, path = ring(Path(folder)), Path(folder) / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")
         began_s = time.monotonic()
-        script = str(NETWORK / "scripted_agent.py")
-        processes = [subprocess.Popen([sys.executable, script, str(path), name, folder]) for name in fleet.robot]
+        agent = [sys.executable, "-m", "tests.network.scripted_agent"]
+        processes = [subprocess.Popen([*agent, str(path), name, folder], cwd=ROOT) for name in fleet.robot]
         try:
             with Observer(fleet, time.monotonic_ns, (STATE,)) as observer:
                 states: dict[str, State] = {}
@@ -70,10 +73,6 @@ def twenty() -> dict[str, dict[str, Any]]:
 
 def healing() -> dict[str, dict[str, Any]]:
     """Seconds from the end of a partition until all five agree again; empty where namespaces are not permitted."""
-    sys.path.insert(0, str(NETWORK))
-    from relay import Links, Relay, refused  # type: ignore[import-not-found]
-    from swarm_in_namespaces import WATCHER, Swarm  # type: ignore[import-not-found]
-
     if refused() is not None:
         return {}
     clock_ahead_s = {f"r{k}": 0.0 for k in range(1, 6)}
@@ -138,7 +137,7 @@ def heard(states: dict[str, State]) -> int:
 
 
 def resident_mb(pid: int) -> float:
-    """Of Linux' /proc; shared libraries count in full for each process."""
+    """Memory by Linux' /proc; shared libraries count in full for each process."""
     (line,) = (s for s in Path(f"/proc/{pid}/status").read_text().splitlines() if s.startswith("VmRSS:"))
     return float(line.split()[1]) / 1024.0
 

@@ -1,19 +1,18 @@
 """What following a box costs and how well it holds: NanoTrack with its checks, beside OpenCV's MIL, on one clip."""
 
-import os
 import statistics
 import time
 from pathlib import Path
 
 import cv2
 
-from agent.perception.engines import load_engine
-from agent.perception.follow import Follower
-from agent.perception.likeness import Box
-from tests.perception.swimming import clip, overlap
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box_trackers import load_box_tracker
+from agent.perception.tracking.follow import Follower
+from tests.perception.tracking.swimming import clip, overlap
+from tests.places import DATA
 
-ROOT = Path(os.environ.get("AUCAMP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-MODELS = ROOT / "models" / "nanotrack_v2"
+MODELS = DATA / "models" / "nanotrack_v2"
 FRAMES, GONE = 120, range(80, 90)
 
 
@@ -37,7 +36,7 @@ def run() -> dict[str, dict]:
 
 def follow(files: tuple[Path | None, Path | None]) -> tuple[float, float, int]:
     """Median seconds a frame, mean overlap while it is followed, frames in which it claims what is not there."""
-    follower, times, overlaps, held = Follower(load_engine(*files)), [], [], 0
+    follower, times, overlaps, held = Follower(load_box_tracker(*files)), [], [], 0
     for k, (image, box) in enumerate(clip(FRAMES, GONE)):
         if k == 0:
             follower.start(image, Box(*box))

@@ -10,14 +10,14 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from agent.compiled import compiled
-from agent.perception.clarity import grid, tenengrad_grid
-from agent.perception.detect import find_ball
-from agent.perception.peaks import block_peaks
-from agent.perception.region import around, disc_clarity
-from agent.ranging.calibration import CameraFit
-from agent.ranging.focus import fit_peak, fit_peaks
-from hw.camera import Frame, Roi
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.focus import fit_peak, fit_peaks
+from agent.perception.clarity.clarity import grid, tenengrad_grid
+from agent.perception.clarity.peaks import block_peaks
+from agent.perception.clarity.region import around, disc_clarity
+from agent.perception.detection.detect import find_ball
+from hw.camera.camera import Frame, Roi
+from hw.compiled import compiled
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 
@@ -36,9 +36,9 @@ def measure() -> dict[str, dict]:
     found = find_ball(frame.image, CAMERA)
     if found is None:
         raise RuntimeError("the bench's own ball was not found")
-    positions = np.linspace(0, 1023, 30)
-    curves = 1000 / (1 + ((positions - np.linspace(200, 800, 108)[:, None]) / 120) ** 2) + 50
-    one, x = curves[40].tolist(), positions.tolist()
+    lens_positions = np.linspace(0, 1023, 30)
+    curves = 1000 / (1 + ((lens_positions - np.linspace(200, 800, 108)[:, None]) / 120) ** 2) + 50
+    one, x = curves[40].tolist(), lens_positions.tolist()
 
     read_s = median_s(lambda: frame.image.sum())
     roi = around(found.centre_px, found.radius_px, (640, 480)) or frame.roi
@@ -48,7 +48,7 @@ def measure() -> dict[str, dict]:
     find_s = median_s(lambda: find_ball(frame.image, CAMERA))
     one_s = median_s(lambda: fit_peak(x, one))
     short_s = median_s(lambda: fit_peak(x[12:19], one[12:19], width=120.0))
-    many_s = median_s(lambda: fit_peaks(positions, curves))
+    many_s = median_s(lambda: fit_peaks(lens_positions, curves))
     return {
         "vision_detect_and_clarity_640x480": row(full_s * 1e3, "ms", "numpy sum over the frame", full_s / read_s),
         "vision_frames_per_second_full": row(1.0 / full_s, "1/s", "30 frames per second", 1.0 / full_s / 30.0),
@@ -70,22 +70,29 @@ def sweep_rows(image: np.ndarray) -> dict[str, dict]:
     """30 colour frames to the depths of 9 x 12 blocks, against one pass over their bytes and two known ways."""
     rng = np.random.default_rng(1)
     stack = np.stack([np.clip(image + rng.integers(-8, 9, image.shape), 0, 255).astype(np.uint8) for _ in range(30)])
-    positions = np.linspace(0, 1023, len(stack))
+    lens_positions = np.linspace(0, 1023, len(stack))
     rows, cols = grid(480, 50), grid(640, 50)
 
     def clarity() -> np.ndarray:
         return np.array([tenengrad_grid(frame, rows, cols) for frame in stack])
 
-    def depths() -> object:
-        return block_peaks(positions, clarity().reshape(len(stack), -1).T)
+    def depths(fit: Callable[..., object] = block_peaks) -> object:
+        return fit(lens_positions, clarity().reshape(len(stack), -1).T)
 
     # In one loop, so that what else the machine does falls on all of them alike.
-    works = (lambda: pass_over(stack.reshape(-1)), clarity, depths, lambda: [opencv(f) for f in stack])
-    pass_s, clarity_s, depths_s, opencv_s = medians_s(works)
+    works = (
+        lambda: pass_over(stack.reshape(-1)),
+        clarity,
+        depths,
+        lambda: depths(fit_peaks),
+        lambda: [opencv(frame) for frame in stack],
+    )
+    pass_s, clarity_s, depths_s, kernel_s, opencv_s = medians_s(works)
     pixel_s = median_s(lambda: [per_pixel(frame) for frame in stack[:3]], repeats=3) * len(stack) / 3
     per_robot = 1.0 / (depths_s / len(stack))
     return {
         "sweep_30x640x480_to_depths": row(depths_s * 1e3, "ms", "one pass over the bytes", depths_s / pass_s),
+        "sweep_30x640x480_to_depths_by_kernel": row(kernel_s * 1e3, "ms", "one pass over the bytes", kernel_s / pass_s),
         "sweep_30x640x480_to_clarity": row(clarity_s * 1e3, "ms", "one pass over the bytes", clarity_s / pass_s),
         "sweep_against_cv2_sobel_integral": row(opencv_s * 1e3, "ms", "this clarity kernel", opencv_s / clarity_s),
         "sweep_against_per_pixel_energy": row(pixel_s * 1e3, "ms", "this clarity kernel", pixel_s / clarity_s),
@@ -111,7 +118,7 @@ def opencv(image: np.ndarray) -> np.ndarray:
 
 
 def per_pixel(image: np.ndarray) -> np.ndarray:
-    """As programs for focus stacking do: energy of the Laplacian around every pixel, over a Gaussian window."""
+    """What programs for focus stacking do: energy of the Laplacian around every pixel, over a Gaussian window."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     edges = cv2.Laplacian(cv2.GaussianBlur(grey, (5, 5), 0), cv2.CV_64F, ksize=5)
     return cv2.GaussianBlur(edges * edges, (0, 0), 8.0)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agent.config import ConfigError, read_toml
-from agent.experiments.calibrate_camera import run
+from agent.calibration.camera import run
+from agent.kernel.config import ConfigError
+from agent.kernel.toml_files import read_toml
 
 F, CX, CY = 820.0, 330.0, 232.0
 QUIET = Console(quiet=True)
@@ -54,8 +55,8 @@ def test_what_cannot_be_used_is_one_line(folder: Path, tmp_path: Path) -> None:
         run(tmp_path / "none", 9, 6, 25.0, None, QUIET)
     with pytest.raises(ConfigError, match="whole in 0 of 12"):
         run(folder, 13, 6, 25.0, None, QUIET)
-    with pytest.raises(ConfigError, match=r"no photographs; they end in \.png"):
+    with pytest.raises(ConfigError, match=r"no pictures in this folder; it needs files that end in \.png"):
         run(tmp_path, 9, 6, 25.0, None, QUIET)
     (tmp_path / "a.png").write_bytes(b"no picture")
-    with pytest.raises(ConfigError, match=r"a\.png: is no readable picture"):
+    with pytest.raises(ConfigError, match=r"a\.png: not an image that OpenCV can read"):
         run(tmp_path, 9, 6, 25.0, None, QUIET)

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from agent.config import Body
-from agent.ranging.calibrate import CalibrationRefused, Corner, FocusRow, fit_camera, fit_focus
-from agent.ranging.focus import h
+from agent.calibration.fit import CalibrationRefused, Corner, FocusRow, fit_camera, fit_focus
+from agent.failure import Failed
+from agent.kernel.config import Body
+from agent.kernel.ranging.focus import h
 
 BODY = Body()
 DISTANCES_M = 1 / np.linspace(1 / 1.2, 1 / 0.22, 12)
@@ -88,6 +89,7 @@ def test_the_papers_calibration_in_centimetres():
     [(DISTANCES_M[:5], "distances"), (np.linspace(0.8, 1.2, 12), "1/u")],
 )
 def test_too_little_is_refused(distances, word):
+    assert issubclass(CalibrationRefused, Failed), "a user sees one line, and exit code 1"
     with pytest.raises(CalibrationRefused, match=word):
         fit_focus(rows(distances=distances))
 

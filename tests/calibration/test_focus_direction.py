@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from agent.control.positions import full_positions
-from agent.experiments.calibrate_run import describe
-from agent.ranging.calibrate import FocusRow, fit_focus
-from agent.ranging.calibration import Calibration, CameraFit
-from agent.ranging.focus import h
+from agent.calibration.fit import FocusRow, fit_focus
+from agent.calibration.run import describe
+from agent.kernel.control.lens_positions import full_positions
+from agent.kernel.ranging.calibration import Calibration, CameraFit
+from agent.kernel.ranging.focus import h
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 
@@ -22,6 +22,6 @@ def test_calibration_finds_the_direction_and_sweeps_follow_it(b_m, rho0, nearer)
     assert h(focus, rho0 + b_m / 0.5) == pytest.approx(0.5, abs=0.005)
     said = describe(Calibration(robot="r1", made="2026-01-01", source="test", focus=focus, camera=CAMERA))
     assert f"{nearer} ones are nearer" in said
-    positions = full_positions(focus, 30)
-    assert list(positions) == sorted(positions)  # from one side, whichever is near
-    assert positions[0] < rho0 < positions[-1]
+    lens_positions = full_positions(focus, 30)
+    assert list(lens_positions) == sorted(lens_positions)  # from one side, whichever is near
+    assert lens_positions[0] < rho0 < lens_positions[-1]

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agent.config import ConfigError, read_toml
-from agent.experiments.calibrate_focus import paper_gauge, read_table, run
+from agent.calibration.focus_table import paper_gauge, read_table, run
+from agent.kernel.config import ConfigError
+from agent.kernel.toml_files import read_toml
 
 K, F_CM, C_CM = 0.3922, 0.7431, 0.7577  # the paper's printed fit; centimetres is the only plausible unit
 RHO0, B_CM, U_INF_CM = F_CM / K, F_CM * F_CM / K, F_CM + C_CM

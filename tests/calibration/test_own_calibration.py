@@ -5,10 +5,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.config import ConfigError, Fleet, dump, load_fleet
-from agent.launch import shipped_fleet
-from agent.ranging.calibration import Calibration
-from agent.runtime import own_calibration
+from agent.agent_process import own_calibration
+from agent.fleet_files import shipped_fleet
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.toml_files import dump
 from tests.known_lens import CAMERA, PLAIN
 
 FLEET = load_fleet(shipped_fleet())

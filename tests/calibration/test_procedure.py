@@ -5,13 +5,23 @@ import math
 import cv2
 import numpy as np
 import pytest
-from painted import CAMERA, PER_DIOPTRE, POLE, PX_PER_POSITION, defocus, expose, grain, rays, sharp_position
 
-from agent.config import Body, ConfigError, Fleet, Pose, Robot, Target
-from agent.experiments.bench import COLUMNS, ROWS, calibrate, find_corners
-from agent.ranging.calibrate import CalibrationRefused
-from agent.ranging.focus import h
-from hw.camera import FocusRange, Frame, Roi
+from agent.calibration.fit import CalibrationRefused
+from agent.calibration.procedure import COLUMNS, ROWS, calibrate, find_corners
+from agent.kernel.config import Body, ConfigError, Fleet, Pose, Robot, Target
+from agent.kernel.ranging.focus import h
+from hw.camera.camera import FocusRange, Frame, Roi
+from tests.perception.painted import (
+    CAMERA,
+    PER_DIOPTRE,
+    POLE,
+    PX_PER_POSITION,
+    defocus,
+    expose,
+    grain,
+    rays,
+    sharp_position,
+)
 
 TEXEL_M = 0.0004
 PAN, TILT = (0.8, 1.01), (-0.5, 0.99)  # zero (deg) and gain of the servos

@@ -5,40 +5,44 @@ import json
 import numpy as np
 import pytest
 
-from agent.config import ConfigError, load_fleet
-from agent.experiments import consistency as experiment
-from agent.experiments.consistency_table import refusals, table
-from agent.launch import shipped_fleet
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.ranging.camera_model import Eye
+from agent.experiments import ball_measurements as measurements
+from agent.experiments.consistency.run import Result, summary
+from agent.experiments.consistency.tables import cases_table, refusals, table
+from agent.experiments.posed_robot import rotation_of
+from agent.fleet_files import shipped_fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.kernel.ranging.camera_model import Eye
 
 BALL_M = (0.3, 0.3, 0.07)
 
 
 @pytest.fixture(scope="module")
-def taken():
-    return list(experiment.robot_measurements(7, 2, distance_m=0.5))
+def measured():
+    return list(measurements.ball_measurements(7, 2, distance_m=0.5))
 
 
-def test_every_cue_finds_the_ball_and_says_how_well(taken):
-    for one in taken:
+@pytest.mark.slow
+def test_every_cue_finds_the_ball_and_says_how_well(measured):
+    for one in measured:
         for cue in ("focus", "size", "both"):
             assert one[cue]["error_mm"] < 25 and 1 < one[cue]["sigma_mm"] < 15
             assert one[cue]["nees"] < 25
         assert one["size"]["range_sigma_mm"] < one["focus"]["range_sigma_mm"]
         assert one["both"]["range_sigma_mm"] <= one["size"]["range_sigma_mm"]
         assert abs(one["size"]["range_mm"]) < 3
-    assert len({one["both"]["error_mm"] for one in taken}) == len(taken)
+    assert len({one["both"]["error_mm"] for one in measured}) == len(measured)
 
 
-def test_rows_and_table(taken):
+@pytest.mark.slow
+def test_rows_and_table(measured):
     hidden = {"seed": 7, "distance_m": 0.26, "both": {"refused": "target seen in 3 of 30 frames"}}
-    row = experiment.row([*taken, hidden], "both", 0.25, 1.2)
+    row = summary([*measured, hidden], "both", 0.25, 1.2)
     assert row["count"] == 3 and row["measured"] == 2
-    assert row["nees"] == pytest.approx(np.mean([one["both"]["nees"] for one in taken]))
-    assert experiment.row([hidden], "both", 0.25, 0.4)["nees"] is None
-    assert table([row]).row_count == 1
-    assert refusals([*taken, hidden]) == {"target seen in # of ## frames": 1}
+    assert row["nees"] == pytest.approx(np.mean([one["both"]["nees"] for one in measured]))
+    assert summary([hidden], "both", 0.25, 0.4)["nees"] is None
+    assert cases_table([row]).row_count == 1
+    assert refusals([*measured, hidden]) == {"target seen in # of ## frames": 1}
     assert json.loads(json.dumps(row)) == row
 
 
@@ -50,7 +54,7 @@ def test_a_ball_that_overflows_shows_less_of_its_outline():
     known = Calibration(robot="r1", made="", source="", focus=focus, camera=camera)
     ahead = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))  # looks along x
     arcs = [
-        experiment.outline_deg(known, Eye((0.0, 0.0, 0.07), ahead, (0.0, 0.0, 0.07)), (d, 0.0, 0.07))
+        measurements.outline_deg(known, Eye((0.0, 0.0, 0.07), ahead, (0.0, 0.0, 0.07)), (d, 0.0, 0.07))
         for d in (0.60, 0.29, 0.25)
     ]
     # At 0.25 m the cone's half angle is 16.26 deg, its circle 341 px: it passes the rows 239.5 px from the middle at
@@ -61,16 +65,19 @@ def test_a_ball_that_overflows_shows_less_of_its_outline():
 def test_places_are_in_the_tank_and_beliefs_about_right():
     rng, fleet = np.random.default_rng(0), load_fleet(shipped_fleet())
     for distance_m in (0.25, 1.2):
-        case = experiment.draw(fleet, BALL_M, distance_m, rng)
+        case = measurements.draw_placement(fleet, BALL_M, distance_m, rng)
         x, y, z = case.position_m
-        camera = np.array(case.position_m) + experiment.rotation_of(*case.roll_pitch_yaw_deg) @ fleet.body.camera_m
+        camera = np.array(case.position_m) + rotation_of(*case.roll_pitch_yaw_deg) @ fleet.body.camera_m
         assert np.linalg.norm(camera - BALL_M) == pytest.approx(distance_m)
         assert 0.1 <= x <= 1.4 and 0.1 <= y <= 1.1 and z > 0.05
         assert abs(case.pose.x_m - x) < 0.01 and abs(case.level[0] - (0.5 - z)) < 0.01
         assert np.abs(np.array(case.level[1:]) - case.roll_pitch_yaw_deg[:2]).max() < 1.0
 
 
-def test_a_folder_with_a_result_is_left_alone(tmp_path):
-    (tmp_path / "result.json").write_text("{}")
-    with pytest.raises(ConfigError, match="holds a result"):
-        experiment.consistency(0, 1, tmp_path, lambda done, total: None)
+@pytest.mark.parametrize(("nees", "honest"), [(3.0, True), (2.4, False), (3.6, False), (None, False)])
+def test_a_mean_that_is_not_honest_is_said(nees, honest):
+    rest = {"range_m": [0.25, 1.2], "count": 1, "measured": 1, "nees_median": 2.4, "error_rms_mm": 1, "sigma_mm": 1}
+    cases = [{"cues": cue, "nees": value, **rest} for cue, value in (("both", 3.0), ("both", nees), ("size", 9.0))]
+    result = Result(seed=0, count=1, cases=cases, measurements=[])
+    assert result.honest is honest
+    assert any("missed" in str(part) for part in table(result).renderables) is not honest

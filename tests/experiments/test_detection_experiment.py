@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
-from agent.experiments.ball_views import outline
-from agent.experiments.detection import detection
-from agent.ranging.calibration import CameraFit
+from agent.experiments.detection.ball_views import outline
+from agent.experiments.detection.run import Settings, run
+from agent.experiments.detection.tables import table
+from agent.experiments.result import write_result
+from agent.kernel.ranging.calibration import CameraFit
 
 CAMERA = CameraFit(width_px=320, height_px=240, f_px=600.0, cx_px=159.5, cy_px=119.5)
 
@@ -44,16 +45,15 @@ def test_what_stands_in_front_is_not_the_balls_border():
 
 def test_a_small_run(tmp_path):
     shown = []
-    result = detection(0, 2, "imx519_640", tmp_path, lambda *at: shown.append(at), waters=("tap",))
-    assert result == json.loads((tmp_path / "result.json").read_text())
+    result = run(Settings(count=2, waters=("tap",)), lambda *at: shown.append(at))
+    write_result(result, tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
     assert shown[-1] == (2, 2)
-    whole = [case for case in result["cases"] if case["range_m"] == [0.25, 1.5] and case["image"] == "raw"]
+    whole = [case for case in result.cases if case["range_m"] == [0.25, 1.5] and case["image"] == "raw"]
     assert [case["focus"] for case in whole] == ["sharp", "defocused"]
     for case in whole:
         assert case["found"] == case["frames"] >= 1  # one place shows too little of the ball
         assert case["false"] == 0 and case["pictures"] == 4
         assert case["centre_p95_px"] < 3.0
-    with pytest.raises(ConfigError, match="already"):
-        detection(0, 2, "imx519_640", tmp_path, lambda *_: None)
-    with pytest.raises(ConfigError, match="crop_1280"):
-        detection(0, 2, "pinhole", tmp_path / "other", lambda *_: None)
+    assert (result.seed, result.sensor, result.places) == (0, "imx519_640", 2)
+    assert table(result).row_count == 8, "four images, sharp and defocused"

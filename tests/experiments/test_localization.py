@@ -1,4 +1,4 @@
-"""The localization experiment: its worlds and bounds against formulas, its swarms against the theorem and the bound."""
+"""The localization experiment: its swarms against the theorem and the bound."""
 
 import json
 import math
@@ -7,112 +7,23 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
-from agent.experiments import localization as experiment
-from agent.experiments.bounds import bound_m, central_m, central_track_m, closed_form_m
-from agent.experiments.graphs import diameter, graph, metropolis_weights, paper_weights
-from agent.experiments.localization import dives, rows_of, table
-from agent.experiments.localization_cases import Case, cases
-from agent.experiments.localization_targets import EVIDENCE_UNDER_LOSS, verdicts
-from agent.experiments.lockstep import Swarm, prior, symmetric
-from agent.experiments.scene import TARGET_M, Draw, draw, lap_m, scene, seen
-
-TYPICAL = np.random.default_rng(1)
+from agent.experiments.figure_files import write_figures
+from agent.experiments.localization import run as experiment
+from agent.experiments.localization.bounds import bound_m
+from agent.experiments.localization.cases import Case, cases
+from agent.experiments.localization.criteria import EVIDENCE_UNDER_LOSS, verdicts
+from agent.experiments.localization.draws import score_draws
+from agent.experiments.localization.figures import figures
+from agent.experiments.localization.graphs import graph, metropolis_weights, paper_weights
+from agent.experiments.localization.lockstep import Swarm, prior, symmetric
+from agent.experiments.localization.run import Settings, rows_of
+from agent.experiments.localization.tables import cases_table, table, verdicts_table
+from agent.experiments.localization.world import draw_dive, draw_world
+from agent.experiments.result import write_result
 
 
 def ratios(case: Case, seed: int = 0) -> list[float]:
-    return [row["ratio"] for row in rows_of(case, dives(case, seed, 0, case.draws))]
-
-
-# --- graphs, worlds, bounds -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("topology", ["full", "ring", "line", "geometric"])
-@pytest.mark.parametrize("robots", [3, 10, 100])
-def test_graphs_are_symmetric_and_connected(topology, robots) -> None:
-    near = graph(topology, robots)
-    assert all(i in near[j] and i != j for i in range(robots) for j in near[i])
-    assert diameter(near) < math.inf
-    assert paper_weights(near).sum(axis=1) == pytest.approx(1.0)
-    W = metropolis_weights(near)
-    assert W.sum(axis=0) == pytest.approx(1.0)
-    assert W.sum(axis=1) == pytest.approx(1.0)
-
-
-def test_the_hard_graph_is_sparse_and_long() -> None:
-    near = graph("geometric", 10)
-    assert sorted(map(len, near)) == [1, 1, 1, 2, 2, 2, 3, 3, 3, 4]
-    assert diameter(near) == 6
-    assert diameter(((1,), (0,), ())) == math.inf
-
-
-def test_errors_have_the_stated_size_along_and_across_the_ray() -> None:
-    world = scene(3, "aniso", True, TYPICAL)
-    ray = TARGET_M - world.camera_m[0]
-    reach = np.linalg.norm(ray)
-    along, across = (
-        ray / reach,
-        np.cross(ray / reach, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ray, [0, 0, 1])) * reach,
-    )
-    assert math.sqrt(along @ world.random_m2[0] @ along) == pytest.approx(
-        math.hypot(0.0449 * (reach - 0.015) ** 2, 0.002)
-    )
-    assert math.sqrt(across @ world.random_m2[0] @ across) == pytest.approx(
-        math.hypot(reach * math.radians(0.3), 0.002)
-    )
-    assert math.sqrt(along @ world.systematic_m2[0] @ along) == pytest.approx(math.hypot(0.01 * reach, 0.001))
-
-
-def test_samples_scatter_as_the_covariance_says_and_one_robot_is_wrong() -> None:
-    world = scene(3, "aniso", False, TYPICAL)
-    dive = draw(world, "all", 0.3, 20_000, np.random.default_rng(2))
-    for i in (1, 2):
-        error = dive.sample_m[:, i] - TARGET_M
-        assert np.cov(error.T) == pytest.approx(world.random_m2[i], rel=0.1, abs=1e-6)
-    off = (dive.sample_m[:, 0] - TARGET_M).mean(axis=0)
-    assert np.linalg.norm(off) == pytest.approx(0.3, rel=0.01)
-    assert abs(off[2]) < 0.001
-
-
-def test_who_sees_when() -> None:
-    late = seen("paper", 3, 40)
-    assert [int(np.argmax(late[:, i])) for i in range(3)] == [0, 16, 28]
-    assert np.flatnonzero(seen("relay", 10, 5)[3]).tolist() == [0, 4, 9]
-
-
-def test_the_bound_of_equal_cameras_and_of_bias_that_stays() -> None:
-    world = scene(3, "iso", False, TYPICAL)
-    assert bound_m(world, np.array([10, 10, 10])) == pytest.approx(0.005 * math.sqrt(3 / 30))
-    assert bound_m(world, np.array([10, 0, 5])) == pytest.approx(0.005 * math.sqrt(3 / 15))
-    assert bound_m(world, np.array([10, 10, 10]), slice(1, None)) == pytest.approx(0.005 * math.sqrt(3 / 20))
-    biased = scene(3, "iso", True, TYPICAL)
-    floor = math.sqrt(np.trace(np.linalg.inv(np.linalg.inv(biased.systematic_m2).sum(axis=0))))
-    assert bound_m(biased, np.full(3, 10**9)) == pytest.approx(floor, rel=1e-6)
-
-
-def test_central_fusion_meets_the_bound() -> None:
-    world = scene(5, "aniso", True, np.random.default_rng(3))
-    rng = np.random.default_rng(4)
-    square = [np.sum((central_m(world, draw(world, "all", 0.0, 5, rng), 5) - TARGET_M) ** 2) for _ in range(4000)]
-    assert math.sqrt(np.mean(square)) == pytest.approx(bound_m(world, np.full(5, 5)), rel=0.03)
-
-
-def test_closed_form_of_full_graphs_is_known_by_hand() -> None:
-    """Metropolis weights on a full graph are the mean: after one exchange all past is shared, the newest is not."""
-    world, T = scene(3, "iso", False, TYPICAL), 10
-    expected = math.sqrt((T - 1) * 3 * 25e-6 / 3 + 3 * 25e-6) / T
-    assert closed_form_m(metropolis_weights(graph("full", 3)), world.random_m2, T) == pytest.approx(expected)
-
-
-def test_the_central_track_follows_a_line_without_error_and_smooths_noise() -> None:
-    world = scene(10, "aniso", False, np.random.default_rng(6))
-    path = TARGET_M + np.arange(30)[:, None] * np.array([0.01, 0.005, 0.0])
-    exact = Draw(np.repeat(path[:, None], 10, axis=1), np.ones((30, 10), dtype=bool))
-    assert central_track_m(world, exact, 4e-6)[-1] == pytest.approx([*path[-1], 0.01, 0.005, 0.0], abs=2e-4)
-    noisy = draw(world, "all", 0.0, 30, np.random.default_rng(1), path)
-    error = np.linalg.norm(central_track_m(world, noisy, 4e-6)[10:, :3] - path[10:], axis=1)
-    assert 0.0 < error.mean() < bound_m(world, np.ones(10))
-    assert np.linalg.norm(np.diff(lap_m(0.02, np.arange(50) * 0.2), axis=0), axis=1) == pytest.approx(0.004, rel=1e-3)
+    return [row["ratio"] for row in rows_of(case, score_draws(case, seed, 0, case.draws))]
 
 
 # --- the swarm ------------------------------------------------------------------------------------------------
@@ -137,10 +48,11 @@ def test_noise_gain_is_that_of_the_theorem_to_rounding(protocol, weights, topolo
 @pytest.mark.parametrize(("topology", "robots"), [("full", 3), ("ring", 10), ("line", 10)])
 def test_paper_reaches_its_closed_form_within_5_percent(topology, robots) -> None:
     case = Case("paper", topology, robots, 150, (10, 40), noise="iso")
-    for row in rows_of(case, dives(case, 0, 0, case.draws)):
+    for row in rows_of(case, score_draws(case, 0, 0, case.draws)):
         assert row["rmse_mm"] == pytest.approx(row["closed_form_mm"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_paper_fails_where_messages_are_lost_and_evidence_does_not() -> None:
     """10 robots on the hard graph, 30 % loss. The literal update never gets better; it starts again too often."""
     at = (10, 50, 200)
@@ -151,6 +63,7 @@ def test_paper_fails_where_messages_are_lost_and_evidence_does_not() -> None:
     assert evidence[1] < 1.15
 
 
+@pytest.mark.slow
 def test_ten_messages_an_iteration_make_distance_cheap() -> None:
     once, often = (ratios(Case("evidence", "geometric", 10, 30, (10,), loss=0.3, says=n))[0] for n in (1, 10))
     assert often < 1.25
@@ -161,12 +74,12 @@ def test_one_of_three_is_wrong_and_the_honest_ones_do_not_care() -> None:
     wrong = {"loss": 0.1, "systematic": True, "outlier_mm": 300.0}
     assert ratios(Case("evidence", "full", 3, 60, (40,), **wrong))[0] < 1.1
     case = Case("paper", "full", 3, 60, (40,), **wrong)
-    assert next(rows_of(case, dives(case, 0, 0, 60)))["rmse_mm"] > 90.0
+    assert next(rows_of(case, score_draws(case, 0, 0, 60)))["rmse_mm"] > 90.0
 
 
 def test_robots_know_how_wrong_they_are() -> None:
     case = Case("evidence", "full", 3, 150, (30,), systematic=True)
-    row = next(rows_of(case, dives(case, 0, 0, case.draws)))
+    row = next(rows_of(case, score_draws(case, 0, 0, case.draws)))
     assert 2.5 < row["nees"] < 3.5
     assert row["ratio"] < 1.1
 
@@ -176,23 +89,24 @@ def test_all_without_a_view_are_covered_by_relays(topology) -> None:
     found = {}
     for protocol in ("paper", "evidence"):
         case = Case(protocol, topology, 10, 6, (10, 50), loss=0.1, views="relay")
-        found[protocol] = list(rows_of(case, dives(case, 0, 0, case.draws)))
+        found[protocol] = list(rows_of(case, score_draws(case, 0, 0, case.draws)))
     assert [row["covered"] for row in found["evidence"]] == [1.0, 1.0]
     assert found["evidence"][1]["ratio"] < 1.25
     assert found["paper"][1]["covered"] == pytest.approx(0.7)  # only those next to a robot that sees
 
 
+@pytest.mark.slow
 def test_a_moving_target_is_followed() -> None:
     case = Case("evidence", "geometric", 10, 2, (50,), loss=0.3, speed_mm_s=20.0, ticks=5)
-    row = next(rows_of(case, dives(case, 0, 0, case.draws)))
+    row = next(rows_of(case, score_draws(case, 0, 0, case.draws)))
     assert row["bound_mm"] < row["rmse_mm"] < 1.5 * row["bound_mm"]
 
 
 def test_a_partition_heals_and_a_restarted_robot_is_told_what_it_knew() -> None:
     """Five in a ring, 10 % loss. Robot 2 forgets all at 20; {0, 1, 2} and {3, 4} are apart from 30 to 59."""
     rng = np.random.default_rng(0)
-    world = scene(5, "aniso", False, np.random.default_rng(6))
-    samples = draw(world, "all", 0.0, 100, rng)
+    world = draw_world(5, "aniso", False, np.random.default_rng(6))
+    samples = draw_dive(world, "all", 0.0, 100, rng)
     swarm = Swarm("evidence", graph("ring", 5), 0.1, Random(0))
     own, zero = symmetric(world.random_m2), symmetric(world.systematic_m2)
     ratio = {}
@@ -212,38 +126,40 @@ def test_a_partition_heals_and_a_restarted_robot_is_told_what_it_knew() -> None:
 # --- the verb -------------------------------------------------------------------------------------------------
 
 
-def test_result_figures_and_table(tmp_path, monkeypatch) -> None:
+def test_result_figures_and_tables(tmp_path, monkeypatch) -> None:
     few = [
         Case("paper", "full", 3, 2, (3, 5), noise="iso"),
         Case("evidence", "line", 10, 2, (2,), loss=0.1, views="relay"),
     ]
     monkeypatch.setattr(experiment, "cases", lambda quick, full: few)
     done = []
-    result = experiment.localization(3, tmp_path / "run", lambda n, total: done.append((n, total)), quick=True)
+    result = experiment.run(Settings(seed=3, quick=True), lambda n, total: done.append((n, total)))
     assert done[-1][0] == done[-1][1]
     assert len({total for _, total in done}) == 1
-    assert json.loads((tmp_path / "run" / "result.json").read_text()) == result
-    assert [(row["protocol"], row["topology"], row["robots"], row["t"]) for row in result["cases"]] == [
+    write_result(result, tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
+    assert [(row["protocol"], row["topology"], row["robots"], row["t"]) for row in result.cases] == [
         ("paper", "full", 3, 3),
         ("paper", "full", 3, 5),
         ("evidence", "line", 10, 2),
     ]
     keys = {"noise", "loss", "views", "outlier_mm", "rmse_mm", "bound_mm", "ratio", "nees"}
-    assert all(keys <= row.keys() for row in result["cases"])
-    assert "closed_form_mm" in result["cases"][0]
-    assert "closed_form_mm" not in result["cases"][2]
-    assert table(result).row_count == 3
-    figures = {path.name for path in (tmp_path / "run").glob("localization_*")}
-    assert figures == {f"localization_loss_{loss}.{kind}" for loss in (0, 30) for kind in ("svg", "png")}
-    with pytest.raises(ConfigError, match="another folder"):
-        experiment.localization(3, tmp_path / "run", lambda n, total: None)
+    assert all(keys <= row.keys() for row in result.cases)
+    assert "closed_form_mm" in result.cases[0]
+    assert "closed_form_mm" not in result.cases[2]
+    assert cases_table(result.cases).row_count == 3
+    assert verdicts_table(result.verdicts).row_count == len(result.verdicts) > 0
+    assert len(table(result).renderables) == 2
+    write_figures(figures(result), tmp_path)
+    drawn = {path.name for path in tmp_path.glob("localization_*")}
+    assert drawn == {f"localization_loss_{loss}.{kind}" for loss in (0, 30) for kind in ("svg", "png")}
 
 
 def test_the_same_seed_gives_the_same_draws_and_another_does_not() -> None:
     case = Case("evidence", "full", 3, 2, (5,), loss=0.3)
-    assert dives(case, 1, 0, 2) == dives(case, 1, 0, 2)
-    assert dives(case, 1, 1, 2) == dives(case, 1, 0, 2)[1:]  # however the work is shared out
-    assert dives(case, 1, 0, 2) != dives(case, 2, 0, 2)
+    assert score_draws(case, 1, 0, 2) == score_draws(case, 1, 0, 2)
+    assert score_draws(case, 1, 1, 2) == score_draws(case, 1, 0, 2)[1:]  # however the work is shared out
+    assert score_draws(case, 1, 0, 2) != score_draws(case, 2, 0, 2)
 
 
 def test_verdicts_say_yes_only_to_what_meets_the_target() -> None:

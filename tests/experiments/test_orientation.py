@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.config import ConfigError
-from agent.experiments.manoeuvre import HOVER_S, PUSH, Case, fly
-from agent.experiments.orientation import MASS_SPREAD, groups, missed, orientation
-from agent.experiments.settling import score_push
-from agent.experiments.tables_orientation import controllers_table, stability_table
-from agent.launch import Failed
+from agent.experiments.figure_files import write_figures
+from agent.experiments.orientation.figures import figures
+from agent.experiments.orientation.manoeuvre import HOVER_S, PUSH, Case, respond
+from agent.experiments.orientation.run import MASS_SPREAD, Settings, groups, missed, run
+from agent.experiments.orientation.settling import score_push
+from agent.experiments.orientation.tables import controllers_table, stability_table, table
+from agent.experiments.result import write_result
+from agent.failure import Failed
 
 
 def children() -> set[str]:
@@ -35,43 +37,44 @@ def test_every_law_meets_the_same_robots():
     assert {g.world for g in groups(4, 12, "pi", 0.10)}.isdisjoint(g.world for g in first)
 
 
+@pytest.mark.slow
 def test_a_small_experiment_from_end_to_end(tmp_path):
     steps = []
     before = children()
-    result = orientation(
-        0, 1, tmp_path / "out", lambda done, total: steps.append((done, total)), laws=("observer",), lags_s=(0.10,)
-    )
+    settings = Settings(seeds=1, laws=("observer",), lags_s=(0.10,))
+    result = run(settings, lambda done, total: steps.append((done, total)))
     assert children() == before
     assert steps == [(k, 5) for k in range(6)]  # one group, and mass by delay
-    assert json.loads((tmp_path / "out" / "result.json").read_text()) == result
-    figures = result["controllers"]["observer"]
-    assert figures["push_recovery_s"]["never"] == figures["step_settle_s"]["never"] == 0
-    assert 0.1 < figures["push_recovery_s"]["median"] < 1.5
-    assert 0.3 < figures["step_settle_s"]["median"] < 1.5
-    assert 0 < figures["hover_depth_rms_mm"] < 1.0 and 0 < figures["hover_tilt_rms_deg"] < 0.2
-    assert all(line["stable"] for line in result["stability"])
-    assert len(result["cases"]) == 1 + 4
-    for row in result["cases"]:
+    observer = result.controllers["observer"]
+    assert observer["push_recovery_s"]["never"] == observer["step_settle_s"]["never"] == 0
+    assert 0.1 < observer["push_recovery_s"]["median"] < 1.5
+    assert 0.3 < observer["step_settle_s"]["median"] < 1.5
+    assert 0 < observer["hover_depth_rms_mm"] < 1.0 and 0 < observer["hover_tilt_rms_deg"] < 0.2
+    assert all(line["stable"] for line in result.stability)
+    assert len(result.cases) == 1 + 4
+    for row in result.cases:
         assert row["failsafe"] == 0 and not row["disarmed"]
         assert row["push_tilt_deg"] > 5.0 and row["push_off_mm"] > 10.0, "the push was felt"
         assert row["deepest_m"] > 0.40, "the step was gone"
     assert controllers_table(result).row_count == 1 and stability_table(result).row_count == 4
+    assert any(str(line).startswith("twin, firmware under") for line in table(result).renderables)
+    write_result(result, tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
+    write_figures(figures(result), tmp_path)
     for name in ("orientation_push", "orientation_step"):
-        assert (tmp_path / "out" / f"{name}.svg").read_text().count("T4") == 1
-        assert (tmp_path / "out" / f"{name}.png").stat().st_size > 10_000
-    with pytest.raises(ConfigError, match="holds a result"):
-        orientation(0, 1, tmp_path / "out", lambda *_: None)
+        assert (tmp_path / f"{name}.svg").read_text().count("T4") == 1
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
 def test_thrusters_far_too_slow_for_the_law_are_seen_to_fail(tmp_path):
-    (flight,) = fly([Case("observer", 0, 1.5, 1.0)], PUSH, 7, tmp_path, sys.executable)
-    scored = score_push(flight.track, PUSH.goal_m, HOVER_S)
+    (response,) = respond([Case("observer", 0, 1.5, 1.0)], PUSH, 7, tmp_path, sys.executable)
+    scored = score_push(response.track, PUSH.goal_m, HOVER_S)
     assert scored["recovery_s"] is None
 
 
 def test_a_law_that_the_firmware_does_not_have_is_told(tmp_path):
     with pytest.raises(Failed, match="did not arm"):
-        fly([Case("wish", 0, 0.1, 1.0)], PUSH, 7, tmp_path, sys.executable)
+        respond([Case("wish", 0, 0.1, 1.0)], PUSH, 7, tmp_path, sys.executable)
 
 
 def test_missed_targets_are_named():

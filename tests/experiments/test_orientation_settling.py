@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.experiments.settling import LIMIT_S, SAMPLE_S, STAY_S, Track, for_good_s, score_push, score_step, spread
+from agent.experiments.orientation.settling import (
+    LIMIT_S,
+    SAMPLE_S,
+    STAY_S,
+    Track,
+    for_good_s,
+    score_push,
+    score_step,
+    spread,
+)
 
 WATCH = round((LIMIT_S + STAY_S) / SAMPLE_S)
 

@@ -5,34 +5,39 @@ import json
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
-from agent.experiments.peak_shift import WATER, Way, figures, mm_per_position, peak_shift
-from hw.twin.lens import draw_lens
+from agent.experiments.peak_shift import run as experiment
+from agent.experiments.peak_shift.run import Settings, Way, mm_per_position, shifts
+from agent.experiments.peak_shift.tables import table
+from agent.experiments.result import write_result
+from agent.experiments.sweeps import WATER_INDEX
+from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 
 
-def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(tmp_path):
+def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(monkeypatch, tmp_path):
     """A gain that rises over the sweep pulls every peak to its end."""
     same = Way("same", lambda sweep: sweep)
     rising = Way(
         "rising", lambda sweep: [np.uint8(image * (0.8 + 0.2 * k / len(sweep))) for k, image in enumerate(sweep)]
     )
     done = []
-    result = peak_shift(0, "imx519_640", tmp_path, lambda *at: done.append(at), ("tap",), 1, (same, rising))
-    assert result == json.loads((tmp_path / "result.json").read_text()) and done == [(0, 1), (1, 1)]
-    still, moved = result["cases"]
+    monkeypatch.setattr(experiment, "ways", lambda: [same, rising])
+    result = experiment.run(Settings(waters=("tap",), views=1), lambda *at: done.append(at))
+    assert done == [(0, 1), (1, 1)] and (result.sensor, result.views) == ("imx519_640", 1)
+    write_result(result, tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
+    assert table(result).row_count == 2
+    still, moved = result.cases
     assert still["common"] == still["blocks_raw"] > 10
     assert still["median_steps"] == still["p95_steps"] == still["p95_mm"] == 0.0
     assert moved["mean_steps"] > 0.05 and moved["median_mm"] > 1.0
-    with pytest.raises(ConfigError, match="already"):
-        peak_shift(0, "imx519_640", tmp_path, lambda *_: None)
 
 
 def test_millimetres_per_lens_position_are_the_slope_of_the_lens_equation():
     lens = draw_lens("imx519_640", generator(0, "r1", "lens"))
 
     def position(range_m):
-        return (lens.image_m(WATER / range_m) - lens.at_rest_m) / lens.per_position_m
+        return (lens.image_m(WATER_INDEX / range_m) - lens.at_rest_m) / lens.per_position_m
 
     slope = (1e3 * 2e-4) / abs(position(0.5 + 1e-4) - position(0.5 - 1e-4))
     assert mm_per_position(lens, np.array([position(0.5)]))[0] == pytest.approx(slope, rel=1e-5)
@@ -40,13 +45,6 @@ def test_millimetres_per_lens_position_are_the_slope_of_the_lens_equation():
 
 def test_nothing_in_common_is_no_figure():
     class Map:
-        accepted, position = np.zeros((2, 2), bool), np.full((2, 2), np.nan)
+        accepted, lens_position = np.zeros((2, 2), bool), np.full((2, 2), np.nan)
 
-    assert figures([Map], [Map], [Map.position], 35.0) == {"blocks_raw": 0, "blocks": 0, "common": 0}
-
-
-@pytest.mark.parametrize(("sensor", "waters"), [("pinhole", ("tap",)), ("imx519_640", ("sea",))])
-def test_unknown_names(sensor, waters, tmp_path):
-    with pytest.raises(ConfigError, match="choose one of"):
-        peak_shift(0, sensor, tmp_path / "out", lambda *_: None, waters)
-    assert not (tmp_path / "out").exists()
+    assert shifts([Map], [Map], [Map.lens_position], 35.0) == {"blocks_raw": 0, "blocks": 0, "common": 0}

@@ -1,46 +1,91 @@
-"""The golden log of vision: one sweep of a painted ball, every frame of it, and what vision made of them.
+"""The golden log of vision: a robot before a painted ball, every frame that it saw, and what vision and kernel made of
+them.
 
-Its frames are JPEG, as a robot records them; vision saw them before they were compressed.
+Its frames are JPEG, as a robot records them; vision saw them before they were compressed. The ball stays where it is in
+the picture, wherever the gimbal points.
 """
 
 from __future__ import annotations
 
-import sys
+from collections import deque
 from pathlib import Path
 
-from agent.config import dump
-from agent.messages import Sighting, encode
-from agent.perception.again import see_again
-from agent.runtime import run_facts
-from replay.backlog import Entry
-from replay.frames import FRAME, VISION, picture
-from replay.mcap_file import Part
+from msgspec.structs import replace
+
+from agent.agent_process import run_facts
+from agent.kernel.codec import decode, encode
+from agent.kernel.config import Fleet
+from agent.kernel.core import Agent
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.step_io import Inputs, Sighting, SweepPlan
+from agent.kernel.toml_files import dump
+from agent.perception.rerun_vision import rerun_vision
+from replay.files.backlog import Entry
+from replay.files.channels import FRAME, STEP_IN, STEP_OUT, VISION
+from replay.files.frames import picture
+from replay.files.mcap_file import Part
+from tests.known_lens import FITTED
 from tests.network.scripted_agent import CALIBRATION
+from tests.perception.painted import PX_PER_POSITION, ball_frame
+from tests.sample_messages import telemetry
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
-from painted import PX_PER_POSITION, ball_frame, sharp_position
+CENTRE_M = (0.012, -0.010, 0.90)
+SHARP = lens_position(FITTED, CENTRE_M[2] - 0.07)  # at the ball's skin
+PART = (216, 112, 240, 232)  # x, y, width, height: what a robot reads while it sweeps
+SWEEP_STEPS = 14  # of a full sweep: few frames for a file that is kept
+SWEEPS = 2  # a full one, and one that tracks
+IDLE_STEPS = 5  # from one frame between sweeps to the next
 
-CENTRE_M = (0.03, -0.02, 0.62)
-POSITIONS = range(-3, 4)  # steps of the sweep, from where the ball is sharp
-STEP = 90  # lens positions
-PART = (208, 40, 340, 324)  # x, y, width, height: what a robot reads while it sweeps
+
+class PaintedCamera:
+    """Carries out plans, one frame each step; between them a frame each IDLE_STEPS, as vision's worker does."""
+
+    def __init__(self, fleet: Fleet, box: Part) -> None:
+        self._see = rerun_vision(fleet, CALIBRATION.camera)
+        self._target, self._box = next(iter(fleet.target)), box
+        self._waiting: deque[tuple[int, int, int]] = deque()  # sweep, index, lens position
+        self._first: Sighting | None = None  # of the sweep, with the ball in it
+        self._frames = 0
+
+    def plan(self, plan: SweepPlan) -> None:
+        self._waiting.extend((plan.sweep, index, at) for index, at in enumerate(plan.focus[1:], start=1))
+        self._first = None
+
+    def look(self, step: int, now_ns: int) -> tuple[Sighting, ...]:
+        """What this step's frame shows, if there is one; both are recorded."""
+        if not self._waiting and step % IDLE_STEPS:
+            return ()
+        sweep, index, at = self._waiting.popleft() if self._waiting else (0, -1, round(SHARP))
+        x, y, width, height = PART
+        image = ball_frame(CENTRE_M, abs(at - SHARP) * PX_PER_POSITION)[y : y + height, x : x + width]
+        then = Sighting(
+            t_ns=now_ns, frame=self._frames, sweep=sweep, index=index, focus=at, target=self._target, found=False
+        )
+        then = self._see(image, PART, then, self._first)
+        if sweep and then.found:
+            self._first = self._first or then
+        for channel, data in ((FRAME.name, picture(image, PART, then, False)), (VISION.name, encode(then))):
+            self._box.add(Entry(channel, now_ns, now_ns, self._frames, data, "msgpack", {}))
+        self._frames += 1
+        return (then,)
 
 
-def paint(fleet, out: Path, start_ns: int, step_ns: int) -> None:
-    """Write r1.mcap into the folder `out`."""
-    see, sharp = see_again(fleet, CALIBRATION.camera), sharp_position(CENTRE_M[2])
-    x, y, width, height = PART
+def paint(fleet: Fleet, out: Path, start_ns: int, step_ns: int) -> None:
+    """Write r1.mcap into the folder `out`: until SWEEPS sweeps have ended."""
+    fleet = replace(fleet, camera=replace(fleet.camera, sweep_steps=SWEEP_STEPS))
+    calibration = replace(CALIBRATION, robot="r1", focus=FITTED)
+    agent = Agent(fleet, "r1", calibration, start_ns)
     box = Part(out / "r1.mcap")
-    attachments = {"fleet.toml": dump(fleet), "calibration.toml": dump(CALIBRATION)}
-    box.start(run_facts(fleet, "r1", start_ns), attachments)
-    first = None
-    for n, k in enumerate(POSITIONS):
-        focus, now_ns = round(sharp + k * STEP), start_ns + n * step_ns
-        image = ball_frame(CENTRE_M, abs(focus - sharp) * PX_PER_POSITION)[y : y + height, x : x + width]
-        target = next(iter(fleet.target))
-        then = Sighting(t_ns=now_ns, frame=n, sweep=1, index=n + 1, focus=focus, target=target, found=False)
-        then = see(image, PART, then, first)
-        first = first or then
-        for channel, data in ((FRAME, picture(image, PART, then, False)), (VISION, encode(then))):
-            box.add(Entry(channel, now_ns, now_ns, n, data, "msgpack", {}))
+    box.start(run_facts(fleet, "r1", start_ns), {"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)})
+    camera, step, ended = PaintedCamera(fleet, box), 0, 0
+    while ended < SWEEPS:
+        now_ns = start_ns + (step + 1) * step_ns
+        inputs = encode(Inputs(telemetry=(telemetry(now_ns),), sightings=camera.look(step, now_ns)))
+        outputs = agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
+        for channel, data in ((STEP_IN.name, inputs), (STEP_OUT.name, encode(outputs))):
+            box.add(Entry(channel, now_ns, now_ns, step, data, "msgpack", {}))
+        if outputs.sweep is not None:
+            camera.plan(outputs.sweep)
+        ended += bool(outputs.outcome)
+        step += 1
     box.finish("aucamp.end", {"cause": "clean"})

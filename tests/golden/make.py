@@ -16,20 +16,23 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.config import Fleet, dump, load_fleet
-from agent.core import Agent
-from agent.messages import Heard, Inputs, SetPoint, Sighting, SweepPlan, Vector, decode, encode
-from agent.runtime import run_facts
-from replay.backlog import Entry
-from replay.log import parts
-from replay.mcap_file import Part
-from replay.names import active
-from replay.recover import STEP_IN, STEP_OUT
+from agent.agent_process import run_facts
+from agent.kernel.codec import decode, encode
+from agent.kernel.config import Fleet
+from agent.kernel.core import Agent
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Vector
+from agent.kernel.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
+from agent.kernel.toml_files import dump
+from replay.files.backlog import Entry
+from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.log import parts
+from replay.files.mcap_file import Part
+from replay.files.names import active
 from tests.golden.frames import paint
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
+from tests.places import GOLDEN, ROOT
 
-HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z, whatever the day: the files come out the same
 STEP_NS = 50_000_000  # 20 Hz, as the real loop
 CUT = 0.6  # of a file: where the torn one ends
@@ -149,7 +152,7 @@ class Robot:
         )
         self.post = []
         outputs = self.agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
-        for channel, data in ((STEP_IN, inputs), (STEP_OUT, encode(outputs))):
+        for channel, data in ((STEP_IN.name, inputs), (STEP_OUT.name, encode(outputs))):
             self.part.add(Entry(channel, now_ns, now_ns, self.steps, data, "msgpack", {}))
         self.steps += 1
         self.act(outputs.set_point, outputs.sweep)
@@ -241,4 +244,4 @@ def tear(whole: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(HERE, sys.argv[1:] or [*CASES, TORN, SEEN])
+    make(GOLDEN, sys.argv[1:] or [*CASES, TORN, SEEN])

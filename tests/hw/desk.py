@@ -11,14 +11,12 @@ import struct
 import subprocess
 import sys
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-from nominal_plant import AIR_PA, PA_PER_M
-
 from hw.firmware import bus, wire
+from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M
 
 FIRMWARE = Path(wire.__file__).parent
 MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent)) or shutil.which("micropython")
@@ -44,6 +42,7 @@ class Desk:
         self.framer = wire.Framer(lambda kind, _seq, payload: self.frames.append((kind, wire.unpack(kind, payload))))
         self.writer = wire.Writer()
         self.req_id = 0
+        self.said: list[str] = []  # by a driver that reads the tether in our place
         self.power_on()
 
     def power_on(self) -> None:
@@ -153,27 +152,3 @@ class Desk:
             self.process.stderr.close()
         os.close(self.master)
         os.close(self.slave)
-
-
-@pytest.fixture(params=["cpython", "micropython"])
-def interpreter(request: pytest.FixtureRequest) -> str:
-    """Each interpreter that the firmware runs on."""
-    if request.param == "cpython":
-        return sys.executable
-    if MICROPYTHON is None:
-        pytest.skip("the MicroPython Unix port is not installed")
-    return MICROPYTHON
-
-
-@pytest.fixture
-def put_on_desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
-    """put_on_desk(interpreter, flash) starts a control module; it is switched off after the test."""
-    desks: list[Desk] = []
-
-    def put(interpreter: str, flash: dict[str, Any] | None = None) -> Desk:
-        desks.append(Desk(interpreter, tmp_path, {"tare_pa": [AIR_PA] * 4} if flash is None else flash))
-        return desks[-1]
-
-    yield put
-    for desk in desks:
-        desk.close()

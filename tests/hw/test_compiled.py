@@ -1,11 +1,12 @@
-"""Processes that compile one function for different arrays at once leave a cache that is right for both."""
+"""The cache of compiled functions: right for all of the processes that fill it at once, and for sources that change."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 KERNEL = """
-from agent.compiled import compiled
+from hw.compiled import compiled
 
 @compiled()
 def total(a):
@@ -52,3 +53,36 @@ def test_two_signatures_compiled_at_once_do_not_take_each_others_place(tmp_path:
     assert [process.wait(60) for process in both] == [0, 0]
     done = subprocess.run([sys.executable, "-c", LATER], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+PAIR = """
+from typing import NamedTuple
+import numpy as np
+from hw.compiled import compiled
+
+class NAME(NamedTuple):
+    a: float
+    b: float
+
+@compiled()
+def total(pair):
+    return pair.a + pair.b
+
+assert total(NAME(1.0, 2.0)) == 3.0
+"""
+
+
+def test_a_class_that_was_renamed_since_is_compiled_for_anew(tmp_path: Path) -> None:
+    for age, name in enumerate(("Before", "After", "After")):
+        source = tmp_path / "pair.py"
+        source.write_text(PAIR.replace("NAME", name))
+        os.utime(source, (1e9 + min(age, 1), 1e9 + min(age, 1)))  # the third finds what the second has left
+        done = subprocess.run(
+            [sys.executable, "-c", "from pair import total; print(sum(total.stats.cache_hits.values()))"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+    assert done.stdout == "1\n"

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Iterator, Mapping
 
-from agent.config import Fleet
-from agent.core import Agent
-from agent.messages import Estimate, Heard, Inputs, Outputs, Vector, encode
+from agent.kernel.codec import encode
+from agent.kernel.config import Fleet
+from agent.kernel.core import Agent
+from agent.kernel.messages import Estimate, Vector
+from agent.kernel.step_io import Heard, Inputs, Outputs
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 
 START_NS, STEP_NS = 10**18, 50_000_000

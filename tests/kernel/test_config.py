@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 import agent
-from agent.config import ConfigError, dump, load_fleet
+from agent.kernel.config import ConfigError
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.toml_files import dump
 
 BALL = 'detector = "ball"\nradius_m = 0.07'
 TANK = (Path(agent.__file__).parent / "fleets" / "tank.toml").read_text()

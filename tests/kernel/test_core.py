@@ -9,13 +9,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.core import Agent
 from agent.demo import demo_fleet
-from agent.messages import Inputs, encode
+from agent.kernel.codec import encode
+from agent.kernel.core import Agent
+from agent.kernel.step_io import Inputs
 from tests.kernel.stepped_swarm import steps
 from tests.network.scripted_agent import CALIBRATION
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 DRIVER = "from tests.kernel.test_core import run_hash; print(run_hash())"
 FLEET = demo_fleet(3, "paper", 0.0, 0, False, Path("/nowhere"))
 
@@ -63,7 +64,7 @@ def test_silent_devices_are_named_within_a_second_and_talk_goes_on() -> None:
     for step in range(20):
         outputs = agent.step(Inputs(), 10**18 + step * 50_000_000)
         said += len(outputs.says)
-    assert agent.pursuit.last_state is not None
-    assert agent.pursuit.last_state.faults == ("no frames", "no telemetry")
+    assert agent.current.last_state is not None
+    assert agent.current.last_state.faults == ("no frames", "no telemetry")
     assert said == 2 * 10
     assert msgspec.structs.asdict(outputs.set_point)["depth_m"] == 0.40

@@ -5,14 +5,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-FILES = ("core.py", "hearing.py", "status.py", "pursuit.py", "logbook.py", "messages.py", "topics.py")
-KERNEL = [
-    path
-    for part in (*FILES, "estimation", "control", "ranging")
-    for path in ([ROOT / "agent" / part] if part.endswith(".py") else sorted((ROOT / "agent" / part).glob("*.py")))
-    if path.name != "calibrate.py"  # runs once, on a bench, never inside step
-]
+from tests.places import ROOT
+
+KERNEL = sorted((ROOT / "agent" / "kernel").rglob("*.py"))
 BLAS = {"dot", "matmul", "linalg", "vdot", "inner", "tensordot", "random"}
 
 

@@ -9,28 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent import messages
-from agent.messages import (
-    MAX_PAYLOAD,
-    SCHEMA,
-    Estimate,
+from agent.kernel import messages, step_io
+from agent.kernel.codec import Refusal, decode, encode, encoding
+from agent.kernel.messages import MAX_PAYLOAD, SCHEMA, Estimate, LogLine, Message, NeighbourState, State, upper
+from agent.kernel.step_io import (
+    DroppedPayloads,
     Heard,
     Inputs,
-    LogLine,
-    Message,
-    NeighbourState,
     Outputs,
-    Refusal,
-    Refused,
     SetPoint,
     Sighting,
-    State,
+    SweepOutcome,
     SweepPlan,
     Telemetry,
-    decode,
-    encode,
-    encoding,
-    upper,
 )
 
 ESTIMATE = Estimate(
@@ -79,7 +70,7 @@ INPUTS = Inputs(
     telemetry=(TELEMETRY,),
     sightings=(SIGHTING,),
     heard=(Heard(arrived_ns=1, src="r2", payload=b"\x00\xff"),),
-    refused=(Refused(reason="too large", count=1),),
+    refused=(DroppedPayloads(reason="too large", count=1),),
 )
 OUTPUTS = Outputs(
     set_point=SetPoint(depth_m=0.4),
@@ -88,14 +79,20 @@ OUTPUTS = Outputs(
     state=STATE,
     log=(LINE,),
 )
+SWEPT = msgspec.structs.replace(OUTPUTS, outcome=SweepOutcome(sweep=1, target="ball", rejected="flat"))
 SENT = [ESTIMATE, STATE, LINE]
 
 
-@pytest.mark.parametrize("message", [*SENT, INPUTS, OUTPUTS], ids=lambda message: type(message).__name__)
+@pytest.mark.parametrize("message", [*SENT, INPUTS, OUTPUTS, SWEPT], ids=lambda message: type(message).__name__)
 def test_a_message_comes_back_as_it_was_said(message: Message) -> None:
     payload = encode(message)
     assert decode(payload, type(message)) == message
     assert encode(decode(payload, type(message))) == payload
+
+
+def test_outputs_of_a_step_in_which_no_sweep_ended_do_not_speak_of_one() -> None:
+    assert "outcome" not in msgpack.unpackb(encode(OUTPUTS))
+    assert not decode(encode(OUTPUTS), Outputs).outcome
 
 
 def test_nested_bytes_stay_bytes() -> None:
@@ -174,7 +171,8 @@ def test_what_is_sent_fits(message: Message) -> None:
 
 
 def test_each_kind_has_its_own_encoding() -> None:
-    kinds = [kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, Message)]
+    named = {**vars(messages), **vars(step_io)}.values()
+    kinds = [kind for kind in named if isinstance(kind, type) and issubclass(kind, Message)]
     assert len({encoding(kind) for kind in kinds}) == len(kinds) > 10
     assert encoding(Estimate) == "application/msgpack;aucamp.Estimate"
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from agent.demo import demo_fleet
-from agent.pursuit import Pursuit
+from agent.kernel.target_state import TargetState
 
 FLEET = demo_fleet(3, "evidence", 0.0, 0, False, Path("/nowhere"))
 SHOWN = {
@@ -20,15 +20,15 @@ SHOWN = {
 
 @pytest.mark.parametrize("states", SHOWN)
 def test_a_change_is_news_when_it_has_lasted_for_two_iterations(states: str) -> None:
-    pursuit, news, shown = Pursuit(FLEET, "r1", "ball", 1), [], []
+    target, news, shown = TargetState(FLEET, "r1", "ball", 1), [], []
     for t, state in enumerate(states.split(), start=1):
-        pursuit.estimator = SimpleNamespace(  # type: ignore[assignment]
+        target.estimator = SimpleNamespace(  # type: ignore[assignment]
             tick=lambda prior, mailbox, now_ns, t=t: SimpleNamespace(t=t),
             valid=state == "sees",
             posterior=None if state == "blind" else object(),
         )
-        if pursuit.iterate(t * 10**9):
-            news.append(f"{pursuit.knows} since {pursuit.since_t}")
-        shown.append(pursuit.knows)
+        if target.iterate(t * 10**9):
+            news.append(f"{target.knows} since {target.since_t}")
+        shown.append(target.knows)
     assert news == SHOWN[states]
     assert shown == states.split(), "what is published is of each iteration"

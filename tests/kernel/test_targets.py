@@ -4,10 +4,12 @@ import math
 
 import pytest
 
-from agent.config import load_fleet
-from agent.core import Agent
-from agent.launch import fleet_file
-from agent.messages import Estimate, Heard, Inputs, State, decode, encode
+from agent.fleet_files import fleet_file
+from agent.kernel.codec import decode, encode
+from agent.kernel.core import Agent
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Estimate, State
+from agent.kernel.step_io import Heard, Inputs
 from tests.kernel.stepped_swarm import START_NS, steps
 from tests.network.scripted_agent import CALIBRATION
 
@@ -82,18 +84,18 @@ def test_an_unknown_target_is_refused_with_a_reason() -> None:
     agent = Agent(FLEET, "r1", CALIBRATION, incarnation=7)
     heard = (word("fish", 1, (0.5, 0.5, 0.1)), word("buoy", 1, (0.9, 0.4, 0.05)))
     outputs = agent.step(Inputs(heard=heard), START_NS)
-    assert agent.hearing.refused == {"target": 1}
+    assert agent.inbox.refused == {"target": 1}
     assert [line.text for line in outputs.log] == [
         "refused from r2 (target): target 'fish' is not in our fleet file, which has ball, buoy; 1 so far"
     ]
-    assert {name: p.mailbox.senders["r2"].heard for name, p in agent.pursuits.items()} == {"ball": 0, "buoy": 1}
+    assert {name: p.mailbox.senders["r2"].heard for name, p in agent.targets.items()} == {"ball": 0, "buoy": 1}
 
 
 def test_the_order_of_messages_counts_for_each_target_alone() -> None:
     agent = Agent(FLEET, "r1", CALIBRATION, incarnation=7)
     place = (0.5, 0.5, 0.1)
     agent.step(Inputs(heard=(word("ball", 9, place), word("buoy", 4, place), word("buoy", 4, place))), START_NS)
-    assert agent.hearing.refused == {"order": 1}
+    assert agent.inbox.refused == {"order": 1}
 
 
 def test_each_neighbour_hears_about_each_target_with_one_number() -> None:

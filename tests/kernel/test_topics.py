@@ -1,15 +1,13 @@
 """The table of topics: every key is spelt there and nowhere else."""
 
 import re
-from pathlib import Path
 
 import pytest
 
-import agent.topics
-from agent.messages import Message
-from agent.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, Topic, key, match, target_chunk
+from agent.kernel.messages import Message
+from agent.kernel.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, Topic, key, match, target_chunk
+from tests.places import ROOT
 
-ROOT = Path(agent.topics.__file__).parents[1]
 CHUNKS = {"fleet": "tank", "robot": "r1", "src": "r1", "dst": "r2"}
 TARGET = {"target": "buoy"}
 
@@ -71,4 +69,4 @@ def test_no_other_file_spells_a_key() -> None:
     sources = [path for folder in ("agent", "hw", "replay") for path in (ROOT / folder).rglob("*.py")]
     assert len(sources) > 5
     guilty = [str(path.relative_to(ROOT)) for path in sources if "aucamp/" in path.read_text(encoding="utf-8")]
-    assert guilty == ["agent/topics.py"]
+    assert guilty == ["agent/kernel/topics.py"]

@@ -1,20 +1,25 @@
-"""Fleets on free ports of this machine, and what several of the tests say and wait for."""
+"""Fleets on free ports of this machine, and what several of the tests say."""
 
 import random
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
-from agent.config import Fleet, Link, Pose, Robot, Target
-from agent.messages import Estimate, State
+from agent.kernel.config import Fleet, Link, Pose, Robot, Target
+from agent.kernel.messages import Estimate, State
+from tests.network.recorder_thread import RecorderThread, StartRecorder
 
 
-def free_port() -> int:
-    """A port that nobody listens on, below the ephemeral range so that no outgoing connection takes it meanwhile."""
+def unused_port() -> int:
+    """A port that nobody listens on, from a range in which nobody else looks for one.
+
+    The demo's lie below it (agent.launch.free_ports), those of outgoing connections above.
+    """
     while True:
-        port = random.SystemRandom().randrange(18000, 32000)
+        port = random.SystemRandom().randrange(29500, 32700)
         with socket.socket() as probe:
             try:
                 probe.bind(("127.0.0.1", port))
@@ -35,7 +40,7 @@ def make_fleet() -> Callable[..., Fleet]:
             robot={
                 name: Robot(
                     neighbours=neighbours,
-                    listen=f"tcp/127.0.0.1:{free_port()}",
+                    listen=f"tcp/127.0.0.1:{unused_port()}",
                     serial=f"twin:{name}",
                     camera=f"twin:{name}",
                     pose=Pose(x_m=0.0, y_m=0.0, yaw_deg=0.0),
@@ -80,18 +85,19 @@ def state() -> Callable[..., State]:
 
 
 @pytest.fixture
-def until() -> Callable[..., None]:
-    """until(lambda: ...): ask again and again; fails when the answer is still no after `timeout_s`."""
+def start_recorder() -> Iterator[StartRecorder]:
+    """start_recorder(fleet, out): a recorder in a thread of this process; it is stopped after the test."""
+    threads: list[RecorderThread] = []
 
-    def wait(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline, "waited in vain"
-            time.sleep(0.02)
+    def start(*arguments: Any, **options: Any) -> RecorderThread:
+        threads.append(RecorderThread(*arguments, **options))
+        return threads[-1]
 
-    return wait
+    yield start
+    for thread in threads:
+        thread.stop()
 
 
 @pytest.fixture
-def free_endpoint() -> str:
-    return f"tcp/127.0.0.1:{free_port()}"
+def free_port() -> int:
+    return unused_port()

@@ -1,7 +1,7 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
 The script knows where the targets are and answers each sweep with the clarity curve that a lens would give.
-Usage: scripted_agent.py FLEET ROBOT OUT [CLOCK_AHEAD_S]
+Usage: python -m tests.network.scripted_agent FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
 import math
@@ -11,17 +11,18 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from agent.config import dump, load_fleet
-from agent.core import Agent
-from agent.messages import Sighting
-from agent.ranging.calibration import Calibration
-from agent.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
-from agent.runtime import goodbye, loop, run_facts, until_signal
+from agent.agent_process import run_facts
+from agent.kernel.core import Agent
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
+from agent.kernel.step_io import Sighting
+from agent.kernel.toml_files import dump
+from agent.runtime import Runtime, say_goodbye
+from agent.stop_signal import until_signal
 from agent.transport import Transport
 from replay.black_box_writer import BlackBoxWriter
-from replay.log import LogWriter
-
-sys.path.insert(0, str(Path(__file__).parents[2]))  # it is run as a script, too
+from replay.files.log import LogWriter
 from tests.known_lens import CAMERA
 from tests.known_lens import PLAIN as FOCUS
 from tests.sample_messages import telemetry
@@ -51,8 +52,8 @@ class Script:
     def drain(self):
         now_ns, out = self.clock(), []
         if self.sweep is not None:
-            for index, focus in enumerate(self.sweep.focus[1:], start=1):
-                out.append(self.look(now_ns, focus, self.sweep.sweep, index, self.sweep.target))
+            for index, lens_position in enumerate(self.sweep.focus[1:], start=1):
+                out.append(self.look(now_ns, lens_position, self.sweep.sweep, index, self.sweep.target))
             self.sweep = None
         elif now_ns - self.idle_ns > 100_000_000:
             out += [self.look(now_ns, None, 0, -1, target) for target in self.targets_m]
@@ -60,7 +61,7 @@ class Script:
             self.idle_ns = now_ns
         return out
 
-    def look(self, now_ns, focus, sweep, index, target=None) -> Sighting:
+    def look(self, now_ns, lens_position, sweep, index, target=None) -> Sighting:
         target = target or next(iter(self.targets_m))
         radius_m = self.fleet.target[target].radius_m
         self.frame += 1
@@ -81,15 +82,20 @@ class Script:
             frame=self.frame,
             sweep=sweep,
             index=index,
-            focus=focus,
+            focus=lens_position,
             target=target,
             found=True,
             centre_px=px,
             radius_px=math.asin(radius_m / d) * 1169,
-            clarity=None if focus is None else 100.0 + 900.0 / (1.0 + ((focus - rho) / FOCUS.width) ** 2),
+            clarity=None if lens_position is None else clarity(lens_position - rho),
             area_px=9000.0,
             score=1.0,
         )
+
+
+def clarity(from_peak: float) -> float:
+    """The curve of a lens so many positions away from its peak."""
+    return 100.0 + 900.0 / (1.0 + (from_peak / FOCUS.width) ** 2)
 
 
 class Motors:
@@ -125,9 +131,9 @@ def main(fleet_path: Path, name: str, out: Path, ahead_s: float = 0.0) -> None:
         stop = stack.enter_context(until_signal())
         log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, incarnation), attachments))
         network = stack.enter_context(Transport(fleet, name, clock))
-        stack.callback(goodbye, agent, network, clock)
+        stack.callback(say_goodbye, agent, network, clock)
         box = BlackBoxWriter(log, clock)
-        loop(agent, name, script, Motors(script), network, box.step, clock, stop)
+        Runtime(name, agent, script, Motors(script), network, box.step, clock).run(stop)
 
 
 if __name__ == "__main__":

@@ -8,14 +8,15 @@ import time
 from pathlib import Path
 
 import msgspec
-from relay import Relay
-from scripted_agent import TARGET_M
 
-from agent.config import dump
 from agent.demo import demo_fleet
-from agent.messages import State
+from agent.kernel.messages import State
+from agent.kernel.toml_files import dump
+from tests.network.relay import Relay
+from tests.network.scripted_agent import TARGET_M
+from tests.places import ROOT
+from tests.waiting import until
 
-HERE = Path(__file__).parent
 PORT = 17401
 NEAR_M = 0.004
 WATCHER = "eye"
@@ -45,13 +46,13 @@ class Swarm:
             out = self.folder / f"start{len(self.boxes)}"
             out.mkdir()
             self.boxes.append((name, out / f"{name}.mcap"))
-            script, ahead_s = HERE / "scripted_agent.py", self.clock_ahead_s[name]
-            arguments = (sys.executable, str(script), str(self.path), name, str(out), str(ahead_s))
-            self.processes[name] = subprocess.Popen(self.relay.command(name, *arguments))
+            agent = (sys.executable, "-m", "tests.network.scripted_agent")
+            command = self.relay.command(name, *agent, str(self.path), name, str(out), str(self.clock_ahead_s[name]))
+            self.processes[name] = subprocess.Popen(command, cwd=ROOT)
 
     def watch(self) -> None:
-        command = self.relay.command(WATCHER, sys.executable, str(HERE / "watch_states.py"), str(self.path))
-        self.processes[WATCHER] = subprocess.Popen(command, stdout=subprocess.PIPE)
+        command = self.relay.command(WATCHER, sys.executable, "-m", "tests.network.watch_states", str(self.path))
+        self.processes[WATCHER] = subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT)
         self._threads.append(threading.Thread(target=self._listen, args=(self.processes[WATCHER].stdout,)))
         self._threads[-1].start()
 
@@ -66,9 +67,7 @@ class Swarm:
     def until(self, what: str, true, timeout_s: float = 40.0) -> float:
         """Seconds that it took; fails after `timeout_s`."""
         began_s = time.monotonic()
-        while not true():
-            assert time.monotonic() < began_s + timeout_s, f"{what}: {self.state}"
-            time.sleep(0.05)
+        until(true, timeout_s, lambda: f"{what}: {self.state}")
         return time.monotonic() - began_s
 
     def agree(self) -> bool:

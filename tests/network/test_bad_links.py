@@ -9,19 +9,22 @@ import time
 from pathlib import Path
 
 import pytest
-from relay import Links, Relay, refused
-from swarm_in_namespaces import WATCHER, Swarm, used
 
-from agent.estimation.fuse import fuse
-from agent.estimation.table import opinion
-from agent.messages import Entry, Estimate, Outputs, decode
-from replay.log import read
+from agent.kernel.codec import decode
+from agent.kernel.estimation.evidence_table import opinion
+from agent.kernel.estimation.fuse import fuse
+from agent.kernel.messages import Entry, Estimate
+from agent.kernel.step_io import Outputs
+from replay.files.log import read
+from tests.network.relay import Links, Relay, refused
+from tests.network.swarm_in_namespaces import WATCHER, Swarm, used
 
 CLOCK_AHEAD_S = {"r1": 0.0, "r2": 3600.0, "r3": -3600.0, "r4": 7200.0, "r5": 0.0}
 RECENT = 200  # messages to one neighbour: twenty seconds
 NO_NAMESPACES = refused()
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.timeout(180),
     pytest.mark.skipif(NO_NAMESPACES is not None, reason=f"network namespaces are not permitted: {NO_NAMESPACES}"),
 ]
@@ -113,7 +116,7 @@ def test_a_killed_agent_starts_again_over_bad_links(swarm) -> None:
 
 
 def test_nothing_was_counted_twice(swarm) -> None:
-    """After all that, what a robot states is what comes of everybody's own sums, to the last digits.
+    """What a robot states after all that is what comes of everybody's own sums, to the last digits.
 
     The black boxes have each origin's own entry at every count, and the counts that a robot held when it spoke.
     """

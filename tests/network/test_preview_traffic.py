@@ -1,7 +1,6 @@
 """Previews on the network: from a robot to consoles, recordings and viewers."""
 
 import json
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,23 +13,25 @@ import zenoh
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from agent import topics
-from agent.config import Fleet
 from agent.decoder import decode as printed
-from agent.messages import MAX_JPEG, Image, State, decode, encode, encoding
+from agent.kernel import topics
+from agent.kernel.codec import decode, encode, encoding
+from agent.kernel.config import Fleet
+from agent.kernel.messages import MAX_JPEG, Image, State
+from agent.kernel.topics import IMAGE, STATE
 from agent.perception.preview import compressed
-from agent.session import peer_config
-from agent.topics import IMAGE, STATE
 from agent.transport import Observer, Transport
-from replay.info import describe, info
-from replay.log import read
-from replay.recorder import Ear, record, taken
-
-Until = Callable[..., None]
+from replay.files.info import describe, info
+from replay.files.log import read
+from replay.recorder import Arrivals
+from router_config.door import Sample
+from router_config.session import peer_config
+from tests.network.recorder_thread import StartRecorder
+from tests.waiting import until
 
 
 def preview(seq: int, robot: str = "r1") -> Image:
-    """As large as they come."""
+    """A preview as large as they come."""
     picture = np.random.default_rng(seq).integers(0, 256, (480, 640, 3), np.uint8)
     small, jpeg = compressed(picture)
     now_ns, (height, width) = time.time_ns(), small.shape[:2]
@@ -47,14 +48,13 @@ def preview(seq: int, robot: str = "r1") -> Image:
     )
 
 
-def test_an_observer_gets_a_preview_of_the_largest_size(make_fleet: Callable[..., Fleet], until: Until) -> None:
+def test_an_observer_gets_a_preview_of_the_largest_size(make_fleet: Callable[..., Fleet]) -> None:
     fleet, sent = make_fleet({"r1": ()}), [preview(k) for k in range(3)]
     with Transport(fleet, "r1", time.time_ns) as r1, Observer(fleet, time.time_ns, (IMAGE,)) as watch:
         seen: list[Image] = []
 
         def three() -> bool:
             r1.show(sent[len(seen) % 3])
-            time.sleep(0.05)
             for item in watch.drain():
                 assert (item.topic, item.chunks) == (IMAGE, {"fleet": "test", "robot": "r1"})
                 seen.append(decode(item.payload, Image, IMAGE.limit))
@@ -64,7 +64,7 @@ def test_an_observer_gets_a_preview_of_the_largest_size(make_fleet: Callable[...
         assert all(image in sent for image in seen)
 
 
-def test_a_preview_that_is_too_large_is_not_taken(make_fleet: Callable[..., Fleet], until: Until) -> None:
+def test_a_preview_that_is_too_large_is_not_taken(make_fleet: Callable[..., Fleet]) -> None:
     fleet, key = make_fleet({"r1": ()}), topics.key(IMAGE, fleet="test", robot="r1")
     with (
         zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r1"))) as r1,
@@ -75,7 +75,6 @@ def test_a_preview_that_is_too_large_is_not_taken(make_fleet: Callable[..., Flee
         def both_sides_of_the_limit() -> bool:
             for size in (IMAGE.limit + 1, IMAGE.limit):
                 r1.put(key, bytes(size), encoding=encoding(Image), congestion_control=zenoh.CongestionControl.BLOCK)
-            time.sleep(0.05)
             seen.extend(len(item.payload) for item in watch.drain())
             return len(seen) >= 2
 
@@ -84,25 +83,26 @@ def test_a_preview_that_is_too_large_is_not_taken(make_fleet: Callable[..., Flee
 
 
 def test_a_recording_holds_previews_and_shows_them(
-    make_fleet: Callable[..., Fleet], state: Callable[..., State], until: Until, tmp_path: Path
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
-    fleet, out, stop = make_fleet({"r1": ()}), tmp_path / "fleet.mcap", threading.Event()
-    counts: dict[str, int] = {}
-    recorder = threading.Thread(target=lambda: counts.update(record(fleet, out, stop)))
-    recorder.start()
+    fleet, out = make_fleet({"r1": ()}), tmp_path / "fleet.mcap"
+    recorder = start_recorder(fleet, out)
     sent: list[Image] = []
-    try:
-        with Transport(fleet, "r1", time.time_ns) as r1:
-            until(lambda: out.with_name(out.name + ".active").exists())
-            for k in range(20):
-                sent.append(preview(k))
-                r1.show(sent[-1])
-                r1.show(state("r1", k))
-                time.sleep(0.05)
-            time.sleep(0.3)
-    finally:
-        stop.set()
-        recorder.join(10)
+    with Transport(fleet, "r1", time.time_ns) as r1:
+
+        def linked() -> bool:
+            r1.show(state("r1"))
+            return bool(recorder.recorded("/state"))
+
+        def newest() -> bool:
+            return [item.sequence for item in recorder.recorded("/image")[-1:]] == [sent[-1].seq]
+
+        until(linked)
+        for k in range(10):
+            sent.append(preview(k))
+            r1.show(sent[-1])
+            until(newest)  # on its way two of this size may push each other out
+    counts = recorder.end()
     channel = f"/zenoh/{topics.key(IMAGE, fleet='test', robot='r1')}"
     kept = [item for item in read(out) if item.channel == channel]
     assert counts["image"] == len(kept) >= 10
@@ -130,7 +130,7 @@ def drawn(path: Path, topic: str) -> list[Any]:
 
 
 class Arriving:
-    """As much of a sample as an ear looks at."""
+    """So much of a sample of Zenoh's as the recorder looks at."""
 
     kind = zenoh.SampleKind.PUT
     encoding = "as the robot says"
@@ -143,14 +143,13 @@ def test_a_recorder_that_falls_behind_loses_previews_before_states(
     state: Callable[..., State], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("replay.recorder.BACKLOG_BYTES", 5 * MAX_JPEG)
-    ear = Ear(time.time_ns)
+    arrivals = Arrivals(time.time_ns)
     image, status = (topics.key(row, fleet="test", robot="r1") for row in (IMAGE, STATE))
     payload = encode(preview(0))
     for k in range(20):
-        ear.message(STATE, Arriving(status, encode(state("r1", k))))  # type: ignore[arg-type]
-        ear.message(IMAGE, Arriving(image, payload))  # type: ignore[arg-type]
-    counts = dict.fromkeys([*(row.name for row in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
-    entries = list(taken(ear, counts))
+        arrivals.message(STATE, Sample(Arriving(status, encode(state("r1", k)))))  # type: ignore[arg-type]
+        arrivals.message(IMAGE, Sample(Arriving(image, payload)))  # type: ignore[arg-type]
+    entries, counts = list(arrivals.drain()), arrivals.counts
     assert (counts["state"], counts["not decoded"]) == (20, 0)
     assert 0 < counts["image"] < 5
     assert counts["overrun"] == 20 - counts["image"]

@@ -12,18 +12,20 @@ from pathlib import Path
 
 import pytest
 
-import agent.transport
-from agent.config import Fleet, dump
-from agent.messages import Estimate, State, decode
+from agent.kernel.codec import decode
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Estimate, State
+from agent.kernel.toml_files import dump
 from agent.transport import Transport
+from tests.places import ROOT
+from tests.waiting import until
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
-ROOT = Path(agent.transport.__file__).parents[1]
 
 TALK = """
 import pathlib, signal, sys, time
-from agent.config import load_fleet
-from agent.messages import Estimate
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import Estimate
 from agent.transport import Transport
 fleet, me, other, last = load_fleet(pathlib.Path(sys.argv[1])), sys.argv[2], sys.argv[3], int(sys.argv[4])
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
@@ -47,9 +49,7 @@ def pair(make_fleet: Callable[..., Fleet], tmp_path: Path) -> tuple[Fleet, Path]
     return fleet, path
 
 
-def test_two_processes_hear_each_other_and_sigterm_ends_one(
-    pair: tuple[Fleet, Path], until: Callable[..., None]
-) -> None:
+def test_two_processes_hear_each_other_and_sigterm_ends_one(pair: tuple[Fleet, Path]) -> None:
     fleet, path = pair
     with Transport(fleet, "r2", time.time_ns) as r2, talk(path, "r1", "r2", last=100_000) as r1:
         try:
@@ -67,7 +67,7 @@ def test_two_processes_hear_each_other_and_sigterm_ends_one(
             r1.kill()
 
 
-def test_a_process_ends_by_itself_while_others_talk_to_it(pair: tuple[Fleet, Path], until: Callable[..., None]) -> None:
+def test_a_process_ends_by_itself_while_others_talk_to_it(pair: tuple[Fleet, Path]) -> None:
     fleet, path = pair
     with Transport(fleet, "r2", time.time_ns) as r2, talk(path, "r1", "r2", last=20) as r1:
         try:
@@ -78,7 +78,7 @@ def test_a_process_ends_by_itself_while_others_talk_to_it(pair: tuple[Fleet, Pat
 
 
 def test_the_command_line_of_zenoh_shows_a_readable_line(
-    pair: tuple[Fleet, Path], state: Callable[..., State], until: Callable[..., None], tmp_path: Path
+    pair: tuple[Fleet, Path], state: Callable[..., State], tmp_path: Path
 ) -> None:
     fleet, _ = pair
     install_entry_points(tmp_path / "site")

@@ -3,10 +3,8 @@
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -14,54 +12,33 @@ import pytest
 import zenoh
 
 import replay.recorder
-from agent import topics
-from agent.config import ConfigError, Fleet, dump
-from agent.messages import MAX_PAYLOAD, Estimate, LogLine, State, encode, encoding
-from agent.session import peer_config
-from agent.topics import LINK, STATE
+from agent.kernel import topics
+from agent.kernel.codec import encode, encoding
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import MAX_PAYLOAD, Estimate, LogLine, State
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import LINK, STATE
 from agent.transport import Transport
-from replay.log import Limits, LogWriter, info, read
-from replay.recorder import record
+from replay.files.backlog import Entry
+from replay.files.log import Limits, LogWriter, info, read
+from router_config.session import peer_config
+from tests.network.recorder_thread import StartRecorder, heard_everywhere
+from tests.places import ROOT
+from tests.waiting import until
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
-ROOT = Path(replay.recorder.__file__).parents[1]
-
-
-class Running:
-    """A recorder in a thread of this process."""
-
-    def __init__(self, pool: ThreadPoolExecutor, fleet: Fleet, out: Path) -> None:
-        self.stop = threading.Event()
-        self.warnings: list[str] = []
-        self._result = pool.submit(record, fleet, out, self.stop, self.warnings.append)
-
-    def end(self) -> dict[str, int]:
-        self.stop.set()
-        return self._result.result(timeout=20)
-
-
-@pytest.fixture
-def pool() -> Iterator[ThreadPoolExecutor]:
-    with ThreadPoolExecutor(1) as threads:
-        yield threads
-
-
-def wait_for_link(session: zenoh.Session, until: Callable[..., None]) -> None:
-    until(lambda: len(session.info.links()) == 1)
-    time.sleep(0.3)  # its subscriptions follow the link
 
 
 def test_every_row_is_recorded_as_it_was_sent(
     make_fleet: Callable[..., Fleet],
     estimate: Callable[..., Estimate],
     state: Callable[..., State],
-    until: Callable[..., None],
-    pool: ThreadPoolExecutor,
+    start_recorder: StartRecorder,
     tmp_path: Path,
 ) -> None:
     fleet = make_fleet(PAIR)
     out = tmp_path / "fleet.mcap"
-    recorder = Running(pool, fleet, out)
+    recorder = start_recorder(fleet, out)
     said, shown = [], []
     line = LogLine(robot="r2", sent_ns=5, level="info", text="here")
     with Transport(fleet, "r1", time.time_ns) as r1, Transport(fleet, "r2", time.time_ns) as r2:
@@ -71,8 +48,8 @@ def test_every_row_is_recorded_as_it_was_sent(
             r1.say(said[-1])
             r2.show(shown[-1])
             r2.show(line)
-            time.sleep(0.02)
-    time.sleep(0.3)
+            time.sleep(0.02)  # as robots do: a burst may be lost
+    until(lambda: len(recorder.recorded("/alive/")) == 4)  # the last that is told: two came, two went
     counts = recorder.end()
     records = list(read(out))
     key = topics.key(LINK, fleet="test", src="r1", dst="r2")
@@ -87,7 +64,7 @@ def test_every_row_is_recorded_as_it_was_sent(
     assert counts["link"] == len(links)
     assert counts["state"] == len(states)
     assert counts["log"] > 20
-    assert counts["alive"] == 4  # two came, two went
+    assert counts["alive"] == 4
     assert (counts["not decoded"], counts["overrun"]) == (0, 0)
     about = info(out)
     assert about.complete
@@ -100,20 +77,20 @@ def test_every_row_is_recorded_as_it_was_sent(
 
 
 def test_strangers_are_counted_and_bad_payloads_kept(
-    make_fleet: Callable[..., Fleet], until: Callable[..., None], pool: ThreadPoolExecutor, tmp_path: Path
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     fleet = make_fleet({"r1": ()})
     out = tmp_path / "fleet.mcap"
-    recorder = Running(pool, fleet, out)
+    recorder = start_recorder(fleet, out)
     key = topics.key(STATE, fleet="test", robot="r1")
     block = zenoh.CongestionControl.BLOCK
     with zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r1"))) as r1:
-        wait_for_link(r1, until)
-        r1.put(key, b"no msgpack \xc1", encoding=encoding(State))
+        heard_everywhere(r1, "test")
         r1.put(key, bytes(MAX_PAYLOAD + 1), encoding=encoding(State), congestion_control=block)
-        r1.put(key.replace("state", "opinion"), b"x")
-        r1.delete(key)
-        time.sleep(0.5)
+        r1.put(key.replace("state", "opinion"), b"x", congestion_control=block)
+        r1.delete(key, congestion_control=block)
+        r1.put(key, b"no msgpack \xc1", encoding=encoding(State), congestion_control=block)
+        until(lambda: recorder.recorded("/state"))  # what was sent before it has come too
     counts = recorder.end()
     assert {name: count for name, count in counts.items() if count} == {
         "state": 1,
@@ -128,19 +105,20 @@ def test_strangers_are_counted_and_bad_payloads_kept(
 def test_viewer_channels_follow_what_robots_show(
     make_fleet: Callable[..., Fleet],
     state: Callable[..., State],
-    until: Callable[..., None],
-    pool: ThreadPoolExecutor,
+    start_recorder: StartRecorder,
     tmp_path: Path,
 ) -> None:
     fleet = make_fleet({"r1": ()})
     out = tmp_path / "fleet.mcap"
-    recorder = Running(pool, fleet, out)
+    recorder = start_recorder(fleet, out)
     with Transport(fleet, "r1", time.time_ns) as r1:
-        for seq in range(30):
-            shown = msgspec.structs.replace(state("r1", seq), posterior_m=(0.1, 0.2, 0.3), knows="told")
+        shown = msgspec.structs.replace(state("r1"), posterior_m=(0.1, 0.2, 0.3), knows="told")
+
+        def recorded() -> bool:
             r1.show(shown)
-            time.sleep(0.02)
-    time.sleep(0.3)
+            return len(recorder.recorded("/state")) > 5
+
+        until(recorded)
     counts = recorder.end()
     channels = info(out).channels
     for name, schema in (("/r1/target/estimate", "foxglove.PoseInFrame"), ("/r1/plot/protocol", "aucamp.Protocol")):
@@ -150,24 +128,22 @@ def test_viewer_channels_follow_what_robots_show(
 def test_a_full_disk_ends_the_recording_and_not_the_swarm(
     make_fleet: Callable[..., Fleet],
     estimate: Callable[..., Estimate],
-    until: Callable[..., None],
-    pool: ThreadPoolExecutor,
+    start_recorder: StartRecorder,
     tmp_path: Path,
 ) -> None:
     fleet = make_fleet(PAIR)
-    out, stop = tmp_path / "fleet.mcap", threading.Event()
+    out = tmp_path / "fleet.mcap"
     with Transport(fleet, "r1", time.time_ns) as r1, Transport(fleet, "r2", time.time_ns) as r2:
 
         def hears() -> bool:
             r1.say(estimate("r1", "r2", time.monotonic_ns()))
-            time.sleep(0.02)
             return bool(r2.drain()[0])
 
         until(hears)
         full = Limits(floor_bytes=2**62, floor_share=1.0)  # any disk is too full for this
-        recording = pool.submit(record, fleet, out, stop, limits=full)
+        recorder = start_recorder(fleet, out, limits=full)
         with pytest.raises(ConfigError, match=r"recording stopped: .* make room there"):
-            recording.result(timeout=10)
+            recorder.counts()
         r2.drain()
         until(hears)
     assert info(out).end["cause"] == "disk_floor"
@@ -175,39 +151,38 @@ def test_a_full_disk_ends_the_recording_and_not_the_swarm(
 
 def test_silence_is_told_once(
     make_fleet: Callable[..., Fleet],
-    until: Callable[..., None],
-    pool: ThreadPoolExecutor,
+    start_recorder: StartRecorder,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.1)
-    recorder = Running(pool, make_fleet(PAIR), tmp_path / "fleet.mcap")
+    recorder = start_recorder(make_fleet(PAIR), tmp_path / "fleet.mcap")
     until(lambda: recorder.warnings)
-    time.sleep(0.4)
+    time.sleep(0.4)  # for a second one, which does not come
     assert not any(recorder.end().values())
     assert len(recorder.warnings) == 1
     assert "fleet 'test'" in recorder.warnings[0]
 
 
 def test_an_existing_file_is_one_line(
-    make_fleet: Callable[..., Fleet], pool: ThreadPoolExecutor, tmp_path: Path
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     out = tmp_path / "fleet.mcap"
     out.write_text("precious")
     with pytest.raises(ConfigError, match="exists already"):
-        Running(pool, make_fleet(PAIR), out).end()
+        start_recorder(make_fleet(PAIR), out).end()
     assert out.read_text() == "precious"
 
 
 def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
-    make_fleet: Callable[..., Fleet], until: Callable[..., None], pool: ThreadPoolExecutor, tmp_path: Path
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     out = tmp_path / "fleet.mcap"
     with LogWriter(out, {"kind": "fleet"}) as log:
-        log.write("/zenoh/x", 1, 1, 1, b"x")
+        log.put(Entry("/zenoh/x", 1, 1, 1, b"x", "msgpack", {}))
     (tmp_path / "fleet.mcap.active").write_bytes(out.read_bytes()[:-100])
     out.unlink()
-    recorder = Running(pool, make_fleet({"r1": ()}), out)
+    recorder = start_recorder(make_fleet({"r1": ()}), out)
     until((tmp_path / "fleet.recovered.mcap").exists, timeout_s=30)
     until(lambda: any("1 messages kept" in line for line in recorder.warnings), timeout_s=30)
     recorder.end()
@@ -218,7 +193,7 @@ def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
 
 RECORD = """
 import pathlib, signal, sys, threading
-from agent.config import load_fleet
+from agent.kernel.fleet_reader import load_fleet
 from replay.recorder import record
 stop = threading.Event()
 signal.signal(signal.SIGTERM, lambda *_: stop.set())
@@ -235,7 +210,6 @@ def states(path: Path) -> list[int]:
 def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
     make_fleet: Callable[..., Fleet],
     state: Callable[..., State],
-    until: Callable[..., None],
     tmp_path: Path,
     how: signal.Signals,
 ) -> None:

@@ -16,22 +16,17 @@ import pytest
 from msgspec.structs import replace
 
 import replay.view
-from agent.config import ConfigError, Fleet
-from agent.messages import MAX_JPEG, Image, State
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import MAX_JPEG, Image, State
 from agent.transport import Transport
 from replay.view import view
+from tests.waiting import until
 
 foxglove = pytest.importorskip("foxglove", reason="the extra `view` is not installed")
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 class Client:
-    """As much of a WebSocket client (RFC 6455) as a viewer that only listens needs."""
+    """A WebSocket client (RFC 6455), as much of it as a viewer that only listens needs."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
@@ -67,9 +62,9 @@ class Client:
 
 
 def test_a_viewer_sees_what_a_robot_shows(
-    make_fleet: Callable[..., Fleet], state: Callable[..., State], until: Callable[..., None]
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], free_port: int
 ) -> None:
-    fleet, port, stop, lines = make_fleet({"r1": ()}), free_port(), threading.Event(), []
+    fleet, stop, lines = make_fleet({"r1": ()}), threading.Event(), []
 
     def shows(robot: Transport) -> None:
         for seq in itertools.count():
@@ -79,17 +74,17 @@ def test_a_viewer_sees_what_a_robot_shows(
                 return
 
     with ThreadPoolExecutor(2) as pool, Transport(fleet, "r1", time.time_ns) as r1:
-        serving, showing = pool.submit(view, fleet, stop, port, lines.append), pool.submit(shows, r1)
+        serving, showing = pool.submit(view, fleet, stop, free_port, lines.append), pool.submit(shows, r1)
         try:
             until(lambda: lines or serving.done())
-            with contextlib.closing(Client(port)) as client:
+            with contextlib.closing(Client(free_port)) as client:
                 expected = {"/r1/plot/protocol", "/r1/target/prior", "/r1/target/estimate", "/r1/preview"}
                 assert subscribed(client, len(expected)) == expected
         finally:
             stop.set()
             serving.result(timeout=10)
             showing.result(timeout=10)
-    assert f"ws://127.0.0.1:{port}" in lines[0]
+    assert f"ws://127.0.0.1:{free_port}" in lines[0]
 
 
 def preview(seq: int) -> Image:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent import session
-from agent.config import Fleet
+from agent.kernel.config import Fleet
+from router_config import session
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 

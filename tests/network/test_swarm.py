@@ -11,19 +11,25 @@ from pathlib import Path
 
 import msgpack
 import msgspec
+import pytest
 import zenoh
 
-from agent import topics
-from agent.config import dump
 from agent.demo import demo_fleet
-from agent.messages import Estimate, LogLine, State, decode, encode, encoding
-from agent.session import observer_config
+from agent.kernel import topics
+from agent.kernel.codec import decode, encode, encoding
+from agent.kernel.messages import Estimate, LogLine, State
+from agent.kernel.toml_files import dump
+from agent.launch import STOP_S
 from agent.transport import Observer
-from replay.log import read
+from replay.files.log import read
+from router_config.session import observer_config
+from tests.places import ROOT
 from tests.sample_messages import estimate
+from tests.waiting import until
 
+pytestmark = pytest.mark.slow
 TARGET_M = (0.76, 0.56, 0.07)
-AGENT = Path(__file__).parent / "scripted_agent.py"
+AGENT = [sys.executable, "-m", "tests.network.scripted_agent"]
 
 
 class Swarm:
@@ -40,9 +46,7 @@ class Swarm:
     def start(self, *names: str, out: str = "logs") -> None:
         for name in names:
             (self.folder / out).mkdir(exist_ok=True)
-            self.processes[name] = subprocess.Popen(
-                [sys.executable, str(AGENT), str(self.path), name, str(self.folder / out)]
-            )
+            self.processes[name] = subprocess.Popen([*AGENT, str(self.path), name, str(self.folder / out)], cwd=ROOT)
 
     def listen(self) -> None:
         for seen in self.observer.drain():
@@ -53,11 +57,11 @@ class Swarm:
                 self.lines[name].append(decode(seen.payload, LogLine).text)
 
     def until(self, what: str, true, timeout_s: float = 40.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not true():
+        def heard_and_true() -> bool:
             self.listen()
-            assert time.monotonic() < deadline, f"{what}: {self.state}"
-            time.sleep(0.05)
+            return true()
+
+        until(heard_and_true, timeout_s, lambda: f"{what}: {self.state}")
 
     def agree(self, *names: str) -> bool:
         states = [self.state.get(name) for name in names]
@@ -94,7 +98,7 @@ def test_told_then_seen_then_agreed_and_sigterm_leaves_nothing(tmp_path) -> None
         for process in it.processes.values():
             process.send_signal(signal.SIGTERM)
         for process in it.processes.values():
-            assert process.wait(timeout=2.0) == 0
+            assert process.wait(timeout=STOP_S) == 0, "it ends by itself, before a crew would kill it"
         it.until("a last word", lambda: all(s.mode == "stopped" for s in it.state.values()), 5.0)
     logs = sorted(path.name for path in (tmp_path / "logs").iterdir())
     assert logs == ["r1.mcap", "r2.mcap", "r3.mcap"]
@@ -134,7 +138,8 @@ def test_what_cannot_be_believed_is_refused_counted_logged_and_changes_nothing(t
         forged = encode(msgspec.structs.replace(honest, src="r2"))
         key = topics.key(topics.LINK, fleet="tank", src="r3", dst="r1")
         with zenoh.open(zenoh.Config.from_json5(observer_config(it.fleet))) as session:
-            time.sleep(0.5)
+            publisher = session.declare_publisher(key)
+            until(lambda: publisher.matching_status.matching)  # else the first would go to nobody
             believed = {name: it.state[name].posterior_m for name in ("r1", "r2")}
             for payload in (os.urandom(100), wrong_schema, nan, far, forged):
                 session.put(key, payload, encoding=encoding(Estimate))

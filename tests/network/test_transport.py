@@ -1,6 +1,7 @@
 """Links between robots: real sessions over TCP on this machine, several in one process."""
 
 import contextlib
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -9,13 +10,15 @@ import msgspec
 import pytest
 import zenoh
 
-from agent import topics
-from agent.config import ConfigError, Fleet
-from agent.messages import MAX_PAYLOAD, Estimate, Heard, LogLine, State, decode, encode, encoding
-from agent.router import run_router
-from agent.session import peer_config
-from agent.topics import LINK, STATE
-from agent.transport import Observer, Transport
+from agent.kernel import topics
+from agent.kernel.codec import decode, encode, encoding
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import MAX_PAYLOAD, Estimate, State
+from agent.kernel.step_io import Heard
+from agent.kernel.topics import LINK
+from agent.transport import Transport
+from router_config.session import peer_config
+from tests.waiting import until
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
@@ -23,7 +26,6 @@ FULL = {"r1": ("r2", "r3"), "r2": ("r1", "r3"), "r3": ("r1", "r2")}
 
 Fleets = Callable[..., Fleet]
 Says = Callable[..., Estimate]
-Until = Callable[..., None]
 
 
 class Ear:
@@ -48,23 +50,28 @@ def all_up(fleet: Fleet, *names: str) -> Iterator[list[Transport]]:
         yield [stack.enter_context(Transport(fleet, name, time.time_ns)) for name in names]
 
 
-def linked(until: Until, estimate: Says, a: Transport, b: Transport, src: str, dst: str) -> None:
-    """Wait until b hears a."""
+def linked(estimate: Says, a: Transport, b: Transport, src: str, dst: str) -> None:
+    """Wait until b hears a, and has heard all that a said."""
+    said, heard = itertools.count(1), [0]
 
-    def said_and_heard() -> bool:
-        a.say(estimate(src, dst))
-        time.sleep(0.02)
-        return bool(b.drain()[0])
+    def newest() -> int:
+        heard.extend(decode(item.payload, Estimate).seq for item in b.drain()[0] if item.src == src)
+        return max(heard)
 
-    until(said_and_heard)
-    time.sleep(0.1)
-    b.drain()
+    def hears() -> bool:
+        a.say(estimate(src, dst, next(said)))
+        return newest() > 0
+
+    until(hears)
+    last = next(said)
+    a.say(estimate(src, dst, last))
+    until(lambda: newest() == last)
 
 
-def test_only_the_addressed_neighbour_hears(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+def test_only_the_addressed_neighbour_hears(make_fleet: Fleets, estimate: Says) -> None:
     with all_up(make_fleet(FULL), "r1", "r2", "r3") as (r1, r2, r3):
-        linked(until, estimate, r1, r2, "r1", "r2")
-        linked(until, estimate, r1, r3, "r1", "r3")
+        linked(estimate, r1, r2, "r1", "r2")
+        linked(estimate, r1, r3, "r1", "r3")
         before_ns = time.time_ns()
         said = [estimate("r1", "r2", seq) for seq in range(20)]
         for message in said:
@@ -78,11 +85,11 @@ def test_only_the_addressed_neighbour_hears(make_fleet: Fleets, estimate: Says, 
         assert ear.refused == {}
 
 
-def test_a_link_that_is_not_in_the_fleet_file_does_not_exist(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+def test_a_link_that_is_not_in_the_fleet_file_does_not_exist(make_fleet: Fleets, estimate: Says) -> None:
     fleet = make_fleet(CHAIN)
     config = zenoh.Config.from_json5(peer_config(fleet, "r1"))
     with all_up(fleet, "r2", "r3") as (r2, r3), zenoh.open(config) as r1:
-        linked(until, estimate, r2, r3, "r2", "r3")
+        linked(estimate, r2, r3, "r2", "r3")
         far, near = Ear(r3), Ear(r2)
 
         def say_to_both() -> bool:
@@ -96,7 +103,7 @@ def test_a_link_that_is_not_in_the_fleet_file_does_not_exist(make_fleet: Fleets,
         assert (far.heard, far.refused) == ([], {})
 
 
-def test_what_cannot_be_a_message_is_turned_away_and_counted(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+def test_what_cannot_be_a_message_is_turned_away_and_counted(make_fleet: Fleets, estimate: Says) -> None:
     fleet = make_fleet(PAIR)
     config = zenoh.Config.from_json5(peer_config(fleet, "r1"))
     good = encode(estimate("r1", "r2"))
@@ -125,15 +132,15 @@ def test_what_cannot_be_a_message_is_turned_away_and_counted(make_fleet: Fleets,
         assert len(ear.heard[-1].payload) == MAX_PAYLOAD
 
 
-def test_a_full_inbox_keeps_the_newest(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+def test_a_full_inbox_keeps_the_newest(make_fleet: Fleets, estimate: Says) -> None:
     fleet = make_fleet({"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)})
     with all_up(fleet, "r1", "r2", "r3") as (r1, r2, r3):
-        linked(until, estimate, r1, r2, "r1", "r2")
-        linked(until, estimate, r3, r2, "r3", "r2")
+        linked(estimate, r1, r2, "r1", "r2")
+        linked(estimate, r3, r2, "r3", "r2")
         r3.say(estimate("r3", "r2", seq=7))
         for seq in range(100):
             r1.say(estimate("r1", "r2", seq))
-            time.sleep(0.001)
+            time.sleep(0.001)  # a burst would be lost on its way
         until(lambda: sum(r2._refused.values()) == 36)
         heard, refused = r2.drain()
         loud = [decode(item.payload, Estimate).seq for item in heard if item.src == "r1"]
@@ -169,14 +176,14 @@ def test_a_neighbour_that_is_down_holds_up_nobody(make_fleet: Fleets, estimate: 
     assert time.monotonic() - started < 5  # waiting for the neighbour would be for ever
 
 
-def test_a_neighbour_that_comes_late_or_again_is_linked(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+def test_a_neighbour_that_comes_late_or_again_is_linked(make_fleet: Fleets, estimate: Says) -> None:
     fleet = make_fleet(PAIR)
     with Transport(fleet, "r1", time.time_ns) as r1:
-        time.sleep(0.3)
+        time.sleep(0.3)  # r1 has long been up
         for _ in range(2):
             with Transport(fleet, "r2", time.time_ns) as r2:
-                linked(until, estimate, r1, r2, "r1", "r2")
-                linked(until, estimate, r2, r1, "r2", "r1")
+                linked(estimate, r1, r2, "r1", "r2")
+                linked(estimate, r2, r1, "r2", "r1")
 
 
 def test_an_address_in_use_is_one_line(make_fleet: Fleets) -> None:
@@ -198,7 +205,7 @@ def test_an_address_that_does_not_exist_is_one_line(make_fleet: Fleets) -> None:
     assert ".rs:" not in str(caught.value)
 
 
-def test_leaving_under_a_flood_does_not_hang(make_fleet: Fleets, estimate: Says, until: Until) -> None:
+def test_leaving_under_a_flood_does_not_hang(make_fleet: Fleets, estimate: Says) -> None:
     fleet = make_fleet(PAIR)
     stop = threading.Event()
     with Transport(fleet, "r1", time.time_ns) as r1:
@@ -219,7 +226,7 @@ def test_leaving_under_a_flood_does_not_hang(make_fleet: Fleets, estimate: Says,
         assert not thread.is_alive()
 
 
-def test_a_robot_is_listed_while_it_is_up(make_fleet: Fleets, until: Until) -> None:
+def test_a_robot_is_listed_while_it_is_up(make_fleet: Fleets) -> None:
     fleet = make_fleet(PAIR)
     config = zenoh.Config.from_json5(peer_config(fleet, "r2"))
     key = topics.ALIVE.format(fleet="test", robot="*")
@@ -231,78 +238,3 @@ def test_a_robot_is_listed_while_it_is_up(make_fleet: Fleets, until: Until) -> N
         with Transport(fleet, "r1", time.time_ns):
             until(lambda: listed() == [topics.ALIVE.format(fleet="test", robot="r1")])
         until(lambda: listed() == [])
-
-
-def test_an_observer_sees_all_and_is_heard_by_nobody(
-    make_fleet: Fleets, estimate: Says, state: Callable[..., State], until: Until
-) -> None:
-    fleet = make_fleet(CHAIN)
-    line = LogLine(robot="r3", sent_ns=1, level="info", text="here")
-    with Observer(fleet, time.time_ns) as watch, all_up(fleet, "r1", "r2", "r3") as (r1, r2, r3):
-        seen = set()
-
-        def complete() -> bool:
-            r1.show(state("r1"))
-            r3.show(line)
-            r2.say(estimate("r2", "r3"))
-            for topic, chunks, payload, arrived_ns in watch.drain():
-                decode(payload, topic.message)
-                assert arrived_ns > 1
-                seen.add((topic.name, *chunks.values()))
-            return len(seen) == 3
-
-        until(complete)
-        assert seen == {("state", "test", "r1"), ("log", "test", "r3"), ("link", "test", "r2", "r3")}
-        assert r1.drain() == ((), ())
-
-
-def test_an_observer_hears_the_rows_it_asked_for(
-    make_fleet: Fleets, estimate: Says, state: Callable[..., State], until: Until
-) -> None:
-    fleet = make_fleet(PAIR)
-    with all_up(fleet, "r1", "r2") as (r1, _), Observer(fleet, time.time_ns, rows=(STATE,)) as watch:
-        seen = []
-
-        def enough() -> bool:
-            r1.say(estimate("r1", "r2"))
-            r1.show(state("r1"))
-            seen.extend(watch.drain())
-            return len(seen) > 5
-
-        until(enough)
-        assert {item.topic for item in seen} == {STATE}
-
-
-def test_a_router_shows_all_and_joins_nobody(
-    make_fleet: Fleets, estimate: Says, state: Callable[..., State], until: Until, free_endpoint: str
-) -> None:
-    fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
-    stop = threading.Event()
-    router = threading.Thread(target=run_router, args=(fleet, stop, free_endpoint))
-    client = zenoh.Config.from_json5(
-        f'{{mode: "client", connect: {{endpoints: ["{free_endpoint}"], timeout_ms: 10000}}}}'
-    )
-    with contextlib.ExitStack() as stack:
-        r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))
-        r2 = stack.enter_context(zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r2"))))
-        foreign = r2.declare_subscriber(topics.ALL.format(fleet="test"), zenoh.handlers.RingChannel(10))
-        router.start()
-        stack.callback(router.join, 10)
-        stack.callback(stop.set)
-        console = stack.enter_context(zenoh.open(client))
-        seen = console.declare_subscriber(topics.EVERY_FLEET, zenoh.handlers.RingChannel(100))
-        keys = set()
-
-        def both() -> bool:
-            r1.show(state("r1"))
-            r2.put(topics.key(STATE, fleet="test", robot="r2"), b"")
-            while sample := seen.try_recv():
-                keys.add(str(sample.key_expr))
-            return len(keys) == 2
-
-        until(both)
-        heard = foreign.try_recv()
-        while heard is not None:
-            assert "r1" not in str(heard.key_expr)  # r2 hears itself, and the router brought nothing from r1
-            heard = foreign.try_recv()
-    assert not router.is_alive()

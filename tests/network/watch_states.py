@@ -1,4 +1,4 @@
-"""Prints every state that a fleet shows, one line of JSON each. Usage: watch_states.py FLEET"""
+"""Prints every state that a fleet shows, one line of JSON each. Usage: python -m tests.network.watch_states FLEET"""
 
 import sys
 import time
@@ -6,9 +6,10 @@ from pathlib import Path
 
 import msgspec
 
-from agent.config import load_fleet
-from agent.messages import State, decode
-from agent.topics import STATE
+from agent.kernel.codec import decode
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import State
+from agent.kernel.topics import STATE
 from agent.transport import Observer
 
 

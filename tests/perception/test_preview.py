@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.messages import MAX_JPEG, Image, Sighting, decode, encode
-from agent.perception.clear_view import ClearView
-from agent.perception.enhance import Enhancer
+from agent.kernel.codec import decode, encode
+from agent.kernel.messages import MAX_JPEG, Image
+from agent.kernel.step_io import Sighting
+from agent.kernel.topics import IMAGE
+from agent.perception.enhancement.enhance import Enhancer
+from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from agent.perception.preview import Preview, compressed
-from agent.topics import IMAGE
-from hw.camera import Frame, Roi
+from hw.camera.camera import Frame, Roi
 
 WHOLE = (640, 480)
 ALL = Roi(0, 0, *WHOLE)
@@ -93,8 +95,8 @@ def test_previews_are_counted_without_gaps() -> None:
 
 
 def test_an_enhanced_preview_is_what_vision_looks_at() -> None:
-    clear = ClearView(Enhancer("classic", lambda image: image + 90))
-    image = Preview("r1", WHOLE, 2.0, clear).of(frame(), sighting(), 0)
+    enhancer = OnDemandEnhancer(Enhancer("classic", lambda image: image + 90))
+    image = Preview("r1", WHOLE, 2.0, enhancer).of(frame(), sighting(), 0)
     assert image is not None
     assert image.enhanced
     assert seen(image).mean() == pytest.approx(150, abs=1)
@@ -108,8 +110,8 @@ def test_without_colours_a_preview_goes_out_raw_at_once() -> None:
         nonlocal clock_s
         clock_s += 2.0
 
-    clear = ClearView(Enhancer("fast", lambda image: image, estimate), lambda: clock_s)
-    preview = Preview("r1", WHOLE, 2.0, clear)
+    enhancer = OnDemandEnhancer(Enhancer("fast", lambda image: image, estimate), lambda: clock_s)
+    preview = Preview("r1", WHOLE, 2.0, enhancer)
     for k in range(4):  # of eight seconds of rest after the estimate two have passed
         clock_s += 0.5
         image = preview.of(frame(t_ns=k * 10**9), sighting(), k * 10**9)

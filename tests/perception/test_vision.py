@@ -5,16 +5,16 @@ import time
 
 import numpy as np
 import pytest
-from painted import CAMERA, ball_frame, sharp_position
 
-from agent.config import Camera as CameraSettings
-from agent.config import Fleet, Pose, Robot, Target
-from agent.messages import SweepPlan
+from agent.kernel.config import Camera as CameraSettings
+from agent.kernel.config import Fleet, Pose, Robot, Target
+from agent.kernel.ranging.focus import Peak, fit_peak
+from agent.kernel.step_io import SweepPlan
 from agent.perception import vision
-from agent.perception.seekers import seekers
+from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import QUEUE, Vision
-from agent.ranging.focus import Peak, fit_peak
-from hw.camera import CameraError, CameraGone, FocusRange, Frame, Roi
+from hw.camera.camera import CameraError, CameraGone, FocusRange, Frame, Roi
+from tests.perception.painted import CAMERA, ball_frame, sharp_position
 from tests.sightings import collect
 
 CENTRE_M = (0.02, 0.01, 0.9)
@@ -27,7 +27,7 @@ class ScriptedCamera:
     size = (640, 480)
 
     def __init__(self, focusable=True, images=None):
-        self.position, self.seq, self.closed, self.gone = 0, 0, False, False
+        self.lens_position, self.seq, self.closed, self.gone = 0, 0, False, False
         self.focusable, self.calls = focusable, []
         self.images = images
 
@@ -36,15 +36,15 @@ class ScriptedCamera:
 
     def set_focus(self, position):
         self.calls.append(("focus", position))
-        self.position = min(max(position, 0), 1023)
-        return self.position
+        self.lens_position = min(max(position, 0), 1023)
+        return self.lens_position
 
     def read(self, roi=None, settle_s=0.0, timeout_s=1.0):
         if self.gone:
             raise CameraGone("no frame")
         self.calls.append(("read", roi, settle_s))
         self.seq += 1
-        blur = 0.021 * abs(self.position - sharp_position(CENTRE_M[2] - 0.07))
+        blur = 0.021 * abs(self.lens_position - sharp_position(CENTRE_M[2] - 0.07))
         image = self.images(blur)
         roi = roi or Roi(0, 0, 640, 480)
         part = image[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
@@ -94,7 +94,7 @@ def worker(monkeypatch):
             robot={"r1": robot},
             camera=CameraSettings(settle_s=settle_s),
         )
-        out = Vision(open_camera, fleet, CAMERA, seekers(fleet, CAMERA), 5_000, on_frame)
+        out = Vision(open_camera, fleet, CAMERA, load_detectors(fleet, CAMERA), 5_000, on_frame)
         started.append(out)
         out.start()
         return out
@@ -121,19 +121,19 @@ def test_a_frame_without_the_ball_is_a_sighting_too(worker):
 
 def test_a_plan_is_carried_out_in_order_and_gives_the_peak(worker, images):
     camera = ScriptedCamera(images=images)
-    positions = tuple(range(60, 600, 30))
+    lens_positions = tuple(range(60, 600, 30))
     out = worker(camera)
     collect(out, lambda s: len(s) >= 1)
-    out.plan(SweepPlan(sweep=7, focus=(0, *positions)))
-    seen = [s for s in collect(out, lambda s: any(x.index == len(positions) for x in s)) if s.sweep == 7]
-    assert [s.focus for s in seen] == list(positions)
-    assert [s.index for s in seen] == list(range(1, len(positions) + 1))
+    out.plan(SweepPlan(sweep=7, focus=(0, *lens_positions)))
+    seen = [s for s in collect(out, lambda s: any(x.index == len(lens_positions) for x in s)) if s.sweep == 7]
+    assert [s.focus for s in seen] == list(lens_positions)
+    assert [s.index for s in seen] == list(range(1, len(lens_positions) + 1))
     peak = fit_peak([s.focus for s in seen], [s.clarity for s in seen])
     assert isinstance(peak, Peak)
-    assert peak.position == pytest.approx(sharp_position(CENTRE_M[2] - 0.07), abs=6)
+    assert peak.lens_position == pytest.approx(sharp_position(CENTRE_M[2] - 0.07), abs=6)
     assert len({s.area_px for s in seen}) == 1 or np.ptp([s.area_px for s in seen]) < 0.01 * seen[0].area_px
     reads = [call for call in camera.calls if call[0] == "read" and call[1] is not None]
-    assert all(call[2] == 0.03 and call[1].width < 400 for call in reads) and len(reads) >= len(positions)
+    assert all(call[2] == 0.03 and call[1].width < 400 for call in reads) and len(reads) >= len(lens_positions)
 
 
 def test_a_newer_plan_replaces_the_one_under_way(worker, images):

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agent import enhance_evaluate, enhance_source, pictures
 from agent.__main__ import main
-from agent.config import ConfigError
+from agent.kernel.config import ConfigError
+from agent.pictures import enhance as enhance_source
+from agent.pictures.sources import pictures
+from agent.training import evaluate as enhance_evaluate
 
 PICTURE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
 
@@ -66,7 +68,7 @@ def test_tiny_grey_and_16_bit_images(tmp_path, image):
 
 
 def test_16_bits_are_scaled_by_their_largest_value(tmp_path):
-    read = pictures.read(write(tmp_path / "a.png", PICTURE.astype(np.uint16) * 20))
+    read = next(pictures(str(write(tmp_path / "a.png", PICTURE.astype(np.uint16) * 20)), None).each).image
     assert read.max() == 255
     assert np.abs(read.astype(float) - PICTURE * (255 / PICTURE.max())).max() <= 0.51
 
@@ -80,7 +82,7 @@ def test_16_bits_are_scaled_by_their_largest_value(tmp_path):
     (["stack:empty"], "positions.csv"),
     (["a.png", "--out", "text.png"], "--out text.png"),
     (["a.png", "--out", "/proc/enhanced"], "--out /proc/enhanced"),
-    (["a.png", "--variant", "best"], "--variant best: no such variant"),
+    (["a.png", "--variant", "best"], "'--variant': 'best' is not one of 'plain', 'folded', 'fast'"),
     (["a.png", "--variant", "classic", "--evaluate", "empty", "empty"], "either a SOURCE or --evaluate"),
     (["--evaluate", "nowhere", "empty"], "nowhere: no such folder"),
     (["--evaluate", "empty", "empty"], "no pictures in this folder"),
@@ -104,7 +106,7 @@ def test_mistakes_are_one_line_and_exit_2(arguments, line, tmp_path, monkeypatch
     (lambda path: stamp(path, b"no tensors"), "own.safetensors: not the weights of this network"),
 ])  # fmt: skip
 def test_weights_that_cannot_be_used(spoil, line, tmp_path, monkeypatch, capsys):
-    lu2net = pytest.importorskip("agent.perception.lu2net", reason="the network needs torch")
+    lu2net = pytest.importorskip("agent.perception.enhancement.lu2net", reason="the network needs torch")
     path = tmp_path / "own.safetensors"
     stamp(path, lu2net.shipped("own").read_bytes())
     spoil(path)

@@ -4,11 +4,11 @@ import sys
 
 import cv2
 import pytest
-from swimming import clip, overlap
 
 from agent.__main__ import main
-from agent.config import ConfigError
-from agent.track import HEADER, parse_box, run
+from agent.kernel.config import ConfigError
+from agent.pictures.follow_box import HEADER, parse_box, run
+from tests.perception.tracking.swimming import clip, overlap
 
 
 @pytest.fixture

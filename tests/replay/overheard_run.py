@@ -3,12 +3,15 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from agent import topics
-from agent.config import dump
-from agent.messages import Message, Outputs, decode, encode
-from replay.backlog import Entry
-from replay.blackbox import open_boxes
-from replay.mcap_file import Part
+from agent.kernel import topics
+from agent.kernel.codec import decode, encode
+from agent.kernel.messages import Message
+from agent.kernel.step_io import Outputs
+from agent.kernel.toml_files import dump
+from replay.check.black_box import open_boxes
+from replay.files.backlog import Entry
+from replay.files.channels import NETWORK, name
+from replay.files.mcap_file import Part
 
 
 def overheard_run(
@@ -30,6 +33,6 @@ def overheard_run(
     for n, (now_ns, key, said) in enumerate(sorted(sent, key=lambda each: each[0])):
         message = change(said)
         if message is not None:
-            part.add(Entry(f"/zenoh/{key}", now_ns, now_ns, n, encode(message), "msgpack", {}))
+            part.add(Entry(name(NETWORK, key=key), now_ns, now_ns, n, encode(message), "msgpack", {}))
     part.finish("aucamp.end", {"cause": "clean"})
     return out

@@ -3,11 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from replay.backlog import Entry
-from replay.log import Record, info, read
-from replay.mcap_file import Part
-
-GOLDEN = Path(__file__).parents[1] / "golden"
+from replay.files.backlog import Entry
+from replay.files.log import Record, info, read
+from replay.files.mcap_file import Part
 
 
 def rewritten(

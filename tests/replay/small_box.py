@@ -11,29 +11,22 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 
-from agent.config import load_fleet
-from agent.messages import (
-    Inputs,
-    LogLine,
-    NeighbourState,
-    Outputs,
-    SetPoint,
-    Sighting,
-    State,
-    Telemetry,
-    encode,
-)
-from agent.ranging.calibration import Calibration
+from agent.kernel.codec import encode
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import LogLine, NeighbourState, State
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
 from replay.black_box_writer import BlackBoxWriter, black_box_log
-from replay.depth import SweepDepth, SweepFrame
-from replay.log import LogWriter
+from replay.files.log import LogWriter
+from replay.viewers.whole_sweeps import SweepDepth, SweepFrame
 from tests.known_lens import CAMERA, PLAIN
+from tests.places import ROOT
 from tests.sample_messages import telemetry
 
 START_NS = 1_767_225_600_000_000_000  # 2026-01-01
 STEP_NS = 50_000_000
 STEPS = 40
-TANK = load_fleet(Path(__file__).parents[2] / "agent" / "fleets" / "tank.toml")
+TANK = load_fleet(ROOT / "agent" / "fleets" / "tank.toml")
 FLEET = replace(TANK, camera=replace(TANK.camera, sweep_steps=9))
 CALIBRATION = Calibration(robot="r1", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
 

@@ -4,14 +4,16 @@ import threading
 from pathlib import Path
 
 import pytest
-from small_box import CALIBRATION, FLEET, START_NS, state
 
-from agent.messages import Inputs, LogLine, Outputs, SetPoint, State, decode, encode
-from agent.runtime import loop
+from agent.kernel.codec import decode, encode
+from agent.kernel.messages import LogLine, State
+from agent.kernel.step_io import Inputs, Outputs, SetPoint
+from agent.runtime import Runtime
 from replay.black_box_writer import BlackBoxWriter, black_box_log
-from replay.info import info
-from replay.log import read
-from replay.recover import STEP_IN, STEP_OUT
+from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.info import info
+from replay.files.log import read
+from tests.replay.small_box import CALIBRATION, FLEET, START_NS, state
 
 
 class Still:
@@ -25,7 +27,7 @@ class Still:
     def show(self, message: State | LogLine) -> None: ...
 
 
-class Eyes(Still):
+class StillCamera(Still):
     def drain(self) -> tuple:
         return ()
 
@@ -49,14 +51,14 @@ def test_the_inputs_that_broke_a_step_are_recorded(tmp_path: Path) -> None:
     still = Still()
     with pytest.raises(ZeroDivisionError), log:
         box = BlackBoxWriter(log, lambda: START_NS)
-        loop(Breaks(), "r1", Eyes(), still, still, box.step, lambda: next(now), threading.Event())
-    records = [record for record in read(log.path) if record.channel in (STEP_IN, STEP_OUT)]
+        Runtime("r1", Breaks(), StillCamera(), still, still, box.step, lambda: next(now)).run(threading.Event())
+    records = [record for record in read(log.path) if record.channel in (STEP_IN.name, STEP_OUT.name)]
     assert [(record.channel, record.sequence) for record in records] == [
-        (STEP_IN, 0),
-        (STEP_OUT, 0),
-        (STEP_IN, 1),
-        (STEP_OUT, 1),
-        (STEP_IN, 2),
+        (STEP_IN.name, 0),
+        (STEP_OUT.name, 0),
+        (STEP_IN.name, 1),
+        (STEP_OUT.name, 1),
+        (STEP_IN.name, 2),
     ]
     assert records[4].data == encode(Inputs())
     assert decode(records[3].data, Outputs).set_point.depth_m == 0.2

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.enhancement.metrics import judge, psnr, ssim, uciqe, uiqm
+from agent.training.metrics import judge, psnr, ssim, uciqe, uiqm
 
 
 def picture() -> np.ndarray:

@@ -5,15 +5,15 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
-from agent.enhancement import degrade, folders
-from agent.enhancement.dataset import Pairs
-from agent.enhancement.landscapes import landscape
+from agent.kernel.config import ConfigError
+from agent.training import degrade, scene_pairs
+from agent.training.dataset import Pairs
+from agent.training.landscapes import landscape
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
-from agent.enhancement import losses  # noqa: E402
-from agent.enhancement.train import Plan, Run, advance, batch, rate  # noqa: E402
+from agent.training import losses  # noqa: E402
+from agent.training.train import Plan, Run, advance, batch, rate  # noqa: E402
 
 TINY = Plan(steps=5, seed=3, sizes=((64, 2), (32, 3)), validate_every=2)
 
@@ -108,33 +108,36 @@ def test_clips_stay_together_and_folds_keep_scenes_whole():
     rng = np.random.default_rng(0)
     views = [cv2.resize(rng.integers(0, 256, (6, 6, 3), dtype=np.uint8), (64, 64)) for _ in range(6)]
     clip = [np.roll(views[0], shift, axis=1) for shift in (0, 1, 2)]
-    numbers = folders.scenes(np.array(clip + views[1:]))
+    numbers = scene_pairs.scenes(np.array(clip + views[1:]))
     assert numbers[0] == numbers[1] == numbers[2]
     assert len(set(numbers)) == 6
-    fold = folders.folds(np.array([f"scene-{n}" for n in numbers]), 3, seed=0)
+    fold = scene_pairs.folds(np.array([f"scene-{n}" for n in numbers]), 3, seed=0)
     assert len(set(fold[:3])) == 1 and set(fold) == {0, 1, 2}
     with pytest.raises(ConfigError, match="cannot make 7 folds"):
-        folders.folds(np.array([f"scene-{n}" for n in numbers]), 7, seed=0)
+        scene_pairs.folds(np.array([f"scene-{n}" for n in numbers]), 7, seed=0)
 
 
 def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
     raw, reference = tmp_path / "raw-890", tmp_path / "reference-890"
     with pytest.raises(ConfigError, match="no such folder"):
-        folders.read_pairs(raw, reference, 32)
+        scene_pairs.read_pairs(raw, reference, 32)
     for folder in (raw, reference):
         folder.mkdir()
     cv2.imwrite(str(raw / "a.png"), np.full((40, 50, 3), 60, np.uint8))
-    with pytest.raises(ConfigError, match="no pairs"):
-        folders.read_pairs(raw, reference, 32)
+    with pytest.raises(ConfigError, match="reference-890: no pictures"):
+        scene_pairs.read_pairs(raw, reference, 32)
+    cv2.imwrite(str(reference / "b.bmp"), np.full((40, 50, 3), 90, np.uint8))
+    with pytest.raises(ConfigError, match="no two pictures of the same name"):
+        scene_pairs.read_pairs(raw, reference, 32)
     cv2.imwrite(str(reference / "a.bmp"), np.full((40, 50, 3), 90, np.uint8))
-    pairs = folders.read_pairs(raw, reference, 32)
+    pairs = scene_pairs.read_pairs(raw, reference, 32)
     assert pairs.raw.shape == (1, 32, 32, 3) and pairs.raw.max() == 60 and pairs.target.max() == 90
     cv2.imwrite(str(reference / "a.bmp"), np.zeros((40, 40, 3), np.uint8))
-    with pytest.raises(ConfigError, match="50x40 and 40x40 differ"):
-        folders.read_pairs(raw, reference, 32)
+    with pytest.raises(ConfigError, match="50x40, but its reference 40x40 pixels"):
+        scene_pairs.read_pairs(raw, reference, 32)
     (raw / "a.png").write_bytes(b"torn")
-    with pytest.raises(ConfigError, match="not a picture"):
-        folders.read_pairs(raw, reference, 32)
+    with pytest.raises(ConfigError, match="not an image"):
+        scene_pairs.read_pairs(raw, reference, 32)
 
 
 @pytest.mark.parametrize(

@@ -1,23 +1,29 @@
-"""The depth experiment's figure: the view, what the blocks say, what is true, and the difference."""
+"""A figure for each view: what is seen, what the blocks say, what is true, and the difference."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from agent.depth_files import draw_cells
-from agent.depth_sweep import DepthMap
-from agent.ranging.focus import Array
+from agent.experiments.depth.run import Result
+from agent.experiments.figure_files import Figures
+from agent.kernel.ranging.focus import Array
+from agent.pictures.depth_files import draw_cells
+from agent.pictures.depth_sweep import DepthMap
 
 
-def draw(measured: DepthMap, truth_m: Array, path: Path) -> None:
-    """Write the PNG `path`; distances in metres on one scale, errors in millimetres; hatched: no distance."""
+def figures(result: Result) -> Figures:
+    """One for each sensor and view."""
+    for one in result.shown:
+        yield f"depth_{one.sensor}_{one.number}.png", figure(one.depth_map, one.truth_m)
+
+
+def figure(measured: DepthMap, truth_m: Array) -> Figure:
+    """Distances in metres on one scale, errors in millimetres; hatched: no distance."""
     assert measured.range_m is not None  # it was measured with a calibration
     height, width = measured.sharp.shape[:2]
-    figure = Figure(figsize=(12.0, 0.8 + 10.0 * height / width), layout="constrained")
-    (view, found), (true, wrong) = figure.subplots(2, 2)
+    drawn = Figure(figsize=(12.0, 0.8 + 10.0 * height / width), layout="constrained")
+    (view, found), (true, wrong) = drawn.subplots(2, 2)
     view.imshow(measured.sharp[..., ::-1])
     view.set_title("each block from its sharpest frame")
     limits = float(truth_m.min()), float(truth_m.max())
@@ -34,4 +40,4 @@ def draw(measured: DepthMap, truth_m: Array, path: Path) -> None:
     )
     for axes in (view, found, true, wrong):
         axes.set(xlim=(0, width), ylim=(height, 0), xlabel="x in px", ylabel="y in px")
-    figure.savefig(path, dpi=100)
+    return drawn

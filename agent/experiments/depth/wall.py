@@ -11,49 +11,25 @@ from collections.abc import Callable
 
 import numpy as np
 
-from agent.depth_sweep import HOME_SETTLE_S, MIN_QUALITY, SETTLE_S, SWEEP_STEPS, clarity_of
-from agent.experiments.still import StillCamera, View
-from agent.launch import Failed
-from agent.perception.breathing import measure_growth
-from agent.perception.clarity import luminance
-from agent.ranging.calibrate import FocusRow, fit_focus
-from agent.ranging.calibration import FocusFit
-from agent.ranging.focus import fit_peaks
-from agent.ranging.sag import TiltedPeak, with_sag
-from hw.camera import Image, Roi
+from agent.calibration.fit import FocusRow, fit_focus
+from agent.experiments.still_camera import StillCamera, View
+from agent.experiments.sweeps import BLOCK_PX, facing_wall, lens_positions, sweep
+from agent.kernel.ranging.calibration import FocusFit
+from agent.kernel.ranging.focus import fit_peaks
+from agent.kernel.ranging.lens_sag import TiltedPeak, with_sag
+from agent.pictures.depth_sweep import MIN_QUALITY, clarity_of
+from hw.camera.camera import Roi
 
-BLOCK_PX = 50  # the paper's
 WALL_M = 1.0 / np.linspace(1.0 / 1.35, 1.0 / 0.22, 12)  # distances of the calibration, equal steps of 1/u
 WALL_REPEATS = 3  # the lens comes back to 1.2 positions (rms) at each step, which is 12 mm at 1.25 m
 SAG_M = (0.36, 0.40, 0.44)  # distances at which the wall is also seen from a camera that looks up and down
 SAG_TILT_DEG = 15.0  # with all of the picture's middle still on the wall
-GROWTH_M = 0.5  # distance of the wall on which focus breathing is measured
 WALL_PX = 400  # side of the picture's middle that sees it
 
 
-def positions(camera: StillCamera) -> list[int]:
-    limits = camera.focus_range()
-    return [round(p) for p in np.linspace(limits.lowest, limits.highest, SWEEP_STEPS)]
-
-
-def frames(camera: StillCamera, roi: Roi | None = None) -> list[Image]:
-    """One sweep from the lowest position up."""
-    camera.set_focus(camera.focus_range().lowest)
-    camera.read(roi, settle_s=HOME_SETTLE_S)
-    images = []
-    for position in positions(camera):
-        camera.set_focus(position)
-        images.append(camera.read(roi, settle_s=SETTLE_S).image)
-    return images
-
-
-def breathing(camera: StillCamera) -> float:
-    """Growth of the picture over a sweep, on the wall. Raises Failed where it cannot be measured."""
-    camera.view = facing_wall(GROWTH_M)
-    growth = measure_growth([luminance(image) for image in frames(camera)])
-    if growth is None:
-        raise Failed("the wall's pictures cannot be registered, so focus breathing is unknown; try another --seed")
-    return growth
+def sweeps_of_a_calibration() -> int:
+    """How often `calibrate` sweeps."""
+    return WALL_REPEATS * len(WALL_M) + 2 * len(SAG_M)
 
 
 def calibrate(camera: StillCamera, growth: float, step: Callable[[], None]) -> FocusFit:
@@ -75,18 +51,16 @@ def calibrate(camera: StillCamera, growth: float, step: Callable[[], None]) -> F
 
 
 def wall_peak(camera: StillCamera, view: View, growth: float) -> tuple[float, float] | None:
-    """Median peak and half width of the blocks in the picture's middle. A wall has no edges in depth for the strict
-    gate to find: it would only take blocks away, nearly all of them at the near end, where peaks are widest."""
+    """Median peak and half width of the blocks in the picture's middle, lens positions; None where none has a peak.
+
+    A wall has no edges in depth for the strict gate to find: it would only take blocks away, nearly all of them at the
+    near end, where peaks are widest.
+    """
     width, height = camera.size
     middle = Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
-    focus = np.array(positions(camera), float)
+    rho = np.array(lens_positions(camera), float)
     camera.view = view
-    taken = clarity_of(frames(camera, middle), focus, BLOCK_PX, growth)
-    peaks = fit_peaks(focus, taken.clarity.reshape(len(focus), -1).T)
+    swept = clarity_of(sweep(camera, middle), rho, BLOCK_PX, growth)
+    peaks = fit_peaks(rho, swept.clarity.reshape(len(rho), -1).T)
     good = peaks.accepted & (peaks.quality >= MIN_QUALITY)
-    return (float(np.median(peaks.position[good])), float(np.median(peaks.width[good]))) if good.any() else None
-
-
-def facing_wall(u_m: float, tilt_deg: float = 0.0) -> View:
-    """Towards the wall at the far end of the tank's x axis, `u_m` from it."""
-    return View((1.5 - u_m, 0.6, 0.25), 0.0, tilt_deg)
+    return (float(np.median(peaks.lens_position[good])), float(np.median(peaks.width[good]))) if good.any() else None

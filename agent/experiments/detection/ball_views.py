@@ -8,25 +8,24 @@ breathing and of what stands in front, and of nothing that a detector does.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import ConfigError
-from agent.experiments.still import StillCamera, View
-from agent.ranging.calibration import CameraFit
-from hw.camera import Image
-from hw.twin.lens import PRESETS
-from hw.twin.raycast import Floats
+from agent.experiments.choices import Sensor
+from agent.experiments.still_camera import StillCamera, View
+from agent.kernel.config import WaterKind
+from agent.kernel.ranging.calibration import CameraFit
+from hw.camera.camera import Image
+from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
 
 Array = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 
-WATERS = ("air", "tap", "pool", "coastal", "turbid")
 WATER_INDEX = 1.333
 BALL_RADIUS_M = 0.07
 RANGE_M = (0.25, 1.5)  # camera to the ball's centre
@@ -56,37 +55,27 @@ class BallView(NamedTuple):
     sharp: bool
 
 
-def check_views(sensor: str, waters: Sequence[str]) -> None:
-    """Raises ConfigError for a sensor or a water that does not exist."""
-    if sensor not in PRESETS:
-        raise ConfigError(f"--sensor {sensor}: no such camera; choose one of {', '.join(PRESETS)}")
-    for water in waters:
-        if water not in WATERS:
-            raise ConfigError(f"--water {water}: no such water; choose one of {', '.join(WATERS)}")
-
-
-def ball_views(preset: str, sensor: str, seed: int, count: int) -> Iterator[BallView]:
+def ball_views(water: WaterKind, sensor: Sensor, seed: int, count: int) -> Iterator[BallView]:
     """`count` places in one world, each seen sharp and defocused; the same arguments give the same pictures."""
-    rng = generator(seed, preset, "views")
+    rng = generator(seed, water, "views")
     ball_m = (rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.4), BALL_RADIUS_M)  # near a corner: some views are long
     stones = tuple(
         Solid(kind="stone", position_m=(float(x), float(y), 0.05), radii_m=(0.08, 0.05, 0.06))
         for x, y in rng.uniform((0.55, 0.55), (1.4, 1.1), (2, 2))
     )
     ball = Solid(kind="ball", position_m=ball_m, radii_m=(BALL_RADIUS_M,) * 3)
-    # preset was checked against WATERS by whoever took it from a user
-    water = msgspec.structs.replace(load_scene("tank"), water=msgspec.convert({"preset": preset}, SceneWater))
-    full = StillCamera(sensor, seed, scene=msgspec.structs.replace(water, solid=(ball, *stones)))
-    bare = StillCamera(sensor, seed, scene=msgspec.structs.replace(water, solid=stones))
+    tank = msgspec.structs.replace(load_scene("tank"), water=SceneWater(preset=water))
+    full = StillCamera(sensor, seed, scene=msgspec.structs.replace(tank, solid=(ball, *stones)))
+    bare = StillCamera(sensor, seed, scene=msgspec.structs.replace(tank, solid=stones))
     for camera in (full, bare):
         camera.prepare()
     for _ in range(count):
         view, range_m = _view(np.array(ball_m), rng)
-        sharp = _sharp(full, range_m - BALL_RADIUS_M)
+        sharp = _sharp_position(full, range_m - BALL_RADIUS_M)
         away = rng.uniform(full.lens.lowest, full.lens.highest - 2 * DEFOCUS)
         blurred = int(away if away < sharp - DEFOCUS else max(away, sharp - DEFOCUS) + 2 * DEFOCUS)
-        for position in (sharp, min(blurred, full.lens.highest)):
-            yield _take(full, bare, view, position, range_m, position == sharp)
+        for lens_position in (sharp, min(blurred, full.lens.highest)):
+            yield _ball_view(full, bare, view, lens_position, range_m, lens_position == sharp)
 
 
 def _view(ball_m: Array, rng: np.random.Generator) -> tuple[View, float]:
@@ -104,22 +93,25 @@ def _view(ball_m: Array, rng: np.random.Generator) -> tuple[View, float]:
     return View((float(x), float(y), height_m), yaw_deg, tilt_deg), range_m
 
 
-def _sharp(camera: StillCamera, distance_m: float) -> int:
+def _sharp_position(camera: StillCamera, distance_m: float) -> int:
     """Lens position at which a thing so far away is sharp, without the port's few millimetres."""
     lens = camera.lens
-    position = (lens.image_m(WATER_INDEX / distance_m) - lens.at_rest_m) / lens.per_position_m
-    return round(min(max(position, lens.lowest), lens.highest))
+    lens_position = (lens.image_m(WATER_INDEX / distance_m) - lens.at_rest_m) / lens.per_position_m
+    return round(min(max(lens_position, lens.lowest), lens.highest))
 
 
-def _take(full: StillCamera, bare: StillCamera, view: View, position: int, range_m: float, sharp: bool) -> BallView:
+def _ball_view(
+    full: StillCamera, bare: StillCamera, view: View, lens_position: int, range_m: float, sharp: bool
+) -> BallView:
+    """The two frames, and the truth from their depths."""
     images, depths = [], []
     for camera in (full, bare):
         camera.view = view
-        camera.set_focus(position)
+        camera.set_focus(lens_position)
         images.append(camera.read(settle_s=0.2).image)
-        depths.append(camera.truth_m(position))
+        depths.append(camera.truth_m(lens_position))
     lens, (width, height) = full.lens, full.size
-    f_px = WATER_INDEX * lens.at_position_m(position) / lens.pixel_m
+    f_px = WATER_INDEX * lens.at_position_m(lens_position) / lens.pixel_m
     pinhole = CameraFit(width_px=width, height_px=height, f_px=f_px, cx_px=lens.centre_px[0], cy_px=lens.centre_px[1])
     return BallView(images[0], images[1], pinhole, outline(depths[0], depths[1], pinhole), range_m, sharp)
 

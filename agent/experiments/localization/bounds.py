@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from agent.experiments.graphs import Matrix
-from agent.experiments.scene import Array, Draw, Scene
+from agent.experiments.localization.graphs import Matrix
+from agent.experiments.localization.world import Array, Dive, MonteCarloWorld
 
 
-def bound_m(world: Scene, samples: Array, honest: slice = slice(None)) -> float:
+def bound_m(world: MonteCarloWorld, samples: Array, honest: slice = slice(None)) -> float:
     """The Cramer-Rao bound with `samples` of each robot, (N,), from those `honest`.
 
     A robot's mean has covariance R / n + B, the systematic B undivided; unbiased fusion adds up their inverses.
@@ -23,7 +23,7 @@ def bound_m(world: Scene, samples: Array, honest: slice = slice(None)) -> float:
     return math.sqrt(np.trace(np.linalg.inv(np.linalg.inv(mean).sum(axis=0))))
 
 
-def central_m(world: Scene, dive: Draw, iterations: int, honest: slice = slice(None)) -> Array:
+def central_m(world: MonteCarloWorld, dive: Dive, iterations: int, honest: slice = slice(None)) -> Array:
     """The estimate (3,) of somebody who has every sample and every covariance: it meets the bound."""
     sees = dive.sees[:iterations]
     n = sees.sum(axis=0)
@@ -47,7 +47,7 @@ def closed_form_m(W: Matrix, random_m2: Array, iterations: int) -> float:
     return math.sqrt(total.mean()) / iterations
 
 
-def central_track_m(world: Scene, dive: Draw, density: float, honest: slice = slice(None)) -> Array:
+def central_track_m(world: MonteCarloWorld, dive: Dive, density: float, honest: slice = slice(None)) -> Array:
     """Kalman filter of somebody who has every sample at once: place and velocity after each round of samples, (T, 6).
 
     The line for a target that moves. Constant velocity, driven by white acceleration of spectral `density` in m^2/s^3;

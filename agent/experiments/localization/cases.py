@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from agent.config import Protocol
-from agent.experiments.graphs import Topology
-from agent.experiments.scene import Noise, Views
+from agent.experiments.localization.graphs import Topology
+from agent.experiments.localization.world import Noise, Views
+from agent.experiments.result import Row
+from agent.kernel.config import Protocol
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
 AT = (10, 50, 200)
@@ -38,7 +39,7 @@ class Case(NamedTuple):
         """The robots that count."""
         return slice(1, None) if self.outlier_mm else slice(None)
 
-    def named(self) -> dict[str, Any]:
+    def named(self) -> Row:
         """What a row of result.json says of its case."""
         return {name: value for name, value in self._asdict().items() if name != "at"}
 

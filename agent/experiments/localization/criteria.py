@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Row = dict[str, Any]  # of result.json
+from agent.experiments.result import Row
 
 PAPER_UNDER_LOSS = {10: 9.6, 50: 27.0, 200: 56.0}  # times the bound: the literal update on the hard graph, 30 % loss
 REPRODUCED = 0.10  # share by which those may be missed: the figures were 150 draws of another world
@@ -23,12 +23,13 @@ class Target(NamedTuple):
     most: Callable[[Row], float | None]
 
 
-def verdicts(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def verdicts(rows: Sequence[Row]) -> list[Row]:
     """One for each target and row; a figure that does not exist misses its target."""
     return [verdict(target, row) for target in TARGETS for row in rows if target.of(row)]
 
 
-def verdict(target: Target, row: Row) -> dict[str, Any]:
+def verdict(target: Target, row: Row) -> Row:
+    """Whether a row meets a target."""
     found, least, most = target.measured(row), target.least(row), target.most(row)
     met = found is not None and (least is None or found >= least) and (most is None or found <= most)
     said = f", {row['says']} messages" if row["says"] > 1 else ""

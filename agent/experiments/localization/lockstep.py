@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from random import Random
 
-from agent.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
-from agent.estimation.choice import estimator
-from agent.estimation.face import Estimator, Prior, Update
-from agent.estimation.mailbox import Mailbox
-from agent.experiments.graphs import Graph
-from agent.experiments.scene import Array
-from agent.messages import Estimate, Symmetric, upper
+from agent.experiments.localization.graphs import Graph
+from agent.experiments.localization.world import Array
+from agent.kernel.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
+from agent.kernel.estimation.choice import estimator
+from agent.kernel.estimation.interface import Estimator, Prior, Update
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.messages import Estimate, Symmetric, upper
 
 VALIDITY = 1.5  # iterations: the last round counts, the one before it does not
 TARGET = "ball"

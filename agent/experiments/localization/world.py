@@ -36,10 +36,10 @@ SURVEY_M = 0.001  # per axis
 FIRST_VIEW = (0, 16, 28)  # iterations at which the paper's three robots find the target
 OBSERVERS = (0, 4, 9)  # of ten, when the others only relay
 
-LAP_RADIUS_M = 0.3  # of the circle on which a moving target swims
+CIRCLE_RADIUS_M = 0.3  # on which a moving target swims
 
 
-class Scene(NamedTuple):
+class MonteCarloWorld(NamedTuple):
     """Where robots are and how well they see; covariances (N, 3, 3) in m^2."""
 
     camera_m: Array  # (N, 3)
@@ -47,15 +47,15 @@ class Scene(NamedTuple):
     systematic_m2: Array  # zero when the experiment has none
 
 
-class Draw(NamedTuple):
-    """One dive: what each camera would measure at each iteration."""
+class Dive(NamedTuple):
+    """What each camera would measure at each iteration of one dive."""
 
     sample_m: Array  # (T, N, 3)
     sees: NDArray[np.bool_]  # (T, N): whether it does
 
 
-def scene(robots: int, noise: Noise, systematic: bool, rng: np.random.Generator) -> Scene:
-    """The reference scene for three robots; else ranges uniform in RANGE_M and any azimuth."""
+def draw_world(robots: int, noise: Noise, systematic: bool, rng: np.random.Generator) -> MonteCarloWorld:
+    """The paper's scene for three robots; else ranges uniform in RANGE_M and any azimuth. noise: of each sample."""
     if robots == len(THREE_M):
         camera = THREE_M
     else:
@@ -75,13 +75,18 @@ def scene(robots: int, noise: Noise, systematic: bool, rng: np.random.Generator)
     iso = np.tile(ISO_M**2 * eye, (robots, 1, 1))
     aniso = spread(ALONG_PER_M * (reach - ALONG_FROM_M) ** 2, LATERAL_RAD * reach, PLACE_M)
     fixed = spread(SCALE_ERROR * reach, ZERO_RAD * reach, SURVEY_M)
-    return Scene(camera, iso if noise == "iso" else aniso, fixed if systematic else 0.0 * fixed)
+    return MonteCarloWorld(camera, iso if noise == "iso" else aniso, fixed if systematic else 0.0 * fixed)
 
 
-def draw(
-    world: Scene, views: Views, outlier_m: float, iterations: int, rng: np.random.Generator, path_m: Array | None = None
-) -> Draw:
-    """Samples of a whole dive. Robot 0 is wrong by a horizontal `outlier_m` that its covariance knows nothing of.
+def draw_dive(
+    world: MonteCarloWorld,
+    views: Views,
+    outlier_m: float,
+    iterations: int,
+    rng: np.random.Generator,
+    path_m: Array | None = None,
+) -> Dive:
+    """The samples of a whole dive. Robot 0 is wrong by a horizontal `outlier_m` that its covariance knows nothing of.
 
     path_m: (T, 3) of a target that moves; TARGET_M throughout without it.
     """
@@ -93,7 +98,7 @@ def draw(
     offset = np.einsum("nij,nj->ni", _root(world.systematic_m2), rng.standard_normal((robots, 3)))
     direction = rng.uniform(0.0, 2.0 * math.pi)
     offset[0] += outlier_m * np.array([math.cos(direction), math.sin(direction), 0.0])
-    return Draw(truth[:, None] + random + offset, seen(views, robots, iterations))
+    return Dive(truth[:, None] + random + offset, seen(views, robots, iterations))
 
 
 def seen(views: Views, robots: int, iterations: int) -> NDArray[np.bool_]:
@@ -105,11 +110,11 @@ def seen(views: Views, robots: int, iterations: int) -> NDArray[np.bool_]:
     return np.ones((iterations, robots), dtype=bool)
 
 
-def lap_m(speed_m_s: float, t_s: Array) -> Array:
-    """Where a target on a circle around TARGET_M is at these times, (T,) -> (T, 3)."""
-    angle = speed_m_s / LAP_RADIUS_M * t_s
+def circle_m(speed_m_s: float, t_s: Array) -> Array:
+    """Places of a target on a circle around TARGET_M at these times, (T,) -> (T, 3)."""
+    angle = speed_m_s / CIRCLE_RADIUS_M * t_s
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(t_s))])
-    return np.asarray(TARGET_M + LAP_RADIUS_M * circle)
+    return np.asarray(TARGET_M + CIRCLE_RADIUS_M * circle)
 
 
 def _root(covariance: Array) -> Array:

@@ -1,7 +1,7 @@
 """Up to five robots in the twin's tank go through one manoeuvre together, each with its own firmware process.
 
 Virtual time in lock-step: water, sensors and firmware take turns, however fast the machine is. The host's half is the
-driver's own (hw.stm32_talk) on the robots' real ptys. The kernel hands a pty's bytes over in its own time, mostly
+driver's own (hw.stm32.protocol) on the robots' real ptys. The kernel hands a pty's bytes over in its own time, mostly
 within the same tick: figures repeat to about 0.02 s, not to the bit.
 """
 
@@ -16,17 +16,18 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from agent.config import Fleet, Pose, Robot, Target, Twin
-from agent.experiments.settling import LIMIT_S, STAY_S, Track
-from agent.launch import Failed
-from agent.messages import SetPoint, Telemetry
-from hw.stm32_talk import Talk
-from hw.twin.devices import Board
-from hw.twin.dive import Dive, run_in_lock_step
-from hw.twin.plant import Plant
-from hw.twin.rotation import euler_rad
-from hw.twin.sensors import CORNERS, LATE_SAMPLES
-from hw.twin.tank import TICK_NS
+from agent.experiments.orientation.settling import LIMIT_S, STAY_S, Track
+from agent.failure import Failed
+from agent.kernel.config import Fleet, Pose, Robot, Target, Twin
+from agent.kernel.step_io import SetPoint, Telemetry
+from hw.stm32.protocol import HostProtocol
+from hw.twin.devices.board import Board
+from hw.twin.dive import Dive
+from hw.twin.pace import run_in_lock_step
+from hw.twin.physics.plant import Plant
+from hw.twin.physics.rotation import euler_rad
+from hw.twin.physics.sensors import CORNERS, LATE_SAMPLES
+from hw.twin.physics.tank import TICK_NS
 
 # As many as fit: 0.28 m wide hulls that tilt and swing on their mooring touch neither each other nor a wall.
 PLACES_M = ((0.30, 0.30), (1.20, 0.30), (0.30, 0.90), (1.20, 0.90), (0.75, 0.60))
@@ -50,6 +51,8 @@ class Case(NamedTuple):
 
 
 class Manoeuvre(NamedTuple):
+    """Two set-points, at rest at the first; a push, or a step to the second."""
+
     start_m: float
     goal_m: float
     pushed: bool
@@ -59,7 +62,7 @@ PUSH = Manoeuvre(0.30, 0.30, True)
 STEP = Manoeuvre(0.22, 0.41, False)
 
 
-class Flight(NamedTuple):
+class Response(NamedTuple):
     """What one robot did, and what the host saw of it: telemetry, its t_ns as in the track."""
 
     track: Track
@@ -68,9 +71,11 @@ class Flight(NamedTuple):
     disarmed: bool
 
 
-def fly(cases: Sequence[Case], manoeuvre: Manoeuvre, world: int, folder: Path, interpreter: str) -> list[Flight]:
-    """Fly at most five cases side by side; `world` is the twin's seed. Raises Failed where a robot does not arm
-    or its firmware hangs."""
+def respond(cases: Sequence[Case], manoeuvre: Manoeuvre, world: int, folder: Path, interpreter: str) -> list[Response]:
+    """Put at most five cases through it side by side; `world` is the twin's seed, `folder` is for ptys.
+
+    Raises Failed where a robot does not arm or its firmware hangs.
+    """
     names = [f"r{i + 1}" for i in range(len(cases))]
     fleet = tank(names, world)
     plants = {
@@ -89,12 +94,12 @@ def fly(cases: Sequence[Case], manoeuvre: Manoeuvre, world: int, folder: Path, i
             board.start()
         hosts = [stack.enter_context(Host(board)) for board in dive.boards]
         try:
-            return perform(dive, hosts, manoeuvre, fleet.tank.surface_m)
+            return carry_out(dive, hosts, manoeuvre, fleet.tank.surface_m)
         except TimeoutError as error:
             raise Failed(str(error)) from None
 
 
-def perform(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m: float) -> list[Flight]:
+def carry_out(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m: float) -> list[Response]:
     """Arm, let go, find rest; then the push or the step, and watch."""
     depth_m = manoeuvre.start_m
     rows: list[list[tuple[float, ...]]] = []
@@ -102,11 +107,11 @@ def perform(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m: 
     def go_on(seconds: float) -> None:
         for _ in range(round(seconds * 1e9) // TICK_NS):
             for host in hosts:
-                host.talk(depth_m, dive)
+                host.exchange(depth_m, dive)
             run_in_lock_step(dive, 1)
             rows.append([(surface_m - s["position_m"][2], *euler_rad(s["quaternion"])[:2]) for s in dive.states])
 
-    while not all(host.talker.armed for host in hosts):
+    while not all(host.protocol.armed for host in hosts):
         go_on(0.1)
         if dive.now_ns > ARM_WITHIN_S * 1e9:
             raise Failed("a robot of the twin did not arm: " + "; ".join(host.last_said() for host in hosts))
@@ -126,11 +131,11 @@ def perform(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m: 
     truth = np.array(rows)  # (n, robots, 3)
     t_s = 1e-9 * (first_ns - zero_ns + TICK_NS * np.arange(len(rows)))
     return [
-        Flight(
+        Response(
             Track(t_s, truth[:, i, 0], np.degrees(truth[:, i, 1]), np.degrees(truth[:, i, 2])),
             [msgspec.structs.replace(t, t_ns=t.t_ns - zero_ns) for t in host.heard if t.t_ns >= first_ns],
             max(t.ladder for t in host.heard),
-            not host.talker.armed,
+            not host.protocol.armed,
         )
         for i, host in enumerate(hosts)
     ]
@@ -140,35 +145,36 @@ class Host:
     """The ground computer's half of one tether."""
 
     def __init__(self, board: Board) -> None:
-        self.talker = Talk(1)
+        self.protocol = HostProtocol(1)
         self.heard: list[Telemetry] = []
         self._path = board.port
         self._port = -1
 
     def __enter__(self) -> Host:
         self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        self.talker.connected()
-        self.talker.arm()
+        self.protocol.connected()
+        self.protocol.arm()
         return self
 
     def __exit__(self, *_: object) -> None:
         os.close(self._port)
 
-    def talk(self, depth_m: float, dive: Dive) -> None:
+    def exchange(self, depth_m: float, dive: Dive) -> None:
         """Take what the board said, say what is due; a set-point in every SET_POINT_TICKS-th tick."""
-        now_ns, talker = dive.now_ns, self.talker
+        now_ns, protocol = dive.now_ns, self.protocol
         with contextlib.suppress(BlockingIOError):  # nothing said since
-            talker.receive(os.read(self._port, 4096), now_ns)
-        self.heard += talker.telemetry
-        talker.telemetry.clear()
-        out = talker.due(now_ns)
+            protocol.receive(os.read(self._port, 4096), now_ns)
+        self.heard += protocol.telemetry
+        protocol.telemetry.clear()
+        out = protocol.due(now_ns)
         if dive.ticks % SET_POINT_TICKS == 0:
-            out += talker.set_point(SetPoint(depth_m=depth_m), now_ns)
+            out += protocol.set_point(SetPoint(depth_m=depth_m), now_ns)
         if out:
             os.write(self._port, out)
 
     def last_said(self) -> str:
-        return self.talker.said[-1].text if self.talker.said else "nothing heard"
+        """The board's last line of text."""
+        return self.protocol.lines[-1].text if self.protocol.lines else "nothing heard"
 
 
 def tank(names: Sequence[str], world: int) -> Fleet:

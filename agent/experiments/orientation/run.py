@@ -1,4 +1,4 @@
-"""`aucamp experiment orientation`: pushed and sent down, how soon is a robot level and at depth again?
+"""Pushed and sent down, how soon is a robot level and at depth again?
 
 The paper's two tests (Aucamp, arXiv 2506.09876, section 6) for each law of the firmware, on robots of the twin that
 differ in mass, water, thrusters and sensors: a push of 8 N down at a corner for 0.3 s at 0.30 m, and a step of the
@@ -9,21 +9,18 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from rich.console import Console
+import msgspec
 
-from agent.experiments.figures_orientation import draw
-from agent.experiments.manoeuvre import HOVER_S, PLACES_M, PUSH, STEP, Case, Flight, fly
-from agent.experiments.result import make_room, write_result
-from agent.experiments.settling import rms, score_push, score_step, spread
-from agent.experiments.tables_orientation import controllers_table, number, stability_table
-from agent.launch import run_folder, temporary_folder, with_bar
+from agent.experiments.orientation.manoeuvre import HOVER_S, PLACES_M, PUSH, STEP, Case, Response, respond
+from agent.experiments.orientation.settling import number_or_never, rms, score_push, score_step, spread
+from agent.experiments.result import ExperimentResult, Row
+from agent.progress import Progress, step_by_step
+from agent.run_folder import temporary_folder
 from hw.twin.scene import generator
-
-Progress = Callable[[int, int], None]  # dives done, dives in all
 
 LAWS = ("observer", "pid", "pi")
 DEFAULT_LAW = LAWS[0]
@@ -49,38 +46,50 @@ class Group(NamedTuple):
     cases: list[Case]
 
 
-class Flown(NamedTuple):
+class Responses(NamedTuple):
+    """One robot under one law, in both manoeuvres."""
+
     case: Case
-    push: Flight
-    step: Flight
+    push: Response
+    step: Response
 
 
-def run(seed: int, seeds: int, out: Path | None, console: Console) -> dict[str, Any]:
-    """The verb: progress bar, table, where it went."""
-    folder = run_folder(out)
-    result = with_bar(console, "dives of up to five robots", lambda show: orientation(seed, seeds, folder, show))
-    console.print(controllers_table(result))
-    console.print(stability_table(result))
-    for text in result["missed"]:
-        console.print(f"{DEFAULT_LAW} misses: {text}")
-    console.print(f"twin, firmware under {result['firmware']}, {seeds} seeds. Written to {folder}")
-    return result
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    seed: int = 0  # of the robots
+    seeds: int = 20  # robots in each case
+    laws: tuple[str, ...] = LAWS
+    lags_s: tuple[float, ...] = LAGS_S
 
 
-def orientation(
-    seed: int,
-    seeds: int,
-    out: Path,
-    progress: Progress,
-    laws: Sequence[str] = LAWS,
-    lags_s: Sequence[float] = LAGS_S,
-) -> dict[str, Any]:
-    """Fly all cases; writes result.json and the figures into `out` and returns the content of result.json.
+class Result(ExperimentResult, frozen=True, kw_only=True):
+    """Figures per law at each lag, of the default law on robots that it does not know, and a row for each robot.
 
-    Raises ConfigError where `out` holds a result already, Failed where a robot of the twin does not arm.
+    shown: each law's first robot, at the first lag.
     """
-    make_room(out)
+
+    schema: int = 1
+    source: str = "twin"
+    seed: int
+    seeds: int
+    firmware: str  # the interpreter that runs it
+    controllers: dict[str, Row]  # by law, at the first lag
+    controllers_lag_s: float
+    by_lag_s: dict[str, dict[str, Row]]
+    stability: list[Row]
+    missed: list[str]
+    cases: list[Row]
+    shown: dict[str, Responses]
+
+
+def run(settings: Settings, progress: Progress) -> Result:
+    """Dive with all cases; progress counts dives of up to five robots, push and step together.
+
+    Raises Failed where a robot of the twin does not arm.
+    """
     interpreter = shutil.which("micropython", path=str(Path(sys.executable).parent)) or shutil.which("micropython")
+    seed, seeds, laws, lags_s = settings.seed, settings.seeds, settings.laws, settings.lags_s
     plain = [group for law in laws for lag_s in lags_s for group in groups(seed, seeds, law, lag_s)]
     strange = [
         group
@@ -88,49 +97,44 @@ def orientation(
         for delay_samples in STABLE_DELAYS
         for group in groups(seed, min(seeds, len(PLACES_M)), DEFAULT_LAW, LAGS_S[0], mass_scale, delay_samples)
     ]
-    rows: list[dict[str, Any]] = []
-    shown: dict[str, Flown] = {}  # each law's first robot, at the first lag
-    progress(0, len(plain) + len(strange))
-    for done, group in enumerate((*plain, *strange), start=1):
-        for flown in dive(group, interpreter or sys.executable):
-            rows.append(score(*flown))
-            shown.setdefault(flown.case.law, flown)
-        progress(done, len(plain) + len(strange))
+    step = step_by_step(progress, len(plain) + len(strange))
+    rows: list[Row] = []
+    shown: dict[str, Responses] = {}
+    for group in (*plain, *strange):
+        for one in both_manoeuvres(group, interpreter or sys.executable):
+            rows.append(score(*one))
+            shown.setdefault(one.case.law, one)
+        step()
 
     ordinary = sum(len(group.cases) for group in plain)
     by_lag = {
         f"{lag_s:.2f}": {
-            law: sum_up(r for r in rows[:ordinary] if (r["law"], r["lag_s"]) == (law, lag_s)) for law in laws
+            law: summary(r for r in rows[:ordinary] if (r["law"], r["lag_s"]) == (law, lag_s)) for law in laws
         }
         for lag_s in lags_s
     }
     first = by_lag[f"{lags_s[0]:.2f}"]
-    result = {
-        "schema": 1,
-        "source": "twin",
-        "seed": seed,
-        "seeds": seeds,
-        "firmware": "MicroPython" if interpreter else "CPython",
-        "controllers": first,
-        "controllers_lag_s": lags_s[0],
-        "by_lag_s": by_lag,
-        "stability": sum_up_stability(rows[ordinary:]),
-        "missed": missed(first[DEFAULT_LAW]),
-        "cases": rows,
-    }
-    write_result(out, result)
-    draw({law: flown.push for law, flown in shown.items()}, PUSH, out / "orientation_push")
-    draw({law: flown.step for law, flown in shown.items()}, STEP, out / "orientation_step")
-    return result
+    return Result(
+        seed=seed,
+        seeds=seeds,
+        firmware="MicroPython" if interpreter else "CPython",
+        controllers=first,
+        controllers_lag_s=lags_s[0],
+        by_lag_s=by_lag,
+        stability=stability(rows[ordinary:]),
+        missed=missed(first[DEFAULT_LAW]),
+        cases=rows,
+        shown=shown,
+    )
 
 
-def dive(group: Group, interpreter: str) -> list[Flown]:
-    """Both manoeuvres, each from a fresh boot."""
+def both_manoeuvres(group: Group, interpreter: str) -> list[Responses]:
+    """Push and step, each from a fresh boot."""
     with temporary_folder() as folder:
-        pushed = fly(group.cases, PUSH, group.world, folder, interpreter)
+        pushed = respond(group.cases, PUSH, group.world, folder, interpreter)
     with temporary_folder() as folder:
-        stepped = fly(group.cases, STEP, group.world, folder, interpreter)
-    return [Flown(*one) for one in zip(group.cases, pushed, stepped, strict=True)]
+        stepped = respond(group.cases, STEP, group.world, folder, interpreter)
+    return [Responses(*one) for one in zip(group.cases, pushed, stepped, strict=True)]
 
 
 def groups(
@@ -150,7 +154,7 @@ def groups(
         yield Group(1000 * seed + first // len(PLACES_M), cases)
 
 
-def score(case: Case, push: Flight, step: Flight) -> dict[str, Any]:
+def score(case: Case, push: Response, step: Response) -> Row:
     """One row of result.json's cases."""
     return {
         **case._asdict(),
@@ -162,7 +166,7 @@ def score(case: Case, push: Flight, step: Flight) -> dict[str, Any]:
     }
 
 
-def sum_up(cases: Iterable[dict[str, Any]]) -> dict[str, Any]:
+def summary(cases: Iterable[Row]) -> Row:
     """A law's figures over its cases."""
     rows = list(cases)
     return {
@@ -177,23 +181,23 @@ def sum_up(cases: Iterable[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def sum_up_stability(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def stability(rows: Sequence[Row]) -> list[Row]:
     """One line for each mass and delay; stable: every robot came to rest after the push and after the step."""
     lines = []
     for mass_scale in STABLE_MASSES:
         for delay in STABLE_DELAYS:
-            figures = sum_up(r for r in rows if (r["mass_scale"], r["delay_samples"]) == (mass_scale, delay))
+            figures = summary(r for r in rows if (r["mass_scale"], r["delay_samples"]) == (mass_scale, delay))
             never = figures["push_recovery_s"]["never"] + figures["step_settle_s"]["never"]
             condition = {"law": DEFAULT_LAW, "lag_s": LAGS_S[0], "mass_scale": mass_scale, "delay_samples": delay}
             lines.append({**condition, **figures, "stable": never == 0})
     return lines
 
 
-def missed(figures: dict[str, Any]) -> list[str]:
+def missed(figures: Row) -> list[str]:
     """Targets that a law with these figures does not reach; no value counts as one that is too large."""
     found = []
     for key, part, limit in TARGETS:
         value = figures[key][part] if part else figures[key]
         if value is None or value > limit:
-            found.append(f"{' '.join((key, part)).strip()} {number(value)}, target {limit}")
+            found.append(f"{' '.join((key, part)).strip()} {number_or_never(value)}, target {limit}")
     return found

@@ -1,4 +1,4 @@
-"""When is a robot back at depth and level? Definitions, and how cases are summed up when some of them never are.
+"""When a robot is back at depth and level: definitions, and how cases are summed up when some of them never are.
 
 All from the twin's truth, one sample per control cycle of 10 ms. A time that does not exist is `None`, in a sum as in
 a case: a median of which half the cases never settle is no number.
@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from agent.experiments.result import Row
 
 SAMPLE_S = 0.01
 DEPTH_M, TILT_DEG = 0.01, 2.0  # as far off as the paper's "recovered" may be
@@ -34,14 +36,17 @@ class Track(NamedTuple):
         return Track(*(row[self.t_s >= t_s - SAMPLE_S / 2] for row in self))
 
     def before(self, t_s: float) -> Track:
+        """The part before t_s."""
         return Track(*(row[self.t_s < t_s - SAMPLE_S / 2] for row in self))
 
 
 def at_depth(track: Track, goal_m: float) -> NDArray[np.bool_]:
+    """Which samples are, (n,)."""
     return np.asarray(np.abs(track.depth_m - goal_m) < DEPTH_M)
 
 
 def is_level(track: Track) -> NDArray[np.bool_]:
+    """Which samples are, (n,)."""
     return np.asarray((np.abs(track.roll_deg) < TILT_DEG) & (np.abs(track.pitch_deg) < TILT_DEG))
 
 
@@ -57,7 +62,7 @@ def for_good_s(good: NDArray[np.bool_]) -> float | None:
     return after_s if after_s <= LIMIT_S else None
 
 
-def score_push(track: Track, goal_m: float, hover_s: float) -> dict[str, Any]:
+def score_push(track: Track, goal_m: float, hover_s: float) -> Row:
     """Recovery from the end of the push; the worst on the way; and how still the last hover_s before it were."""
     after = track.since(0.0)
     off_m = track.depth_m - goal_m
@@ -71,7 +76,7 @@ def score_push(track: Track, goal_m: float, hover_s: float) -> dict[str, Any]:
     }
 
 
-def score_step(track: Track, start_m: float, goal_m: float) -> dict[str, Any]:
+def score_step(track: Track, start_m: float, goal_m: float) -> Row:
     """Settling of depth alone from the command, overshoot past the goal, the worst tilt on the way."""
     after = track.since(0.0)
     past_m = (after.depth_m - goal_m) * math.copysign(1.0, goal_m - start_m)
@@ -99,4 +104,10 @@ def spread(times_s: Sequence[float | None]) -> dict[str, float | int | None]:
 
 
 def rms(values: Samples | Sequence[float]) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def number_or_never(value: float | None) -> str:
+    """A figure as tables show it."""
+    return "never" if value is None else f"{value:.2f}"

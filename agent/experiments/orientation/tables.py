@@ -1,10 +1,13 @@
-"""The orientation experiment's result as two tables for the terminal."""
+"""Laws by lags, and the default law on robots that it does not know."""
 
 from __future__ import annotations
 
-from typing import Any
-
+from rich.console import Group
 from rich.table import Table
+
+from agent.experiments.orientation.run import DEFAULT_LAW, Result
+from agent.experiments.orientation.settling import number_or_never
+from agent.experiments.result import Row
 
 COLUMNS = (
     "push s, median",
@@ -20,39 +23,49 @@ COLUMNS = (
 )
 
 
-def controllers_table(result: dict[str, Any]) -> Table:
-    """Laws by lags."""
-    table = Table(title="push of 8 N for 0.3 s at a corner, and step from 0.22 to 0.41 m (twin)")
+def table(result: Result) -> Group:
+    """Both tables, targets that are missed, and whose firmware it was."""
+    return Group(
+        controllers_table(result),
+        stability_table(result),
+        *(f"{DEFAULT_LAW} misses: {text}" for text in result.missed),
+        f"twin, firmware under {result.firmware}, {result.seeds} seeds",
+    )
+
+
+def controllers_table(result: Result) -> Table:
+    """A line for each lag and law."""
+    shown = Table(title="push of 8 N for 0.3 s at a corner, and step from 0.22 to 0.41 m (twin)")
     for column in ("law", "lag s", *COLUMNS):
-        table.add_column(column, justify="left" if column == "law" else "right")
-    for lag_s, laws in result["by_lag_s"].items():
+        shown.add_column(column, justify="left" if column == "law" else "right")
+    for lag_s, laws in result.by_lag_s.items():
         for law, figures in laws.items():
-            table.add_row(law, lag_s, *cells(figures))
-    return table
+            shown.add_row(law, lag_s, *cells(figures))
+    return shown
 
 
-def stability_table(result: dict[str, Any]) -> Table:
-    """Masses by delays."""
-    table = Table(title=f"{result['stability'][0]['law']} on robots that it does not know")
+def stability_table(result: Result) -> Table:
+    """A line for each mass and delay."""
+    shown = Table(title=f"{DEFAULT_LAW} on robots that it does not know")
     for column in ("mass", "delay, samples", *COLUMNS):
-        table.add_column(column, justify="right")
-    for line in result["stability"]:
-        table.add_row(f"x {line['mass_scale']}", str(line["delay_samples"]), *cells(line))
-    return table
+        shown.add_column(column, justify="right")
+    for line in result.stability:
+        shown.add_row(f"x {line['mass_scale']}", str(line["delay_samples"]), *cells(line))
+    return shown
 
 
-def cells(figures: dict[str, Any]) -> list[str]:
+def cells(figures: Row) -> list[str]:
     """One law's figures in the order of COLUMNS."""
     push, step = figures["push_recovery_s"], figures["step_settle_s"]
-    times = [text for s in (push, step) for text in (number(s["median"]), number(s["p95"]), str(s["never"]))]
+    times = [
+        text
+        for s in (push, step)
+        for text in (number_or_never(s["median"]), number_or_never(s["p95"]), str(s["never"]))
+    ]
     return [
         *times,
-        number(figures["hover_depth_rms_mm"]),
-        number(figures["hover_tilt_rms_deg"]),
+        number_or_never(figures["hover_depth_rms_mm"]),
+        number_or_never(figures["hover_tilt_rms_deg"]),
         f"{figures['worst_push_tilt_deg']:.0f}",
         f"{figures['worst_overshoot_mm']:.0f}",
     ]
-
-
-def number(value: float | None) -> str:
-    return "never" if value is None else f"{value:.2f}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from agent.messages import Telemetry
+from agent.kernel.step_io import Telemetry
 
 KEEP_NS = 6_000_000_000  # longer than a full sweep: the sharpest frame may be its first
 FRESH_NS = 500_000_000  # 25 missed frames: the module is silent

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.ranging.calibration import FocusFit
+from agent.kernel.ranging.calibration import FocusFit
 
 TRACK_STEPS = 7
 TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
@@ -29,14 +29,14 @@ def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
     return spread(first, max(last, fit.rho0 + beyond), steps)
 
 
-def track_positions(peak: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
-    """A few positions around the last peak, `span` half-widths to either side: wide enough to see both flanks."""
-    return spread(peak - span * width, peak + span * width, TRACK_STEPS)
+def track_positions(lens_position: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
+    """A few around that of the last peak, `span` half-widths to either side: wide enough to see both flanks."""
+    return spread(lens_position - span * width, lens_position + span * width, TRACK_STEPS)
 
 
-def home_position(positions: Sequence[int], fit: FocusFit) -> int:
-    """Where the lens waits before the first of `positions`."""
-    return max(round(positions[0] - HOME * fit.width), 0)
+def home_position(lens_positions: Sequence[int], fit: FocusFit) -> int:
+    """Where the lens waits before the first of `lens_positions`."""
+    return max(round(lens_positions[0] - HOME * fit.width), 0)
 
 
 def spread(first: float, last: float, steps: int) -> tuple[int, ...]:

@@ -55,7 +55,7 @@ class Pointing:
         return (pan_us - PLAY_US, tilt_us - PLAY_US) if now_ns < self._approach_until_ns else self.goal_us
 
     def steady(self, now_ns: int) -> bool:
-        """At rest at the goal."""
+        """Whether the gimbal rests at the goal."""
         return self.goal_us is not None and now_ns >= self.steady_from_ns
 
 

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from agent.config import Fleet, Robot
-from agent.control.attitude import Attitude
-from agent.control.pointing import Pointing, Search, off_centre_px
-from agent.control.sweep import Measurement, Rejected, Sweep
-from agent.messages import Sighting, SweepPlan, Telemetry, Vector
-from agent.ranging.calibration import Calibration
-from agent.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
+from agent.kernel.config import Fleet, Robot
+from agent.kernel.control.attitude import Attitude
+from agent.kernel.control.pointing import Pointing, Search, off_centre_px
+from agent.kernel.control.sweep import Measurement, Rejected, Sweep
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
+from agent.kernel.step_io import Sighting, SweepPlan, Telemetry
 
 CENTRED = 0.09  # share of the image width: nearer to the middle than this, the gimbal stays still
 IN_VIEW_NS = 600_000_000  # two frames between sweeps
 LOST_NS = 1_200_000_000  # not found for this long, with the gimbal at rest
 
 
-class Sought:
+class TargetMemory:
     """What is remembered of one target, also while the camera looks at another."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
@@ -35,35 +36,35 @@ class Seek:
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
-        self._sought = {target: Sought(fleet, calibration) for target in fleet.target}
+        self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._look_us = servos_us(self._camera, fleet.body, robot.look.pan_deg, robot.look.tilt_deg)
 
     @property
     def measuring(self) -> bool:
         """A sweep is under way."""
-        return self._sought[self._target].sweep.running
+        return self._memory[self._target].sweep.running
 
-    def watch(self, sighting: Sighting) -> None:
+    def add_sighting(self, sighting: Sighting) -> None:
         """Take note of one frame."""
-        sought = self._sought.get(sighting.target)
-        if sought is None:
+        memory = self._memory.get(sighting.target)
+        if memory is None:
             return
-        sought.sweep.frame(sighting)
+        memory.sweep.frame(sighting)
         if sighting.found and sighting.t_ns >= self.pointing.steady_from_ns:
-            sought.seen = sighting
+            memory.seen = sighting
 
-    def feel(self, telemetry: Telemetry) -> None:
+    def add_telemetry(self, telemetry: Telemetry) -> None:
         """Take note of how still the robot is."""
-        self._sought[self._target].sweep.telemetry(telemetry)
+        self._memory[self._target].sweep.telemetry(telemetry)
 
     def finish(self, now_ns: int) -> Measurement | Rejected | None:
         """The result of the sweep that ended since the last call, if one did; it is about the target of `act`."""
-        return self._sought[self._target].sweep.finish(now_ns)
+        return self._memory[self._target].sweep.finish(now_ns)
 
     def remark(self) -> str | None:
         """What is to be known about the lens, once."""
-        return self._sought[self._target].sweep.remark()
+        return self._memory[self._target].sweep.remark()
 
     def act(
         self, now_ns: int, target: str, attitude: Attitude | None, told_m: Vector | None, wanted: bool
@@ -73,30 +74,30 @@ class Seek:
         `target`: which one to look at; a sweep that runs has to end before another may be named.
         `told_m`: where it is believed to be, world frame.
         """
-        sought, another = self._sought[target], target != self._target
+        memory, another = self._memory[target], target != self._target
         self._target = target
         if self.pointing.goal_us is None:
             self._aim(self._look_us, now_ns)
-        if sought.sweep.running or not (another or self.pointing.steady(now_ns)):
+        if memory.sweep.running or not (another or self.pointing.steady(now_ns)):
             return None
-        if sought.seen is not None and sought.seen.centre_px is not None and sought.in_view(now_ns):
-            sought.search.reset()
-            off_px = off_centre_px(sought.seen.centre_px, self._camera.width_px, self._camera.height_px)
+        if memory.seen is not None and memory.seen.centre_px is not None and memory.in_view(now_ns):
+            memory.search.reset()
+            off_px = off_centre_px(memory.seen.centre_px, self._camera.width_px, self._camera.height_px)
             if off_px <= CENTRED * self._camera.width_px:
-                if not wanted or attitude is None or not sought.sweep.ready(now_ns):
+                if not wanted or attitude is None or not memory.sweep.ready(now_ns):
                     return None
-                plan = sought.sweep.start(now_ns)
-                return replace(plan, target=target) if len(self._sought) > 1 else plan
-            self._turn_to_pixel(sought.seen.centre_px, attitude, now_ns)
+                plan = memory.sweep.start(now_ns)
+                return replace(plan, target=target) if len(self._memory) > 1 else plan
+            self._turn_to_pixel(memory.seen.centre_px, attitude, now_ns)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds
-            self._look_around(sought.search, attitude, told_m, now_ns)
-        elif self._lost(sought, now_ns):
-            sought.sweep.forget()
-            self._look_around(sought.search, attitude, told_m, now_ns)
+            self._look_around(memory.search, attitude, told_m, now_ns)
+        elif self._lost(memory, now_ns):
+            memory.sweep.forget()
+            self._look_around(memory.search, attitude, told_m, now_ns)
         return None
 
-    def _lost(self, sought: Sought, now_ns: int) -> bool:
-        since_ns = max(sought.seen.t_ns if sought.seen else 0, self.pointing.steady_from_ns)
+    def _lost(self, memory: TargetMemory, now_ns: int) -> bool:
+        since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
         return now_ns - since_ns > LOST_NS
 
     def eye(self, level: Attitude) -> Eye:
@@ -126,6 +127,6 @@ class Seek:
 
     def _aim(self, goal_us: tuple[int, int], now_ns: int) -> None:
         if goal_us != self.pointing.goal_us:
-            for sought in self._sought.values():
-                sought.seen = None  # its pixel belongs to the old direction
+            for memory in self._memory.values():
+                memory.seen = None  # its pixel belongs to the old direction
             self.pointing.aim(goal_us, now_ns)

@@ -14,11 +14,17 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.control.positions import TRACK_SPAN, full_positions, home_position, short_of_infinity, track_positions
-from agent.messages import Sighting, SweepPlan, Telemetry
-from agent.ranging.calibration import FocusFit
-from agent.ranging.cues import Outline
-from agent.ranging.focus import Peak, fit_peak, phase_sigma
+from agent.kernel.control.lens_positions import (
+    TRACK_SPAN,
+    full_positions,
+    home_position,
+    short_of_infinity,
+    track_positions,
+)
+from agent.kernel.ranging.calibration import FocusFit
+from agent.kernel.ranging.cues import Outline
+from agent.kernel.ranging.focus import Peak, fit_peak, phase_sigma
+from agent.kernel.step_io import Sighting, SweepPlan, Telemetry
 
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
 STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
@@ -41,19 +47,23 @@ PAUSE_NS = 2_000_000_000
 class Measurement(NamedTuple):
     """One accepted sweep, in lens and pixel terms; stamped with the time of its sharpest frame."""
 
+    sweep: int  # number of its plan
     t_ns: int
-    focus: float  # lens position of the peak
+    lens_position: float  # of the peak
     sigma: float  # its standard deviation, lens positions
     width: float  # half width of the peak, lens positions
+    held_width: float | None  # that the fit was told; None: it was free
     outline: Outline  # in the frame nearest to the peak: blur moves an edge
-    score: float
+    quality: float  # correlation of curve and model, 0 to 1
 
 
 class Rejected(NamedTuple):
     """Why a finished sweep gave nothing."""
 
+    sweep: int  # number of its plan
     reason: str
     too_long: bool = False  # target or robot moved, or frames came slowly: fewer positions may succeed
+    held_width: float | None = None  # as of a measurement, where a fit was made
 
 
 class Sweep:
@@ -85,14 +95,14 @@ class Sweep:
         """Begin the next sweep: full when there is no peak to track."""
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
-            positions = track_positions(self._last.focus, self._last.width, half_span)
+            lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
         else:
             fewest = min(FEWEST_STEPS, self._full_steps)
-            positions = full_positions(self._fit, max(self._full_steps >> self._halvings, fewest))
+            lens_positions = full_positions(self._fit, max(self._full_steps >> self._halvings, fewest))
         self._number += 1
         self._frames, self._tilts = [], []
-        self._plan = SweepPlan(sweep=self._number, focus=(home_position(positions, self._fit), *positions))
-        self._deadline_ns = now_ns + SLACK_NS + len(positions) * STEP_NS
+        self._plan = SweepPlan(sweep=self._number, focus=(home_position(lens_positions, self._fit), *lens_positions))
+        self._deadline_ns = now_ns + SLACK_NS + len(lens_positions) * STEP_NS
         return self._plan
 
     def frame(self, sighting: Sighting) -> None:
@@ -113,7 +123,8 @@ class Sweep:
         complete = bool(self._frames) and self._frames[-1].index == len(self._plan.focus) - 1
         if not complete and now_ns < self._deadline_ns:
             return None
-        result = self._result() if complete else Rejected("not finished in time", too_long=True)
+        number = self._plan.sweep
+        result = self._result(number) if complete else Rejected(number, "not finished in time", too_long=True)
         self._plan = None
         if isinstance(result, Measurement):
             self._last, self._failures, self._halvings = result, 0, 0
@@ -140,29 +151,31 @@ class Sweep:
         elif self._failures >= FAILURES_BEFORE_FULL:
             self._last, self._failures, self._halvings = None, 0, int(too_long)
 
-    def _result(self) -> Measurement | Rejected:
+    def _result(self, number: int) -> Measurement | Rejected:
         good = [f for f in self._frames if f.found and f.focus is not None and f.clarity is not None]
         if len(good) < FOUND_SHARE * len(self._frames):
-            return Rejected(f"target seen in {len(good)} of {len(self._frames)} frames")
+            return Rejected(number, f"target seen in {len(good)} of {len(self._frames)} frames")
         moved = how_moved(good, self._tilts)
         if moved is not None:
-            return Rejected(moved, too_long=True)
+            return Rejected(number, moved, too_long=True)
         if self._last is None and not self._remarked:
             self._remark = short_of_infinity(self._fit, [f.focus for f in self._frames if f.focus is not None])
             self._remarked = True
-        width = None if self._last is None else self._last.width
-        peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], width)
+        held_width = None if self._last is None else self._last.width
+        peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], held_width)
         if not isinstance(peak, Peak):
-            return Rejected(peak.reason)
-        sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.position), f.frame))
+            return Rejected(number, peak.reason, held_width=held_width)
+        sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
         assert sharpest.centre_px is not None
         return Measurement(
+            sweep=number,
             t_ns=sharpest.t_ns,
-            focus=peak.position,
+            lens_position=peak.lens_position,
             sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
             width=peak.width,
+            held_width=held_width,
             outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
-            score=peak.quality,
+            quality=peak.quality,
         )
 
 
@@ -184,5 +197,5 @@ def step_limit_px(sighting: Sighting) -> float:
 
 
 def span(points: Sequence[tuple[float, float]]) -> float:
-    """From the least to the most, along the axis on which that is more."""
+    """Distance from the least to the most, along the axis on which that is more."""
     return max((max(axis) - min(axis) for axis in zip(*points, strict=True)), default=0.0)

@@ -21,7 +21,7 @@ TURN = 5  # iterations: one goes by while the gimbal turns, and a search looks i
 PATIENCE = 2
 
 
-class Turns:
+class TargetScheduler:
     """Whose turn it is."""
 
     def __init__(self, targets: tuple[str, ...]) -> None:

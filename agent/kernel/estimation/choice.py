@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from agent.config import Fleet
-from agent.estimation.evidence import Evidence
-from agent.estimation.face import Estimator
-from agent.estimation.metropolis import Metropolis
-from agent.estimation.paper import Paper
-from agent.estimation.validate import Bounds
+from agent.kernel.config import Fleet
+from agent.kernel.estimation.evidence import Evidence
+from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.interface import Estimator
+from agent.kernel.estimation.metropolis import Metropolis
+from agent.kernel.estimation.paper import Paper
 
 
 def estimator(fleet: Fleet, me: str, target: str, incarnation: int) -> Estimator:

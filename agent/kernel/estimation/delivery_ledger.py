@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
-from agent.messages import Holding
+from agent.kernel.messages import Holding
 
 Key = TypeVar("Key", bound=tuple[Any, ...])  # begins with origin and incarnation
 
@@ -17,7 +17,7 @@ DIGEST_NS = 1_000_000_000  # a digest at least this often: repairs what stopped 
 LINES = 64  # of a digest in one message; longer ones go out in turns
 
 
-class Post(Generic[Key]):
+class DeliveryLedger(Generic[Key]):
     """Bookkeeping for one neighbour in one epoch."""
 
     def __init__(self) -> None:
@@ -32,11 +32,11 @@ class Post(Generic[Key]):
         self._held = {}
         self._digested = None
 
-    def shows(self, key: Key, version: int) -> None:
+    def acknowledge(self, key: Key, version: int) -> None:
         """The neighbour's word on what it holds; later words replace earlier ones, downwards too."""
         self._held[key] = version
 
-    def owed(self, versions: Mapping[Key, int], own: tuple[str, int], limit: int) -> list[Key]:
+    def pending(self, versions: Mapping[Key, int], own: tuple[str, int], limit: int) -> list[Key]:
         """What to send now: own evidence first, then what was sent longest ago, at most `limit`."""
         waiting = [key for key, version in versions.items() if version > self._held.get(key, 0)]
         waiting.sort(key=lambda key: (key[:2] != own, self._sent.get(key, -1)))  # stable: else as `versions` has it

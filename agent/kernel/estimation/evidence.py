@@ -1,10 +1,10 @@
 """Robots exchange what each has measured, not what each believes; every robot draws the conclusion for itself.
 
 Beliefs that are averaged lose their origin: a sample counted twice, a robot that is wrong, a restart cannot be told
-any more. Here each robot's samples travel under its name: as a sum while the target rests (rest.py, table.py),
-one by one while it moves (chase.py, window.py). Any robot passes them on, with or without a view of its own, until
-the neighbour shows that it holds them (post.py). The posterior is a function of what is held (fuse.py, track.py):
-equal tables give equal posteriors, on every robot, to the last bit.
+any more. Here each robot's samples travel under its name: as a sum while the target rests (static_target,
+evidence_table), one by one while it moves (moving_target, window). Any robot passes them on, with or without a view of
+its own, until the neighbour shows that it holds them (delivery_ledger). The posterior is a function of what is held
+(fuse, track): equal tables give equal posteriors, on every robot, to the last bit.
 
 The posterior is concluded when it is read, and again only after news: what arrived since the last iteration counts as
 soon as somebody asks. `Update.explain` tells of the conclusion at the iteration itself.
@@ -19,15 +19,15 @@ from collections import deque
 
 from msgspec.structs import replace
 
-from agent.estimation.chase import Chase
-from agent.estimation.face import NOTHING, Posterior, Prior, Update, Word
-from agent.estimation.mailbox import Letter, Mailbox
-from agent.estimation.mode import Me, Mode
-from agent.estimation.motion import Motion
-from agent.estimation.rest import Rest
-from agent.estimation.validate import Bounds
-from agent.estimation.window import WINDOW
-from agent.messages import Epoch, Symmetric
+from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.interface import NOTHING, Posterior, Prior, Update, Word
+from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.estimation.mode import Me, Mode
+from agent.kernel.estimation.motion import Motion
+from agent.kernel.estimation.moving_target import MovingTarget
+from agent.kernel.estimation.static_target import StaticTarget
+from agent.kernel.estimation.window import WINDOW
+from agent.kernel.messages import Epoch, Symmetric
 
 CARRIED = 8  # own samples that a new epoch begins with: fewer than it takes to notice a motion
 ENTRIES = 14  # in one message: two datagrams, and all there is in a swarm of that size
@@ -58,7 +58,7 @@ class Evidence:
         self._starts: dict[str, int] = {}  # the incarnation of each neighbour
         self.epoch = Epoch()
         self._motion = Motion()
-        self._mode: Mode = Rest(self._me, self.epoch)
+        self._mode: Mode = StaticTarget(self._me, self.epoch)
 
     @property
     def posterior(self) -> Posterior | None:
@@ -125,7 +125,7 @@ class Evidence:
     def begin(self, epoch: Epoch, now_ns: int) -> None:
         """A new epoch begins, with the newest own samples."""
         self.epoch, self._motion = epoch, Motion()
-        self._mode = Chase(self._me, epoch) if epoch.moving else Rest(self._me, epoch)
+        self._mode = MovingTarget(self._me, epoch) if epoch.moving else StaticTarget(self._me, epoch)
         oldest_ns = now_ns - WINDOW * self._me.bounds.iteration_ns
         for number, prior in self._recent:
             if prior.t_ns > oldest_ns:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.estimation.matrix import apply, inverse, minus, semidefinite, times, trace
-from agent.messages import Entry, Sample, Symmetric, Vector
+from agent.kernel.estimation.matrix import apply, inverse, minus, semidefinite, times, trace
+from agent.kernel.messages import Entry, Sample, Symmetric, Vector
 
 R_FLOOR_M = 0.001  # no camera of ours knows the target better than this in one sample; guards over-confident vision
 MARGIN_M = 0.2  # a place may lie this far outside the tank before it is nonsense

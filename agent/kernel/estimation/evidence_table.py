@@ -8,11 +8,11 @@ it from the neighbours.
 
 from __future__ import annotations
 
-from agent.estimation.face import Prior
-from agent.estimation.fuse import Opinion
-from agent.estimation.matrix import ZERO, apply, inverse, plus, times
-from agent.estimation.validate import Bounds, First, entry_fault, floored
-from agent.messages import Entry, Symmetric, Vector
+from agent.kernel.estimation.evidence_checks import Bounds, First, entry_fault, floored
+from agent.kernel.estimation.fuse import Opinion
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.matrix import ZERO, apply, inverse, plus, times
+from agent.kernel.messages import Entry, Symmetric, Vector
 
 Key = tuple[str, int]  # origin, incarnation
 
@@ -20,7 +20,7 @@ INCARNATIONS = 16  # of one origin, the newest: a robot that restarts all day mu
 
 
 class Table:
-    """All entries of one epoch of one target."""
+    """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
 
     def __init__(self, bounds: Bounds) -> None:
         self._bounds = bounds

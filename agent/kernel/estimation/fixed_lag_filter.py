@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.estimation.track import Track, begin, correct, predict, summed
-from agent.messages import Symmetric, Vector
+from agent.kernel.estimation.track import Track, begin, correct, predict, summed
+from agent.kernel.messages import Symmetric, Vector
 
 
 class Held(NamedTuple):
@@ -21,7 +21,7 @@ class Held(NamedTuple):
     vector: Vector  # R^-1 x̂, 1/m
 
 
-class Lagged:
+class FixedLagFilter:
     """A track over the samples that it is shown; those up to the horizon it remembers, the others it must see again."""
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
-"""From what each robot says to one place: a vote finds those that agree, Huber's weights soften the rest.
+"""Fuse what each robot says into one place: a vote finds those that agree, Huber's weights soften the rest.
 
 One robot that is wrong must not move the others, and nobody knows beforehand which one it is. Two opinions agree when
-their distance is likely under the sum of their covariances. The opinion with most friends leads; only its friends
+their distance is likely under the sum of their covariances. The opinion consistent with most others leads; only these
 enter the mean, and those of them that stand apart enter with less weight (Huber, Robust Statistics, 1981).
 Covariances hold the systematic error of their robot, so no robot grows surer than its survey and calibration allow.
 """
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
-from agent.estimation.matrix import ZERO, apply, distance2, invert, plus, quadratic, times, trace
-from agent.messages import Symmetric, Vector
+from agent.kernel.estimation.matrix import ZERO, apply, distance2, invert, plus, quadratic, times, trace
+from agent.kernel.messages import Symmetric, Vector
 
 Verdict = Literal["none", "single", "ok", "ambiguous", "outlier"]
 
@@ -22,7 +22,7 @@ AGREE = 16.27  # chi^2, 3 degrees of freedom, 0.999: honest robots disagree once
 HUBER = 1.5  # sigma; smaller attenuates small biases more, at 1 to 5 % of the accuracy when all are honest
 ROUNDS = 10  # of reweighting
 SETTLED = 1e-9  # change of a weight at which reweighting ends early
-VOTERS = 64  # beyond this many the vote (pairs) costs more than a tick has; friends of the median are taken then
+VOTERS = 64  # beyond this many the vote (pairs) costs more than a tick has; then who is consistent with the median
 
 
 class Opinion(NamedTuple):
@@ -37,9 +37,9 @@ class Opinion(NamedTuple):
 class Ballot(NamedTuple):
     """Outcome of a vote."""
 
-    group: frozenset[str]  # the leader and its friends
+    group: frozenset[str]  # the leader and who is consistent with it
     verdict: Verdict
-    votes: dict[str, int]  # friends of each origin, itself included
+    votes: dict[str, int]  # origins consistent with each, itself included
 
 
 class Fused(NamedTuple):
@@ -48,7 +48,7 @@ class Fused(NamedTuple):
     x_m: Vector
     cov_m2: Symmetric
     verdict: Verdict
-    votes: dict[str, int]  # friends of each origin, itself included
+    votes: dict[str, int]  # origins consistent with each, itself included
     factors: dict[str, float]  # Huber's weight of each origin; 0: left out
     shares: dict[str, float]  # of each origin in the mean, by trace of information; sum 1
 
@@ -78,12 +78,12 @@ def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO) -> Fused | No
 
 def vote(opinions: Sequence[Opinion]) -> Ballot:
     """Who agrees with whom, of opinions given in the order of their names; at least one."""
-    friends = _friends(opinions)
-    leader = max(range(len(opinions)), key=lambda j: (_score([opinions[i] for i in friends[j]]), -j))
+    consistent = _consistent(opinions)
+    leader = max(range(len(opinions)), key=lambda j: (_score([opinions[i] for i in consistent[j]]), -j))
     return Ballot(
-        frozenset(opinions[j].origin for j in friends[leader]),
-        _verdict(len(friends[leader]), len(opinions)),
-        {opinion.origin: len(each) for opinion, each in zip(opinions, friends, strict=True)},
+        frozenset(opinions[j].origin for j in consistent[leader]),
+        _verdict(len(consistent[leader]), len(opinions)),
+        {opinion.origin: len(each) for opinion, each in zip(opinions, consistent, strict=True)},
     )
 
 
@@ -95,26 +95,26 @@ def _verdict(agreeing: int, all_: int) -> Verdict:
     return "ok" if agreeing == all_ else "outlier"
 
 
-def _friends(opinions: Sequence[Opinion]) -> list[list[int]]:
-    """For each opinion the indices of those that agree with it, itself included, in order."""
+def _consistent(opinions: Sequence[Opinion]) -> list[list[int]]:
+    """Indices of those that agree with each opinion, itself included, in order."""
     n = len(opinions)
     if n > VOTERS:
         median = _median(opinions)
         near = [j for j, o in enumerate(opinions) if quadratic(o.precision, _minus(o.x_m, median)) < AGREE]
         return [near if j in near else [j] for j in range(n)]
-    friends: list[list[int]] = [[j] for j in range(n)]
+    consistent: list[list[int]] = [[j] for j in range(n)]
     for j in range(n):
         _, xj, pj, _ = opinions[j]
         for k in range(j):
             _, xk, pk, _ = opinions[k]
             if distance2(plus(pj, pk), _minus(xj, xk)) < AGREE:
-                friends[j].append(k)
-                friends[k].append(j)
-    return [sorted(each) for each in friends]
+                consistent[j].append(k)
+                consistent[k].append(j)
+    return [sorted(each) for each in consistent]
 
 
 def _score(group: Sequence[Opinion]) -> tuple[int, float]:
-    """Most friends first; among equals, those that know more together."""
+    """The most numerous first; among equals, those that know more together."""
     return len(group), math.fsum(trace(opinion.precision) for opinion in group)
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from agent.estimation.mailbox import Letter, Mailbox
-from agent.messages import Explain, Gossip, Symmetric, Vector
+from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.messages import Explain, Gossip, Symmetric, Vector
 
 NOTHING: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.messages import Estimate, Refusal
+from agent.kernel.codec import Refusal
+from agent.kernel.messages import Estimate
 
 TRANSIT_WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
 TRANSIT_BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour

@@ -5,7 +5,7 @@ A matrix is its upper triangle, xx xy xz yy yz zz. Inverses are closed forms (ad
 
 from __future__ import annotations
 
-from agent.messages import Symmetric, Vector
+from agent.kernel.messages import Symmetric, Vector
 
 ZERO: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 IDENTITY: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)

@@ -11,10 +11,10 @@ all samples (Xiao, Boyd and Lall, IPSN 2005); on a graph with two colours the se
 
 from __future__ import annotations
 
-from agent.estimation.face import Posterior, Prior, Update, Word
-from agent.estimation.mailbox import Letter, Mailbox
-from agent.estimation.paper import UNKNOWN, mix
-from agent.messages import Estimate, Explain
+from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
+from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.estimation.paper import UNKNOWN, mix
+from agent.kernel.messages import Estimate, Explain
 
 
 class Metropolis:

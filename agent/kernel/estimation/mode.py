@@ -1,12 +1,12 @@
-"""What the two modes of `evidence`, rest and chase, have in common."""
+"""What the two modes of `evidence`, for a target at rest and for one that moves, have in common."""
 
 from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from agent.estimation.face import Posterior, Prior
-from agent.estimation.validate import Bounds
-from agent.messages import Explain, Gossip, Symmetric
+from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.messages import Explain, Gossip, Symmetric
 
 
 class Me(NamedTuple):
@@ -20,7 +20,7 @@ class Me(NamedTuple):
 
 
 class Conclusion(NamedTuple):
-    """Outcome of one iteration; the fields are those of face.Update."""
+    """Outcome of one iteration; the fields are those of interface.Update."""
 
     posterior: Posterior | None
     rule: str
@@ -41,7 +41,7 @@ class Mode(Protocol):
         """A neighbour started again: it holds nothing any more."""
 
     def say(self, to: str, now_ns: int) -> Gossip:
-        """What this neighbour is owed now."""
+        """What this neighbour does not have yet, as far as fits."""
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         """Where the target is by all that is held. `before`: the posterior until now."""

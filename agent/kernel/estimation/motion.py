@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from agent.messages import Vector
+from agent.kernel.messages import Vector
 
 BATCH = 5  # samples whose sum is judged; two batches in a row must agree
 MOVED = 37.70  # chi^2, 15 degrees of freedom, 0.999

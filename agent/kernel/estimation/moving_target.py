@@ -9,31 +9,31 @@ from __future__ import annotations
 
 import math
 
-from agent.estimation.face import Posterior, Prior
-from agent.estimation.fuse import Ballot, Opinion, vote
-from agent.estimation.lagged import Held, Lagged
-from agent.estimation.matrix import apply, inverse, invert, plus, trace
-from agent.estimation.mode import Conclusion, Me
-from agent.estimation.post import Post
-from agent.estimation.track import Track, predict, surprise
-from agent.estimation.validate import floored, inside
-from agent.estimation.window import MASK, Key, Window
-from agent.messages import Epoch, Explain, Gossip
+from agent.kernel.estimation.delivery_ledger import DeliveryLedger
+from agent.kernel.estimation.evidence_checks import floored, inside
+from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.fuse import Ballot, Opinion, vote
+from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
+from agent.kernel.estimation.mode import Conclusion, Me
+from agent.kernel.estimation.track import Track, nis, predict
+from agent.kernel.estimation.window import MASK, Key, Window
+from agent.kernel.messages import Epoch, Explain, Gossip
 
 SENT = 48  # samples in one message at most, 110 bytes each: half of what a message may hold
 
 
-class Chase:
+class MovingTarget:
     """One robot's window of samples in one epoch, and what its neighbours hold of it."""
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
         self._window = Window(me.bounds)
-        self._posts: dict[str, Post[Key]] = {name: Post() for name in me.neighbours}
+        self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
-        self._agreed = Lagged()
+        self._agreed = FixedLagFilter()
         self._makers: frozenset[str] = frozenset()  # whose samples the agreed track was made of
-        self._own: dict[str, Lagged] = {}
+        self._own: dict[str, FixedLagFilter] = {}
         self._mine: Track | None = None  # through our own samples alone
         self._nis: float | None = None
         self._newest: Held | None = None
@@ -51,14 +51,14 @@ class Chase:
             raise ValueError(f"covariance of the prior {covariance} is singular")
         self._nis = None
         if self._mine is not None:
-            self._nis = surprise(predict(self._mine, prior.t_ns), prior.x_m, covariance)
+            self._nis = nis(predict(self._mine, prior.t_ns), prior.x_m, covariance)
         self._newest = Held(prior.t_ns, information, apply(information, prior.x_m))
         self._window.measure((*self._me.key, number), self._newest)
         self._change += 1
         return self._nis
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        faults, post = [], self._posts[src]
+        faults, ledger = [], self._ledgers[src]
         for sample in gossip.samples:
             key = (sample.origin, sample.incarnation, sample.number)
             if key[:2] == self._me.key:
@@ -69,32 +69,32 @@ class Chase:
             if fault is not None:
                 faults.append(fault)
                 continue
-            post.shows(key, 1)
+            ledger.acknowledge(key, 1)
             self._change += news
         shown = {(line.origin, line.incarnation): line for line in gossip.digest}
         for key in self._window.samples:
             line = shown.get(key[:2])
             if line is not None:
                 older = line.newest - 1 - key[2]
-                post.shows(key, int(older == -1 or (0 <= older < MASK and bool(line.older >> older & 1))))
+                ledger.acknowledge(key, int(older == -1 or (0 <= older < MASK and bool(line.older >> older & 1))))
         return faults
 
     def restarted(self, src: str) -> None:
-        self._posts[src].forget()
+        self._ledgers[src].forget()
 
     def say(self, to: str, now_ns: int) -> Gossip:
-        post = self._posts[to]
-        chosen = post.owed(self._window.sendable(now_ns), self._me.key, SENT)
+        ledger = self._ledgers[to]
+        chosen = ledger.pending(self._window.sendable(now_ns), self._me.key, SENT)
         return Gossip(
             self._epoch,
             samples=tuple(self._window.sample(key, now_ns) for key in chosen),
-            digest=post.digest(self._window.digest(), self._change, now_ns),
+            digest=ledger.digest(self._window.digest(), self._change, now_ns),
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         fresh, horizon_ns = self._window.fresh(), self._window.horizon_ns(now_ns)
-        for post in self._posts.values():
-            post.drop(self._window.samples)
+        for ledger in self._ledgers.values():
+            ledger.drop(self._window.samples)
         opinions = self._opinions(fresh, horizon_ns, now_ns)
         track, ballot = None, None
         if opinions:
@@ -123,7 +123,7 @@ class Chase:
 
     def _opinions(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> list[Opinion]:
         """Where each origin places the target now, by its own samples alone."""
-        self._own = {origin: self._own.get(origin, Lagged()) for origin in fresh}
+        self._own = {origin: self._own.get(origin, FixedLagFilter()) for origin in fresh}
         tracks = {origin: self._own[origin].run(held, horizon_ns, now_ns) for origin, held in fresh.items()}
         self._mine = tracks.get(self._me.key[0])
         return [Opinion(name, t.x_m, t.A, invert(t.A)) for name, t in tracks.items() if t is not None]
@@ -131,7 +131,7 @@ class Chase:
     def _agree(self, ballot: Ballot, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> Track | None:
         """The track through the samples of those that agree. One made by others alone is not continued."""
         if not self._makers & ballot.group:
-            self._agreed = Lagged()
+            self._agreed = FixedLagFilter()
         self._makers = ballot.group
         return self._agreed.run([h for name in fresh if name in ballot.group for h in fresh[name]], horizon_ns, now_ns)
 

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from agent.estimation.face import Posterior, Prior, Update, Word
-from agent.estimation.mailbox import Letter, Mailbox
-from agent.messages import Explain, Symmetric, Vector
+from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
+from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.messages import Explain, Symmetric, Vector
 
 
 class Paper:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from agent.estimation.face import Posterior, Prior
-from agent.estimation.fuse import Fused, fuse
-from agent.estimation.matrix import apply, distance2, inverse, plus, trace
-from agent.estimation.mode import Conclusion, Me
-from agent.estimation.post import Post
-from agent.estimation.table import Key, Table
-from agent.estimation.validate import floored
-from agent.messages import Epoch, Explain, Gossip, Holding
+from agent.kernel.estimation.delivery_ledger import DeliveryLedger
+from agent.kernel.estimation.evidence_checks import floored
+from agent.kernel.estimation.evidence_table import Key, Table
+from agent.kernel.estimation.fuse import Fused, fuse
+from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.estimation.matrix import apply, distance2, inverse, plus, trace
+from agent.kernel.estimation.mode import Conclusion, Me
+from agent.kernel.messages import Epoch, Explain, Gossip, Holding
 
 
-class Rest:
+class StaticTarget:
     """One robot's table in one epoch, and what its neighbours hold of it."""
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
         self._table = Table(me.bounds)
-        self._posts: dict[str, Post[Key]] = {name: Post() for name in me.neighbours}
+        self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
         self._gain = 0.0  # share of the newest own sample in the own sum
         self._nis: float | None = None
@@ -38,7 +38,7 @@ class Rest:
         return self._nis
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        faults, post = [], self._posts[src]
+        faults, ledger = [], self._ledgers[src]
         for entry in gossip.entries:
             key = (entry.origin, entry.incarnation)
             if key == self._me.key:
@@ -50,23 +50,23 @@ class Rest:
             if fault is not None:
                 faults.append(fault)
                 continue
-            post.shows(key, entry.count)
+            ledger.acknowledge(key, entry.count)
             self._change += news
         for line in gossip.digest:
             if (line.origin, line.incarnation) in self._table.entries:
-                post.shows((line.origin, line.incarnation), line.newest)
+                ledger.acknowledge((line.origin, line.incarnation), line.newest)
         return faults
 
     def restarted(self, src: str) -> None:
-        self._posts[src].forget()
+        self._ledgers[src].forget()
 
     def say(self, to: str, now_ns: int) -> Gossip:
-        entries, post = self._table.entries, self._posts[to]
+        entries, ledger = self._table.entries, self._ledgers[to]
         versions = {key: entry.count for key, entry in entries.items()}
-        chosen = post.owed(versions, self._me.key, self._me.max_entries)
+        chosen = ledger.pending(versions, self._me.key, self._me.max_entries)
         lines = [Holding(*key, version) for key, version in versions.items()]
         return Gossip(
-            self._epoch, entries=tuple(entries[k] for k in chosen), digest=post.digest(lines, self._change, now_ns)
+            self._epoch, entries=tuple(entries[k] for k in chosen), digest=ledger.digest(lines, self._change, now_ns)
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:

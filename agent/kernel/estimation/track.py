@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.estimation.matrix import IDENTITY, ZERO, apply, invert, minus, plus, quadratic, times
-from agent.messages import Symmetric, Vector
+from agent.kernel.estimation.matrix import IDENTITY, ZERO, apply, invert, minus, plus, quadratic, times
+from agent.kernel.messages import Symmetric, Vector
 
 Square = tuple[float, float, float, float, float, float, float, float, float]  # 3x3, row by row
 
@@ -74,7 +74,7 @@ def correct(track: Track, information: Symmetric, vector: Vector) -> Track:
     )
 
 
-def surprise(track: Track, x_m: Vector, covariance_m2: Symmetric) -> float:
+def nis(track: Track, x_m: Vector, covariance_m2: Symmetric) -> float:
     """Normalised innovation squared of a sample at the track's time: chi^2 with 3 degrees of freedom."""
     x = track.x_m
     return quadratic(invert(plus(track.A, covariance_m2)), (x_m[0] - x[0], x_m[1] - x[1], x_m[2] - x[2]))

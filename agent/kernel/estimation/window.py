@@ -1,7 +1,7 @@
 """The newest samples of every robot, for a target that moves: what is passed on, and what a track is made of.
 
 A sample may arrive late and out of order, over other robots. One that comes after its moment has left the window
-(lagged.py) is of no use any more, neither here nor to a neighbour.
+(fixed_lag_filter.py) is of no use any more, neither here nor to a neighbour.
 
 Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
 mailbox adds the time it lay in a queue. The copy that says "longest ago" is the one with least of its way unaccounted.
@@ -9,9 +9,9 @@ mailbox adds the time it lay in a queue. The copy that says "longest ago" is the
 
 from __future__ import annotations
 
-from agent.estimation.lagged import Held
-from agent.estimation.validate import Bounds, sample_fault
-from agent.messages import Holding, Sample
+from agent.kernel.estimation.evidence_checks import Bounds, sample_fault
+from agent.kernel.estimation.fixed_lag_filter import Held
+from agent.kernel.messages import Holding, Sample
 
 Key = tuple[str, int, int]  # origin, incarnation, number
 

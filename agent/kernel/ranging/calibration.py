@@ -6,8 +6,9 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from agent.config import Positive, Struct, convert, read_toml
-from agent.messages import Symmetric
+from agent.kernel.config import Positive, Struct
+from agent.kernel.messages import Symmetric
+from agent.kernel.toml_files import convert, read_toml
 
 
 class FocusFit(Struct, frozen=True, kw_only=True):
@@ -36,17 +37,17 @@ class CameraFit(Struct, frozen=True, kw_only=True):
 
     A point at (x, y, z) in the camera frame has the slopes s = (x, y) / (z - ahead_m) and is seen at
     c + f_px (1 + bend |s|^2) s. The flat port alone bends by (n^2 - 1) / 2 = 0.39 and lets the rays meet (n - 1) times
-    its distance behind the optical centre. The picture grows with the lens position: see `at_lens`.
+    its distance behind the optical centre. The picture grows with the lens position: see `at_lens_position`.
     """
 
     width_px: int
     height_px: int
-    f_px: Positive  # with the lens at position `lens`
+    f_px: Positive  # at the lens position `lens`
     cx_px: float
     cy_px: float
     bend: float = 0.0
     ahead_m: float = 0.0  # where rays meet, ahead of the gimbal's pivot
-    lens: float = 0.0
+    lens: float = 0.0  # lens position
     breathing: float = 0.0  # share by which f_px grows with each lens position
     scale_covariance: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of ln f_px and ahead_m: 11, 12, 22
     pan_zero_deg: float = 0.0
@@ -65,12 +66,12 @@ class Calibration(Struct, frozen=True, kw_only=True):
     camera: CameraFit
 
 
-def at_lens(camera: CameraFit, lens: float | None) -> CameraFit:
+def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFit:
     """The camera with its lens at that position; None: unknown, as it was calibrated."""
-    if lens is None or camera.breathing == 0.0:
+    if lens_position is None or camera.breathing == 0.0:
         return camera
-    growth = 1.0 + camera.breathing * (lens - camera.lens)
-    return replace(camera, f_px=camera.f_px * growth, lens=lens, breathing=camera.breathing / growth)
+    growth = 1.0 + camera.breathing * (lens_position - camera.lens)
+    return replace(camera, f_px=camera.f_px * growth, lens=lens_position, breathing=camera.breathing / growth)
 
 
 def load_calibration(path: Path) -> Calibration:

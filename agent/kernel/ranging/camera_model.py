@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.config import Body, Pose
-from agent.messages import Vector
-from agent.ranging.calibration import CameraFit
+from agent.kernel.config import Body, Pose
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import CameraFit
 
 Rotation = tuple[Vector, Vector, Vector]  # rows
 
@@ -119,7 +119,7 @@ def to_world(eye: Eye, point_m: Vector) -> Vector:
 
 
 def centre_behind_skin_m(skin_m: float, radius_m: float, share: float = INNER_DISC) -> float:
-    """From the skin at which a ball's inner disc is sharpest to the ball's centre, along the ray to the centre.
+    """How far the ball's centre lies behind the skin at which its inner disc is sharpest, along the ray to the centre.
 
     Seen at an angle phi off that ray, the skin lies at depth t cos phi with t = d cos phi - sqrt(R^2 - d^2 sin^2 phi).
     The disc reaches to tan phi = share * tan(asin(R/d)). Each part of it is sharpest at its own vergence 1/depth, and

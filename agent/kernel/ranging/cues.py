@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.config import Cues, Target
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit, at_lens
-from agent.ranging.camera_model import centre_behind_skin_m, ray
-from agent.ranging.focus import Refused, h, range_variance
-from agent.ranging.sag import at_tilt
+from agent.kernel.config import Cues, Target
+from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit, at_lens_position
+from agent.kernel.ranging.camera_model import centre_behind_skin_m, ray
+from agent.kernel.ranging.focus import h, range_variance
+from agent.kernel.ranging.lens_sag import at_tilt
 
 # Measured on the twin, three cameras, clear and coastal water, 0.32 to 1.2 m: the radius of a whole, sharp outline is
 # off by 0.05 to 0.12 px (rms), mostly alike from frame to frame: texture at the rim, and blur that gamma makes uneven.
@@ -28,18 +28,24 @@ WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up:
 DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
 
 
+class NoRange(NamedTuple):
+    """What was seen gives no range, or two that contradict each other."""
+
+    reason: str
+
+
 class Outline(NamedTuple):
     """A ball as one frame shows it, or the box around something else."""
 
     centre_px: tuple[float, float]  # where the ray to the ball's centre meets the image; middle of the box
     radius_px: float | None  # angular radius times the f_px of that lens position; None: no ball
     share: float  # of the outline that was seen, 0 to 1
-    lens: float | None  # lens position of that frame
+    lens_position: float | None  # of that frame
     size_px: tuple[float, float] | None = None  # width and height of the box; None: a ball
 
 
 class Range(NamedTuple):
-    """From the point where rays meet to the ball's centre, or to the surface in the middle of the box."""
+    """Distance from the point where rays meet to the ball's centre, or to the surface in the middle of the box."""
 
     distance_m: float
     random_m2: float
@@ -53,18 +59,18 @@ class Range(NamedTuple):
 
 def distance(
     calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, cues: Cues, tilt_rad: float
-) -> Range | Refused:
-    """What the wanted cues say; Refused where they have no range, or contradict each other.
+) -> Range | NoRange:
+    """What the wanted cues say; NoRange where they have no range, or contradict each other.
 
     rho, sigma_rho: lens position of the clarity's peak and its standard deviation. tilt_rad: how far the camera looks
     up.
     """
-    camera = at_lens(calibration.camera, outline.lens)
+    camera = at_lens_position(calibration.camera, outline.lens_position)
     if cues == "size":
         return size_range(camera, outline, ball)
     focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
     if focus is None:
-        return Refused(f"peak at {rho:.0f} is sharp beyond all ranges")
+        return NoRange(f"peak at {rho:.0f} is sharp beyond all ranges")
     alone = cues == "focus" or ball.radius_m is None
     return focus if alone else fuse(focus, size_range(camera, outline, ball))
 
@@ -104,7 +110,7 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     ball's tolerance, and where rays meet.
     """
     assert ball.radius_m is not None and outline.radius_px is not None  # see distance()
-    f_px = at_lens(camera, outline.lens).f_px
+    f_px = at_lens_position(camera, outline.lens_position).f_px
     theta = outline.radius_px / f_px
     d = ball.radius_m / math.sin(theta)
     per_px = d / math.tan(theta) / f_px * outline.share**-ARC_POWER
@@ -120,11 +126,11 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     )
 
 
-def fuse(focus: Range, size: Range) -> Range | Refused:
-    """Both, each weighed by the inverse of its whole variance; Refused where they contradict each other."""
+def fuse(focus: Range, size: Range) -> Range | NoRange:
+    """Both, each weighed by the inverse of its whole variance; NoRange where they contradict each other."""
     apart_m, both = focus.distance_m - size.distance_m, focus.variance_m2 + size.variance_m2
     if apart_m * apart_m > DISAGREE * DISAGREE * both:
-        return Refused(
+        return NoRange(
             f"focus says {focus.distance_m:.3f} m, size {size.distance_m:.3f} m, {abs(apart_m) / math.sqrt(both):.0f} "
             "standard deviations apart; check the target's radius_m, or calibrate again"
         )

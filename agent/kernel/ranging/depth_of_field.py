@@ -1,4 +1,4 @@
-"""Over which ranges a picture is as sharp as its pixels can show.
+"""The ranges over which a picture is as sharp as its pixels can show.
 
 The paper adds this width to the range of the peak. It is no error of the peak, which is found from the flanks and an
 order of magnitude finer, so here it is a bound: what a single look at one frame could tell.

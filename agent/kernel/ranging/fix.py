@@ -12,12 +12,11 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.config import Cues, Target
-from agent.messages import Symmetric, Vector
-from agent.ranging.calibration import Calibration, at_lens
-from agent.ranging.camera_model import Eye, apply, ray, slopes_per_px
-from agent.ranging.cues import Outline, Range, distance
-from agent.ranging.focus import Refused
+from agent.kernel.config import Cues, Target
+from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.ranging.calibration import Calibration, at_lens_position
+from agent.kernel.ranging.camera_model import Eye, apply, ray, slopes_per_px
+from agent.kernel.ranging.cues import NoRange, Outline, Range, distance
 
 # What the robot does not know of itself; figures of the twin, which took them from tape measures and cheap sensors.
 PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
@@ -50,18 +49,18 @@ def locate(
     sigma_rho: float,
     ball: Target,
     cues: Cues = "both",
-) -> Fix | Refused:
+) -> Fix | NoRange:
     """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
 
     Of what is in a box: the point of its surface behind the middle of the box.
 
-    Refused where the wanted cues have no range, or contradict each other.
+    NoRange where the wanted cues have no range, or contradict each other.
     """
     axis = apply(eye.rotation, (0.0, 0.0, 1.0))
     d = distance(calibration, outline, rho, sigma_rho, ball, cues, math.asin(max(-1.0, min(1.0, axis[2]))))
-    if isinstance(d, Refused):
+    if isinstance(d, NoRange):
         return d
-    camera = at_lens(calibration.camera, outline.lens)
+    camera = at_lens_position(calibration.camera, outline.lens_position)
     m = ray(camera, outline.centre_px)
     r = apply(eye.rotation, m)
     x, y, z = (p + camera.ahead_m * a + d.distance_m * c for p, a, c in zip(eye.position_m, axis, r, strict=True))

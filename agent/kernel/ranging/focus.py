@@ -1,4 +1,4 @@
-"""From clarity against lens position to a range: the peak of the curve, then the calibrated hyperbola h(rho).
+"""A range from clarity against lens position: the peak of the curve, then the calibrated hyperbola h(rho).
 
 The curve is matched with T(x) = a / (1 + ((x - x0)/w)^2) + b. The information about x0 sits on the flanks, which the
 largest sample (the paper's argmax) and a parabola through its neighbours do not see; both are here for comparison.
@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.ranging.calibration import FocusFit
+from agent.kernel.ranging.calibration import FocusFit
 
 Array = NDArray[np.float64]
 Method = Literal["matched", "parabola", "argmax"]
@@ -36,22 +36,22 @@ FARTHEST_M = 10.0  # beyond it a lens of a few millimetres cannot tell the range
 
 
 class Peak(NamedTuple):
-    """The sharpest lens position and how well it is known; position, sigma and width in lens positions."""
+    """The sharpest lens position and how well it is known; sigma and width in lens positions, too."""
 
-    position: float
-    sigma: float  # standard deviation that the residuals leave to the position
+    lens_position: float
+    sigma: float  # standard deviation that the residuals leave to it
     width: float  # half width w of the model
     quality: float  # correlation of curve and model, 0 to 1
 
 
-class Refused(NamedTuple):
+class NoPeak(NamedTuple):
     reason: str
 
 
 class Peaks(NamedTuple):
     """Many curves at once; every field has shape (curves,)."""
 
-    position: Array
+    lens_position: Array
     sigma: Array
     width: Array
     quality: Array
@@ -75,37 +75,37 @@ Solve = Callable[[Array, Array, float | None], Solved]  # positions (n,) rising,
 
 
 def fit_peak(
-    focus: Sequence[float], clarity: Sequence[float], width: float | None = None, method: Method = "matched"
-) -> Peak | Refused:
+    lens_positions: Sequence[float], clarity: Sequence[float], width: float | None = None, method: Method = "matched"
+) -> Peak | NoPeak:
     """The peak of one curve; with `width` only x0, a and b are fitted, which is all that a short sweep can carry."""
-    if len(focus) != len(clarity) or len(set(focus)) < MIN_POSITIONS:
-        return Refused(f"{len(set(focus))} lens positions, at least {MIN_POSITIONS} are needed")
-    peaks = fit_peaks(np.asarray(focus, float), np.asarray([clarity], float), width, method)
+    if len(lens_positions) != len(clarity) or len(set(lens_positions)) < MIN_POSITIONS:
+        return NoPeak(f"{len(set(lens_positions))} lens positions, at least {MIN_POSITIONS} are needed")
+    peaks = fit_peaks(np.asarray(lens_positions, float), np.asarray([clarity], float), width, method)
     if peaks.accepted[0]:
         return Peak(*(float(field[0]) for field in peaks[:4]))
     if peaks.contrast[0] < MIN_CONTRAST:
-        return Refused(f"flat: the contrast is {peaks.contrast[0]:.2f}, at least {MIN_CONTRAST:.2f} is needed")
+        return NoPeak(f"flat: the contrast is {peaks.contrast[0]:.2f}, at least {MIN_CONTRAST:.2f} is needed")
     if not peaks.inside[0]:
-        return Refused(f"edge: the peak at {peaks.position[0]:.0f} lies at the end of the sweep")
+        return NoPeak(f"edge: the peak at {peaks.lens_position[0]:.0f} lies at the end of the sweep")
     if not peaks.single[0]:
-        return Refused("no single peak: the curve rises again on the way down from its top")
-    return Refused(f"no single peak: the quality is {peaks.quality[0]:.2f}, at least {MIN_QUALITY:.2f} is needed")
+        return NoPeak("no single peak: the curve rises again on the way down from its top")
+    return NoPeak(f"no single peak: the quality is {peaks.quality[0]:.2f}, at least {MIN_QUALITY:.2f} is needed")
 
 
 def fit_peaks(
-    focus: Array,
+    lens_positions: Array,
     curves: Array,
     width: float | None = None,
     method: Method = "matched",
     solve: Solve | None = None,
 ) -> Peaks:
-    """The peaks of many curves taken at the same lens positions: focus (n,), curves (m, n), n >= 5.
+    """The peaks of many curves taken at the same lens positions: (n,) and (m, n), n >= 5.
 
     What is accepted does not depend on the method, so that methods can be compared on the same curves; the baselines'
     sigma is that of a peak anywhere within one step. `solve` takes the place of this file's own arithmetic.
     """
-    order = np.argsort(focus, kind="stable")
-    x, y = np.asarray(focus, float)[order], np.ascontiguousarray(np.asarray(curves, float)[:, order])
+    order = np.argsort(lens_positions, kind="stable")
+    x, y = np.asarray(lens_positions, float)[order], np.ascontiguousarray(np.asarray(curves, float)[:, order])
     top = y.max(axis=1)
     y = y / np.where(top > 0, top, 1.0)[:, None]  # unit height: one tolerance fits all, and a black curve stays finite
     contrast = 1.0 * (top > 0) - y.min(axis=1)

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.ranging.calibration import FocusFit
-from agent.ranging.focus import lens_position
+from agent.kernel.ranging.calibration import FocusFit
+from agent.kernel.ranging.focus import lens_position
 
 UNKNOWN_SAG = 0.05  # of the peak's half width, standard deviation where nobody measured it: a micrometre of sag
 MIN_SPREAD = math.sin(math.radians(10.0))  # of sin(tilt), from the lowest to the highest view: less shows only noise

@@ -5,7 +5,7 @@ T = mean of Gx^2 + Gy^2, Gx = Y * [[-1,0,1],[-2,0,2],[-1,0,1]], Gy its transpose
 directions is what the literature mostly means.) White noise of standard deviation s adds 24 s^2 to T, 48 s^2 to the
 modified one: an offset that the peak fit leaves free.
 
-It is taken on the raw frame: an enhancement that looks at the whole picture changes its gain from one focus position
+It is taken on the raw frame: an enhancement that looks at the whole picture changes its gain from one lens position
 to the next, and so moves the peak. Luminance, gradient and sums are integers, so the results are exact. They are made
 band by band, a few rows that stay in the processor's nearest cache, so that a frame is read from memory once; each
 step has a loop of its own, over arrays of one narrow type, which is what LLVM turns into the widest vectors.
@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
+from hw.compiled import compiled
 
 Grey = NDArray[np.uint8]  # (height, width)
 Edges = NDArray[np.int64]  # pixels at which the blocks of a grid begin, and the end of the last one

@@ -1,8 +1,10 @@
-"""The peaks of all blocks of a sweep at compiled speed: the same matched fit as agent.ranging.focus, curve by curve.
+"""The peaks of all blocks of a sweep at compiled speed: the matched fit of agent.kernel.ranging.focus, curve by curve.
 
 The kernel fits one curve a sweep and stays in numpy, so that it replays to the bit. A depth map fits a hundred and
-more at once; compiled, that costs less than reading the frames. Both follow the same steps; sums are added in another
-order, so results agree to rounding (a test holds them together to 1e-9).
+more at once, and is to cost no more than four passes over the bytes of its frames. From 30 frames of 640x480 to 108
+depths it costs 4.5 with this fit and 6.2 with the kernel's, 3.6 of them for clarity (medians of one run on a busy
+machine; `make bench` has all three). Both follow the same steps; sums are added in another order, so results agree to
+rounding (a test holds them together to 1e-9).
 """
 
 from __future__ import annotations
@@ -11,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from agent.compiled import compiled
-from agent.ranging.focus import CONVERGED, REFINEMENTS, WIDTHS, Array, Method, Peaks, Solved, fit_peaks
+from agent.kernel.ranging.focus import CONVERGED, REFINEMENTS, WIDTHS, Array, Method, Peaks, Solved, fit_peaks
+from hw.compiled import compiled
 
 kernel = compiled(error_model="numpy")
 
 
-def block_peaks(focus: Array, curves: Array, method: Method = "matched") -> Peaks:
-    """`fit_peaks` with a free width: focus (n,), curves (m, n), n >= 5."""
-    return fit_peaks(focus, curves, None, method, solve)
+def block_peaks(lens_positions: Array, curves: Array, method: Method = "matched") -> Peaks:
+    """`fit_peaks` with a free width: lens positions (n,), curves (m, n), n >= 5."""
+    return fit_peaks(lens_positions, curves, None, method, solve)
 
 
 def solve(x: Array, y: Array, width: float | None) -> Solved:
@@ -91,7 +93,7 @@ def _refine(x: Array, dy: Array, x0: float, w: float, tolerance: float) -> Any:
 
 @kernel
 def _at(x: Array, dy: Array, x0: float, w: float, model: Array) -> Any:
-    """As focus._at for one curve: sum of squares, height, steps of x0 and w, variance of x0 for unit noise."""
+    """What focus._at says of one curve: sum of squares, height, steps of x0 and w, variance of x0 for unit noise."""
     n = x.size
     t_sum = s_sum = q_sum = tt = ty = ss = qq = sq = st = qt = 0.0
     _derivatives(x, x0, w, model)

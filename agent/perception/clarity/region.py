@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.clarity import tenengrad_disc, tenengrad_grid
-from agent.ranging.camera_model import INNER_DISC
-from hw.camera import Frame, Roi
+from agent.kernel.ranging.camera_model import INNER_DISC
+from agent.perception.clarity.clarity import tenengrad_disc, tenengrad_grid
+from hw.camera.camera import Frame, Roi
 
 INNER_BOX = 0.5  # share of a box's width and height: a thing rarely fills the corners of its box
 ROI_MARGIN = 1.15  # of the ball's radius, and
@@ -37,7 +37,7 @@ def around(centre_px: tuple[float, float] | None, radius_px: float | None, size:
 
 
 def disc_clarity(frame: Frame, centre_px: tuple[float, float], radius_px: float) -> Clarity:
-    """On the raw luminance of a ball's inner disc."""
+    """Clarity of the raw luminance on a ball's inner disc."""
     x, y, radius = centre_px[0] - frame.roi.x, centre_px[1] - frame.roi.y, INNER_DISC * radius_px
     left, top = max(0, int(x - radius) - 2), max(0, int(y - radius) - 2)
     part: NDArray[np.uint8] = frame.image[top : int(y + radius) + 4, left : int(x + radius) + 4]
@@ -48,7 +48,7 @@ def disc_clarity(frame: Frame, centre_px: tuple[float, float], radius_px: float)
 
 
 def box_clarity(frame: Frame, centre_px: tuple[float, float], size_px: tuple[float, float]) -> Clarity:
-    """On the raw luminance of the inner part of a box, as far as the frame shows it; whole pixels."""
+    """Clarity of the raw luminance on the inner part of a box, as far as the frame shows it; whole pixels."""
     (left, right), (top, bottom) = (
         _span(centre - start, INNER_BOX * side, length)
         for centre, start, side, length in zip(

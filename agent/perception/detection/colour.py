@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Colour
+from agent.kernel.config import Colour
 
 Light = NDArray[np.float32]
 

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Colour
-from agent.perception.colour import CONTRAST, Light, light, share, untint
-from agent.ranging.calibration import CameraFit
-from agent.ranging.camera_model import UNBEND
+from agent.kernel.config import Colour
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.camera_model import UNBEND
+from agent.perception.detection.colour import CONTRAST, Light, light, share, untint
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -87,7 +87,7 @@ def find_ball(
 
 
 def _max_radius_px(camera: CameraFit) -> float:
-    """Of a circle of which the frame can hold 120 deg: their chord, sqrt(3) radii, fits into its diagonal."""
+    """The largest circle of which the frame can hold 120 deg: their chord, sqrt(3) radii, fits into its diagonal."""
     return math.hypot(camera.width_px, camera.height_px) / math.sqrt(3.0)
 
 

@@ -1,4 +1,4 @@
-"""One face for whatever finds a target in a frame: a ball by its colour and shape, anything else by what a box showed.
+"""Whatever finds a target in a frame, behind one interface: a ball by colour and shape, all else by what a box showed.
 
 A ball is found in each frame by itself. A thing in a box is followed from frame to frame, and first looked for in the
 whole picture, in many sizes, by its likeness to the picture in which the box was drawn.
@@ -10,15 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import cv2
-import numpy as np
-
-from agent.config import Colour, ConfigError, Fleet, Target
-from agent.perception.detect import find_ball
-from agent.perception.engines import load_engine, model_files
-from agent.perception.follow import Follower
-from agent.perception.likeness import Box, Image
-from agent.ranging.calibration import CameraFit, at_lens
+from agent.kernel.config import Colour, ConfigError, Fleet, Target
+from agent.kernel.ranging.calibration import CameraFit, at_lens_position
+from agent.perception.detection.detect import find_ball
+from agent.perception.tracking.appearance import Box, Image
+from agent.perception.tracking.box_trackers import load_box_tracker, model_files
+from agent.perception.tracking.follow import Follower
+from hw.picture_files import read_picture
 
 
 class Found(NamedTuple):
@@ -35,21 +33,21 @@ class Found(NamedTuple):
         return Box(self.centre_px[0] + 0.5 - width / 2, self.centre_px[1] + 0.5 - height / 2, width, height)
 
 
-class Seeker(Protocol):
+class Detector(Protocol):
     """Give it frames in the order in which they were taken; parts of them, if any, around where the target was last."""
 
     @property
     def remembers(self) -> bool:
         """Whether it compares a frame with earlier ones, so that all must be treated alike: none enhanced."""
 
-    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens: int | None = None) -> Found | None:
+    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
         """The target in an image (height, width, 3) blue green red; None if it is not there.
 
-        offset_px: where the image's upper left pixel lies in the full frame. lens: position at which it was taken.
+        offset_px: where the image's upper left pixel lies in the full frame. lens_position: at which it was taken.
         """
 
 
-class BallSeeker:
+class BallDetector:
     """A ball of one colour."""
 
     remembers = False
@@ -57,12 +55,12 @@ class BallSeeker:
     def __init__(self, camera: CameraFit, colour: Colour) -> None:
         self._camera, self._colour = camera, colour
 
-    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens: int | None = None) -> Found | None:
-        ball = find_ball(image, at_lens(self._camera, lens), offset_px, self._colour)
+    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
+        ball = find_ball(image, at_lens_position(self._camera, lens_position), offset_px, self._colour)
         return None if ball is None else Found(ball.centre_px, ball.score, radius_px=ball.radius_px)
 
 
-class BoxSeeker:
+class BoxDetector:
     """What a follower knows, who has been told to start or to expect something. Wants whole frames of one size."""
 
     remembers = True
@@ -70,7 +68,7 @@ class BoxSeeker:
     def __init__(self, follower: Follower) -> None:
         self._follower = follower
 
-    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens: int | None = None) -> Found | None:
+    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
         now = self._follower.look(image)
         return None if now.lost else boxed(now.box, now.score, offset_px)
 
@@ -81,25 +79,29 @@ def boxed(box: Box, score: float, offset_px: tuple[int, int] = (0, 0)) -> Found:
     return Found((u + offset_px[0], v + offset_px[1]), score, size_px=(box.width, box.height))
 
 
-def seekers(fleet: Fleet, camera: CameraFit) -> Mapping[str, Seeker]:
+def load_detectors(fleet: Fleet, camera: CameraFit) -> Mapping[str, Detector]:
     """One for each target. Raises ConfigError for a picture or models that are not there or do not fit."""
     return {
-        name: _box_seeker(name, target, (camera.width_px, camera.height_px))
+        name: _box_detector(name, target, (camera.width_px, camera.height_px))
         if target.detector == "box"
-        else BallSeeker(camera, target.ball_colour)
+        else BallDetector(camera, target.ball_colour)
         for name, target in fleet.target.items()
     }
 
 
-def _box_seeker(name: str, target: Target, size: tuple[int, int]) -> BoxSeeker:
+def _box_detector(name: str, target: Target, size: tuple[int, int]) -> BoxDetector:
     assert target.picture is not None and target.box is not None  # load_fleet has seen to it
     path = Path(target.picture)
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-    if image is None:
-        raise ConfigError(f"{path}: no picture for target '{name}'; put one there that this camera has taken")
+    try:
+        image = read_picture(path)
+    except ConfigError:
+        text = f"{path}: no picture for target '{name}'; put one there that this camera has taken"
+        raise ConfigError(text) from None
     if (image.shape[1], image.shape[0]) != size:
         its, wanted = f"{image.shape[1]}x{image.shape[0]}", f"{size[0]}x{size[1]}"
         raise ConfigError(f"{path}: {its} pixels, the camera has {wanted}; take another picture for target '{name}'")
-    follower = Follower(load_engine(*((None, None) if target.models is None else model_files(Path(target.models)))))
-    follower.expect(np.asarray(image, np.uint8), Box(*target.box))
-    return BoxSeeker(follower)
+    follower = Follower(
+        load_box_tracker(*((None, None) if target.models is None else model_files(Path(target.models))))
+    )
+    follower.expect(image, Box(*target.box))
+    return BoxDetector(follower)

@@ -8,7 +8,7 @@
              classic where there is no network, for whoever has no budget
 
 Pictures are (height, width, 3) uint8, blue green red. It serves colour and the eye. Clarity is taken on the raw frame:
-a gain that depends on the whole picture changes from one focus position to the next.
+a gain that depends on the whole picture changes from one lens position to the next.
 """
 
 from __future__ import annotations
@@ -20,33 +20,19 @@ from functools import cache
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import ConfigError
-from agent.perception import fast_enhance
-from agent.perception.grey_world import Image, classic, white_balance
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement import fast_enhance
+from agent.perception.enhancement.grey_world import Image, classic
+from agent.perception.enhancement.variants import Variant
 
 if TYPE_CHECKING:
-    from agent.perception.lu2net import LU2Net
+    from agent.perception.enhancement.lu2net import LU2Net
 
-__all__ = [
-    "VARIANTS",
-    "Enhancer",
-    "Variant",
-    "choose",
-    "default",
-    "enhance",
-    "enhancer",
-    "of",
-    "one_thread",
-    "white_balance",
-]
-
-Variant = Literal["plain", "folded", "fast", "classic", "auto"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
 BUDGET_MS = 33.0  # of one frame: 30 frames per second
 TRIALS = 5  # of each variant, on a frame of TRIAL_SIZE; the first one warms up and does not count
 TRIAL_SIZE = (480, 640)
@@ -98,26 +84,26 @@ def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: 
         if variant != "auto" or weights is not None:
             raise ConfigError(f"--variant {variant}: {lacking}; --variant classic needs neither")
         return Enhancer("classic", classic, why=f"{lacking}; grey-world and CLAHE instead")
-    from agent.perception.lu2net import load
+    from agent.perception.enhancement.lu2net import load
 
     net = load(weights or shipped_weights())
     if variant != "auto":
-        return of(net, variant)
-    return of(net, "fast") if budget_ms is None else choose(net, budget_ms)
+        return network_enhancer(net, variant)
+    return network_enhancer(net, "fast") if budget_ms is None else choose(net, budget_ms)
 
 
-def of(net: LU2Net, variant: Variant) -> Enhancer:
-    """A network that is in memory, used in one of its three ways."""
-    from agent.perception import folded, lu2net
+def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
+    """A network that is in memory, in one of its three ways."""
+    from agent.perception.enhancement import folded_lu2net, lu2net
 
     if variant == "plain":
         return Enhancer(variant, lambda image: lu2net.run(net, image))
-    quick = folded.fold(net)
+    quick = folded_lu2net.fold(net)
     if variant == "folded":
-        return Enhancer(variant, lambda image: lu2net.to_image(folded.paint(quick, lu2net.to_tensor(image))))
+        return Enhancer(variant, lambda image: lu2net.to_image(folded_lu2net.forward(quick, lu2net.to_tensor(image))))
 
     def colours(image: Image) -> NDArray[np.float32]:
-        rgb = folded.paint(quick, lu2net.to_tensor(image))[0].clamp(0, 1).permute(1, 2, 0).numpy()
+        rgb = folded_lu2net.forward(quick, lu2net.to_tensor(image))[0].clamp(0, 1).permute(1, 2, 0).numpy()
         return np.ascontiguousarray(rgb[:, :, ::-1])
 
     def estimate(image: Image) -> fast_enhance.Colours:
@@ -132,7 +118,7 @@ def choose(
     """The most faithful way whose median on a frame of `shape` keeps the budget; `clock` in seconds."""
     frame = np.random.Generator(np.random.PCG64(0)).integers(0, 256, (*shape, 3), dtype=np.uint8)
     tried = []
-    for way in (of(net, "folded"), of(net, "fast")):
+    for way in (network_enhancer(net, "folded"), network_enhancer(net, "fast")):
         took_ms = 1e3 * _median_s(lambda way=way: way.apply(frame), clock)  # type: ignore[misc]
         tried.append(f"{way.variant} {took_ms:.0f} ms")
         if took_ms <= budget_ms:
@@ -150,7 +136,7 @@ def missing(weights: Path | None) -> str | None:
 
 
 def shipped_weights() -> Path:
-    return Path(str(resources.files("agent.perception") / "weights" / DEFAULT))
+    return Path(str(resources.files("agent.perception.enhancement") / "weights" / DEFAULT))
 
 
 def _median_s(work: Callable[[], object], clock: Callable[[], float]) -> float:

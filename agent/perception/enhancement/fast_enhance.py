@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
-from agent.perception.grey_world import Image
+from agent.perception.enhancement.grey_world import Image
+from hw.compiled import compiled
 
 Floats = NDArray[np.float32]
 
@@ -43,7 +43,7 @@ def estimate(image: Image, network: Callable[[Image], Floats], small_px: int = S
     size = max(1, round(width / shrink)), max(1, round(height / shrink))
     small = image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     guide = np.asarray(small, np.float32) / np.float32(255)
-    return Colours(guided(guide, network(np.ascontiguousarray(small, np.uint8))), (width, height))
+    return Colours(guided_filter(guide, network(np.ascontiguousarray(small, np.uint8))), (width, height))
 
 
 def apply(colours: Colours, image: Image, origin: tuple[int, int] = (0, 0)) -> Image:
@@ -53,7 +53,7 @@ def apply(colours: Colours, image: Image, origin: tuple[int, int] = (0, 0)) -> I
     return out
 
 
-def guided(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: float = EPSILON) -> Floats:
+def guided_filter(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: float = EPSILON) -> Floats:
     """(h, w, 3) and (h, w, 3) -> (h, w, 3, 4): in each window the affine map with the least squared error, averaged
     over the windows that hold a pixel."""
     window = (2 * radius + 1, 2 * radius + 1)

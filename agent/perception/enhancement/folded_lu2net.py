@@ -1,7 +1,7 @@
 """The same network in fewer steps: what is known before the picture, or once for all of it, goes into the weights.
 
 * A normalisation is a factor and an offset per channel. In the encoders and the middle it goes forward into the 1x1
-  convolution that follows, and, on the encoder's side way, into the part of the decoder's 1x1 that reads it; in the
+  convolution that follows, and, on the skip connection, into the part of the decoder's 1x1 that reads it; in the
   decoders it goes backward into the 1x1 before it.
 * The gain of an attention is a factor per channel for the whole picture: it goes into the 1x1 that follows.
 * x + down(x) + across(x) is one convolution, whose taps form a plus with the identity at its centre.
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from agent.perception.lu2net import STRIDE, AxialDepthwise, Decoder, Encoder, LU2Net, Middle
+from agent.perception.enhancement.lu2net import STRIDE, AxialDepthwise, Decoder, Encoder, LU2Net, Middle
 
 BAND_VALUES = 250_000  # float32 values of a band in its widest layer: 1 MB, the second cache of most processors
 
@@ -54,13 +54,13 @@ class FoldedMiddle(NamedTuple):
 
 class FoldedDecoder(NamedTuple):
     low: Mix  # of the small picture; its bias is all that is added to every pixel
-    skip: Tensor  # (c, c), of the encoder's side way
+    skip: Tensor  # (c, c), of the encoder's skip connection
     axial: Axial
     mix: Mix
 
 
 class Folded(NamedTuple):
-    """What `paint` needs, made from a network by `fold`; what happens to the network later does not reach it."""
+    """What `forward` needs, made from a network by `fold`; what happens to the network later does not reach it."""
 
     first: Mix
     encoder1: FoldedEncoder
@@ -72,21 +72,21 @@ class Folded(NamedTuple):
 
 
 @torch.inference_mode()
-def paint(net: Folded, x: Tensor) -> Tensor:
+def forward(net: Folded, x: Tensor) -> Tensor:
     """(1, 3, h, w) red green blue 0 to 1 -> the same, equal to the plain network's to 1e-5. One picture at a time."""
     height, width = x.shape[2:]
     x = fn.pad(x, (0, -width % STRIDE, 0, -height % STRIDE), mode="replicate")
     x = fn.conv2d(x.contiguous(memory_format=torch.channels_last), *net.first, padding=net.first.weight.shape[2] // 2)
     y, skip1, gain1 = encode(net.encoder1, flat(x))
     y, skip2, gain2 = encode(net.encoder2, y)
-    y = decode(net.decoder1, think(net.middle, y), skip2, gain2)
+    y = decode(net.decoder1, bottleneck(net.middle, y), skip2, gain2)
     y = decode(net.decoder2, y, skip1, gain1)
     return fn.linear(y, *net.last).permute(2, 0, 1)[None, :, :height, :width]
 
 
 def encode(block: FoldedEncoder, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """(h, w, c) -> (h/2, w/2, 4c); the side way (h, w, c) without its gain and normalisation; the gain (c,)."""
-    skip, gain = axially(block.axial, x)
+    """(h, w, c) -> (h/2, w/2, 4c); the skip connection (h, w, c) without its gain and normalisation; the gain (c,)."""
+    skip, gain = axial_depthwise(block.axial, x)
     h, w, _ = x.shape
     weight = block.widen.weight * gain
     out = x.new_empty(h // 2, w // 2, len(weight))
@@ -97,29 +97,29 @@ def encode(block: FoldedEncoder, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return out, skip, gain
 
 
-def think(block: FoldedMiddle, x: Tensor) -> Tensor:
+def bottleneck(block: FoldedMiddle, x: Tensor) -> Tensor:
     """(h, w, c) -> (h, w, c)."""
     x = fn.linear(x, *block.narrow)
-    views = [axially(axial, x) for axial in block.axials]
+    views = [axial_depthwise(axial, x) for axial in block.axials]
     gain = torch.cat([torch.ones_like(block.narrow.bias), *(gain for _, gain in views)])
     x = torch.cat([x, *(view for view, _ in views)], 2)
     return fn.gelu(fn.linear(x, block.mix.weight * gain, block.mix.bias))
 
 
 def decode(block: FoldedDecoder, x: Tensor, skip: Tensor, skip_gain: Tensor) -> Tensor:
-    """(h/2, w/2, 4c) and the side way (h, w, c) -> (h, w, c)."""
+    """(h/2, w/2, 4c) and the skip connection (h, w, c) -> (h, w, c)."""
     low = fn.linear(x, *block.low)
     h, w, c = skip.shape
     x = fn.linear(skip, block.skip * skip_gain)
     x.view(h // 2, 2, w // 2, 2, c).add_(low[:, None, :, None])
-    x, gain = axially(block.axial, x)
+    x, gain = axial_depthwise(block.axial, x)
     weight = block.mix.weight * gain
     for top, bottom in bands(h, w * c):
         x[top:bottom] = fn.gelu(fn.linear(x[top:bottom], weight, block.mix.bias))
     return x
 
 
-def axially(by: Axial, x: Tensor) -> tuple[Tensor, Tensor]:
+def axial_depthwise(by: Axial, x: Tensor) -> tuple[Tensor, Tensor]:
     """x + down(x) + across(x), and the gain (c,) that the attention would give it."""
     h, w, c = x.shape
     rim = by.plus.shape[2] // 2 * by.dilation
@@ -168,7 +168,7 @@ def middle(block: Middle) -> FoldedMiddle:
 
 
 def decoder(block: Decoder, side: nn.BatchNorm2d) -> FoldedDecoder:
-    """`side` is the normalisation that the encoder applies to its side way."""
+    """`side` is the normalisation that the encoder applies to its skip connection."""
     (weight, add), (scale, offset) = mix(block.merge), norm(block.norm)
     channels = len(weight)
     low, skip = weight[:, :-channels], weight[:, -channels:]  # in the order of the plain network's concatenation

@@ -24,8 +24,8 @@ def white_balance(image: Image) -> Image:
     return cv2.LUT(image, table[:, None, :])  # type: ignore[return-value]
 
 
-def local_contrast(image: Image) -> Image:
-    """CLAHE (Zuiderveld 1994) of the lightness; colours stay."""
+def clahe(image: Image) -> Image:
+    """Contrast-limited adaptive histogram equalisation (Zuiderveld 1994) of the lightness; colours stay."""
     lab = cv2.cvtColor(image, cv2.COLOR_BGR2LAB)
     lab[:, :, 0] = cv2.createCLAHE(CLIP_LIMIT, TILES).apply(np.ascontiguousarray(lab[:, :, 0]))
     return cv2.cvtColor(lab, cv2.COLOR_LAB2BGR)  # type: ignore[return-value]
@@ -33,4 +33,4 @@ def local_contrast(image: Image) -> Image:
 
 def classic(image: Image) -> Image:
     """Both, one after the other."""
-    return local_contrast(white_balance(image))
+    return clahe(white_balance(image))

@@ -24,7 +24,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from agent.config import ConfigError
+from agent.kernel.config import ConfigError
 
 STRIDE = 4  # two halvings: sides are padded to multiples of it
 DEFAULT = "real"  # does better on real pairs that it has not seen
@@ -158,7 +158,7 @@ def load(path: Path) -> LU2Net:
 
 def shipped(name: str = DEFAULT) -> Path:
     """File of weights that comes with the package; weights/README.md says what each is worth. Raises ConfigError."""
-    folder = Path(str(resources.files("agent.perception") / "weights"))
+    folder = Path(str(resources.files("agent.perception.enhancement") / "weights"))
     file = folder / f"{name}.safetensors"
     if not file.is_file():
         known = ", ".join(sorted(path.stem for path in folder.glob("*.safetensors")))

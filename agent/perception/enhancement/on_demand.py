@@ -18,11 +18,11 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from agent.perception import fast_enhance
-from agent.perception.enhance import Enhancer, default
-from agent.perception.fast_enhance import Colours
-from agent.perception.grey_world import Image
-from hw.camera import Frame
+from agent.perception.enhancement import fast_enhance
+from agent.perception.enhancement.enhance import Enhancer, default
+from agent.perception.enhancement.fast_enhance import Colours
+from agent.perception.enhancement.grey_world import Image
+from hw.camera.camera import Frame
 
 DUE_NS = 200_000_000  # between estimates: each idle frame (0.25 s apart) has its own, a sweep of a second a few
 OLD_NS = 3_000_000_000  # older colours belong to another view: the longest sweep, and no more
@@ -47,7 +47,7 @@ def raw_else_enhanced(find: Callable[[Image], T | None], image: Image, enhanced:
     return found if found is not None and found.score >= SURE else None
 
 
-class ClearView:
+class OnDemandEnhancer:
     """One camera's frames, enhanced; one thread uses it at a time. `way`: the machine's best if none is given."""
 
     def __init__(self, way: Enhancer | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -104,5 +104,5 @@ class ClearView:
         return self._age_ns(t_ns) >= DUE_NS and self._clock() >= self._rest_s
 
     def _age_ns(self, t_ns: int) -> int:
-        """Of the colours; a camera that starts again counts from anew."""
+        """Age of the colours; a camera that starts again counts from anew."""
         return OLD_NS + 1 if self._colours is None or t_ns < self._estimated_ns else t_ns - self._estimated_ns

@@ -32,7 +32,7 @@ class Box(NamedTuple):
 
     @property
     def centre_px(self) -> tuple[float, float]:
-        """From the centre of the upper left pixel, as every other pixel position."""
+        """(u, v) from the centre of the upper left pixel, as every other pixel position."""
         return self.x + self.width / 2 - 0.5, self.y + self.height / 2 - 0.5
 
     def grown(self, factor: float) -> Box:
@@ -40,40 +40,42 @@ class Box(NamedTuple):
         return Box(self.x - (width - self.width) / 2, self.y - (height - self.height) / 2, width, height)
 
 
-class Looks(NamedTuple):
+class Appearance(NamedTuple):
     """What is remembered of a thing: pictures (h, w, 3), longer side PATCH_PX, of its box and a rim."""
 
     first: Image
     newest: Image
 
 
-def remember(image: Image, box: Box) -> Looks:
+def remember(image: Image, box: Box) -> Appearance:
     patch = _cut(image, box.grown(RIM), _size(box))
-    return Looks(patch, patch)
+    return Appearance(patch, patch)
 
 
-def renewed(looks: Looks, image: Image, box: Box) -> Looks:
+def renewed(appearance: Appearance, image: Image, box: Box) -> Appearance:
     """The same thing, but the newest picture is that of `box`."""
-    return looks._replace(newest=_cut(image, box.grown(RIM), _shape(looks)))
+    return appearance._replace(newest=_cut(image, box.grown(RIM), _shape(appearance)))
 
 
-def likeness(looks: Looks, image: Image, box: Box) -> float:
+def likeness(appearance: Appearance, image: Image, box: Box) -> float:
     """Correlation of what is in the box with what is remembered, -1 to 1, best over a little shift."""
-    width, height = _shape(looks)
+    width, height = _shape(appearance)
     play = 1.0 + 2.0 * PLAY / RIM
     size = round(width * play), round(height * play)
     here = _cut(image, box.grown(RIM * play), size)
-    return max(float(_correlate(here, patch).max()) for patch in set_of(looks))
+    return max(float(_correlate(here, patch).max()) for patch in patches_of(appearance))
 
 
-def search(looks: Looks, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES) -> tuple[Box, float]:
+def search(
+    appearance: Appearance, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES
+) -> tuple[Box, float]:
     """Where in the whole picture something is most like what is remembered, and how much; `scales` times as large as
     `last`.
 
     Where the picture is smaller than the thing, the answer is `last`, with -1.
     """
     best, found = -1.0, last
-    width, height = _shape(looks)
+    width, height = _shape(appearance)
     beyond = [round(side * (1.0 - 1.0 / RIM) / 2.0) for side in (width, height)]  # of a box at the border, its rim
     for scale in scales:
         shrink = width / (last.width * RIM * scale)
@@ -82,7 +84,7 @@ def search(looks: Looks, image: Image, last: Box, scales: tuple[float, ...] = NE
             continue
         small = cv2.resize(image, size, interpolation=_interpolation(shrink))
         wide = cv2.copyMakeBorder(small, beyond[1], beyond[1], beyond[0], beyond[0], cv2.BORDER_REPLICATE)
-        for patch in set_of(looks):
+        for patch in patches_of(appearance):
             _, alike, _, (x, y) = cv2.minMaxLoc(_correlate(np.asarray(wide, np.uint8), patch))
             if alike > best:
                 best = float(alike)
@@ -91,8 +93,8 @@ def search(looks: Looks, image: Image, last: Box, scales: tuple[float, ...] = NE
     return found, best
 
 
-def set_of(looks: Looks) -> tuple[Image, ...]:
-    return (looks.first,) if looks.first is looks.newest else tuple(looks)
+def patches_of(appearance: Appearance) -> tuple[Image, ...]:
+    return (appearance.first,) if appearance.first is appearance.newest else tuple(appearance)
 
 
 def _size(box: Box) -> tuple[int, int]:
@@ -100,8 +102,8 @@ def _size(box: Box) -> tuple[int, int]:
     return max(4, round(PATCH_PX * box.width / longer)), max(4, round(PATCH_PX * box.height / longer))
 
 
-def _shape(looks: Looks) -> tuple[int, int]:
-    return looks.first.shape[1], looks.first.shape[0]
+def _shape(appearance: Appearance) -> tuple[int, int]:
+    return appearance.first.shape[1], appearance.first.shape[0]
 
 
 def _cut(image: Image, box: Box, size: tuple[int, int]) -> Image:

@@ -14,8 +14,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from agent.config import ConfigError
-from agent.perception.likeness import Box, Image
+from agent.kernel.config import ConfigError
+from agent.perception.tracking.appearance import Box, Image
 
 MIL_SIDE_PX = 64  # longer side of its box: half the time of a full picture, and no worse
 MIL_REACH_PX = 12  # how far it looks around where the box was: a fifth of the box from frame to frame
@@ -25,7 +25,7 @@ BACKBONE = ("nanotrack_backbone_sim.onnx", "530bdd0cd00f19afab79a863e71ba71e3312
 NECK = ("nanotrack_head_sim.onnx", "0d8c0637be849f092cc7236cae02e55c8b9455ebe37ba50601d6115db4247cd9")
 
 
-class Engine(Protocol):
+class BoxTracker(Protocol):
     """Follows whatever it was started on, and never says that it is gone."""
 
     def start(self, image: Image, box: Box) -> None: ...
@@ -88,7 +88,7 @@ def model_files(folder: Path) -> tuple[Path, Path]:
     return folder / BACKBONE[0], folder / NECK[0]
 
 
-def load_engine(backbone: Path | None, neckhead: Path | None) -> Engine:
+def load_box_tracker(backbone: Path | None, neckhead: Path | None) -> BoxTracker:
     """NanoTrack from two files, MIL from none. Raises ConfigError for one of two, and as load_nano does."""
     if backbone is None and neckhead is None:
         return Mil()

@@ -11,9 +11,19 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.config import ConfigError
-from agent.perception.engines import Engine
-from agent.perception.likeness import ANY_SCALE, NEAR_SCALES, Box, Image, Looks, likeness, remember, renewed, search
+from agent.kernel.config import ConfigError
+from agent.perception.tracking.appearance import (
+    ANY_SCALE,
+    NEAR_SCALES,
+    Appearance,
+    Box,
+    Image,
+    likeness,
+    remember,
+    renewed,
+    search,
+)
+from agent.perception.tracking.box_trackers import BoxTracker
 
 HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
 HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
@@ -33,9 +43,9 @@ class Followed(NamedTuple):
 class Follower:
     """Give it every frame of one size; it begins to follow at start(), or to look around at expect()."""
 
-    def __init__(self, engine: Engine) -> None:
-        self._engine = engine
-        self._looks: Looks | None = None
+    def __init__(self, tracker: BoxTracker) -> None:
+        self._tracker = tracker
+        self._appearance: Appearance | None = None
         self._box = Box(0, 0, 0, 0)
         self._lost = True
         self._seen = False
@@ -44,37 +54,37 @@ class Follower:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
         ConfigError as start() does."""
         check_box(box, (picture.shape[1], picture.shape[0]))
-        self._looks, self._box, self._lost, self._seen = remember(picture, box), box, True, False
+        self._appearance, self._box, self._lost, self._seen = remember(picture, box), box, True, False
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
         check_box(box, (image.shape[1], image.shape[0]))
-        self._engine.start(image, box)
-        self._looks, self._box, self._lost = remember(image, box), box, False
+        self._tracker.start(image, box)
+        self._appearance, self._box, self._lost = remember(image, box), box, False
         self._seen = True
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
-        if self._looks is None:
+        if self._appearance is None:
             raise RuntimeError("call start() or expect() before look()")
-        return self._search(image, self._looks) if self._lost else self._follow(image, self._looks)
+        return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
 
-    def _follow(self, image: Image, looks: Looks) -> Followed:
-        box, score = self._engine.follow(image)
-        alike = likeness(looks, image, box) if usable(box) and steady(self._box, box) else -1.0
+    def _follow(self, image: Image, appearance: Appearance) -> Followed:
+        box, score = self._tracker.follow(image)
+        alike = likeness(appearance, image, box) if usable(box) and steady(self._box, box) else -1.0
         if score < HOLD_SCORE or alike < HOLD_LIKE:
             self._lost = True
-            return self._search(image, looks)  # it may have jumped
+            return self._search(image, appearance)  # it may have jumped
         self._box = box
         if score >= SURE_SCORE and alike >= SURE_LIKE:
-            self._looks = renewed(looks, image, box)
+            self._appearance = renewed(appearance, image, box)
         return Followed(box, min(score, max(alike, 0.0)), lost=False)
 
-    def _search(self, image: Image, looks: Looks) -> Followed:
-        box, alike = search(looks, image, self._box, NEAR_SCALES if self._seen else ANY_SCALE)
+    def _search(self, image: Image, appearance: Appearance) -> Followed:
+        box, alike = search(appearance, image, self._box, NEAR_SCALES if self._seen else ANY_SCALE)
         if alike < (FOUND_LIKE if self._seen else FIRST_LIKE):
             return Followed(self._box, 0.0, lost=True)
-        self._engine.start(image, box)
+        self._tracker.start(image, box)
         self._box, self._lost, self._seen = box, False, True
         return Followed(box, alike, lost=False)
 

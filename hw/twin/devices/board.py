@@ -17,10 +17,10 @@ from typing import Any
 
 from hw.firmware.bus import TICK
 from hw.firmware.wire import BY_WATCHDOG, POWER_ON
-from hw.twin.boot import Act, Boot, boot
-from hw.twin.cable import Cable
+from hw.twin.devices.boot import Act, Boot, boot
+from hw.twin.physics.cable import Cable
 
-FIRMWARE = Path(__file__).parents[1] / "firmware" / "main.py"
+FIRMWARE = Path(__file__).parents[2] / "firmware" / "main.py"
 
 
 def interpreter() -> str:
@@ -107,7 +107,7 @@ class Board:
         running = self._boot
         if running is None:
             return
-        running.hear(self._cable.receive())
+        running.write_uart(self._cable.receive())
         since_boot_us = clock_us - self._booted_us
         running.tick(
             since_boot_us,
@@ -119,7 +119,7 @@ class Board:
         if self._boot is None:
             return None
         act = self._boot.act(patience_s)
-        self._cable.send(self._boot.said())
+        self._cable.send(self._boot.read_uart())
         return act
 
     def unplug(self, for_us: int) -> None:
@@ -180,7 +180,7 @@ class Board:
         self._boot = boot(self._command, self._flash, self._log, cause)
 
     def _tell(self, text: str) -> None:
-        """To whoever watches the twin; a firmware that ends every second for the same reason is told of once."""
+        """Tell whoever watches the twin; of a firmware that ends every second for the same reason, once."""
         if text != self._told:
             sys.stderr.write(f"twin: {text}\n")
         self._told = text

@@ -91,13 +91,13 @@ class Boot:
         clock_us, *pins, lamp, armed = struct.unpack(ACT, newest)
         return Act(clock_us, tuple(pins[:8]), tuple(pins[8:]), lamp, bool(armed))
 
-    def hear(self, data: bytes) -> None:
+    def write_uart(self, data: bytes) -> None:
         """Bytes arrive at the UART; what does not fit is lost."""
         if data:
             with contextlib.suppress(OSError):
                 self._uart.send(data)
 
-    def said(self) -> bytes:
+    def read_uart(self) -> bytes:
         """What it wrote to the UART since the last call. After its answer to a tick: all that the tick led to."""
         with contextlib.suppress(OSError):
             return self._uart.recv(CHUNK)

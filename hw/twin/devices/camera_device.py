@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from agent.messages import Vector
-from hw.camera import FocusRange, Frame, Roi
-from hw.twin.history import History, Pose
-from hw.twin.rotation import GIMBAL_CAMERA, gimbal
-from hw.twin.view import Eye, Hull
+from agent.kernel.messages import Vector
+from hw.camera.camera import FocusRange, Frame, Roi
+from hw.twin.history import History, RobotPose
+from hw.twin.optics.view import Eye, Hull
+from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal
 
 if TYPE_CHECKING:
-    from hw.twin.lens import Lens, Vcm
-    from hw.twin.painter import Painter
+    from hw.twin.optics.lens import Lens, Vcm
+    from hw.twin.optics.painter import Painter
 
 FRAME_NS = 1_000_000_000 // 30
 EXPOSURE_NS = 10_000_000
@@ -36,14 +36,14 @@ class FrameClock(NamedTuple):
         return self.start_ns + seq * FRAME_NS
 
 
-def look(pose: Pose, camera_m: Vector) -> tuple[Eye, float]:
+def look(pose: RobotPose, camera_m: Vector) -> tuple[Eye, float]:
     """The camera of a robot in this pose, and how far it looks up (rad), which is how gravity pulls at its lens.
 
     The optical centre is the gimbal's pivot, camera_m in the body frame.
     """
-    position = pose.position_m + np.sum(pose.rotation * np.asarray(camera_m), axis=1)
+    position_m = pose.position_m + np.sum(pose.rotation * np.asarray(camera_m), axis=1)
     rotation = pose.rotation @ gimbal(pose.pan_deg, pose.tilt_deg) @ GIMBAL_CAMERA
-    return Eye(position, rotation), math.asin(min(max(float(rotation[2, 2]), -1.0), 1.0))
+    return Eye(position_m, rotation), math.asin(min(max(float(rotation[2, 2]), -1.0), 1.0))
 
 
 class DiveCamera:
@@ -69,9 +69,9 @@ class DiveCamera:
         self._vcm, self._painter, self._clock, self._now_ns = vcm, painter, clock, now_ns
         self._focused_ns = 0
 
-    def set_focus(self, position: int) -> int:
+    def set_focus(self, lens_position: int) -> int:
         self._focused_ns = self._now_ns()
-        return int(self._vcm.command(position, self._focused_ns))
+        return int(self._vcm.command(lens_position, self._focused_ns))
 
     def read(self, roi: Roi | None, settle_s: float) -> Frame:
         seq = self._clock.next(max(self._now_ns(), self._focused_ns + round(settle_s * 1e9)))

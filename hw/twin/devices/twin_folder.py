@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent.config import ConfigError, Fleet
+from agent.kernel.config import ConfigError, Fleet
 
 # sockaddr_un holds 108 bytes including the final zero (Linux unix(7)); the longest name is a robot's plus ".camera".
 LONGEST_FOLDER = 107 - len("/") - 16 - len(".camera")
 
-LEFTOVERS = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log", "truth.json", "ready")
+RUN_FILES = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log", "truth.json", "ready")
 
 
 def twin_dir(fleet: Fleet) -> Path:
@@ -25,7 +25,7 @@ def twin_dir(fleet: Fleet) -> Path:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[Path]:
+def locked(folder: Path) -> Iterator[Path]:
     """Hold the folder for one twin: emptied of an earlier run's files at the start and of this run's at the end.
 
     Raises ConfigError when another twin holds it, when it is not ours, or when its path is too long for a socket.
@@ -44,16 +44,16 @@ def claimed(folder: Path) -> Iterator[Path]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder}: another twin runs here; stop it or set twin.dir to another folder") from None
-        _sweep(folder)
+        _remove_run_files(folder)
         try:
             yield folder
         finally:
-            _sweep(folder)
+            _remove_run_files(folder)
     finally:
         os.close(lock)  # the file stays: removing a lock file would let two twins lock two different files
 
 
-def _sweep(folder: Path) -> None:
-    for pattern in LEFTOVERS:
+def _remove_run_files(folder: Path) -> None:
+    for pattern in RUN_FILES:
         for path in folder.glob(pattern):
             path.unlink(missing_ok=True)

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.lens import Lens
-from hw.twin.raycast import ONE, ZERO, F, Floats, inlined, kernel
+from hw.twin.optics.lens import Lens
+from hw.twin.optics.raycast import ONE, ZERO, F, Floats, inlined, kernel
 
 Ints = NDArray[np.int64]
 

@@ -13,7 +13,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.raycast import ONE, ZERO, F, Floats, kernel
+from hw.twin.optics.raycast import ONE, ZERO, F, Floats, kernel
 
 FULL_WELL = 4000.0  # electrons; the shot noise of a pixel at full scale is its root
 READ_NOISE = 0.004  # of full scale

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.config import ConfigError
+from agent.kernel.config import ConfigError
 
 
 class Lens(NamedTuple):
@@ -25,7 +25,7 @@ class Lens(NamedTuple):
     k1: float  # radial distortion of the slopes in air
     k2: float
     port_gap_m: float  # optical centre to the flat window; the glass itself is neglected
-    at_rest_m: float  # lens to sensor at position 0
+    at_rest_m: float  # lens to sensor at lens position 0
     per_position_m: float  # travel of one lens position
     lowest: int
     highest: int
@@ -42,9 +42,9 @@ class Lens(NamedTuple):
         """Diameter of the entrance pupil."""
         return self.focal_m / self.f_number
 
-    def at_position_m(self, position: float) -> float:
+    def at_position_m(self, lens_position: float) -> float:
         """Lens-to-sensor distance of an ideal actuator."""
-        return self.at_rest_m + self.per_position_m * position
+        return self.at_rest_m + self.per_position_m * lens_position
 
     def image_m(self, vergence: float) -> float:
         """Lens-to-sensor distance at which an object of `vergence` = 1/(apparent distance), dioptres, is sharp."""
@@ -116,16 +116,16 @@ class Vcm:
     def __init__(self, lens: Lens, rng: np.random.Generator) -> None:
         self._lens = lens
         self._rng = rng
-        self._held = float(lens.lowest)  # position behind the play, where the spring comes to rest
-        self._offset, self._speed = 0.0, 0.0  # from there, positions and positions/s, at _since_ns
+        self._held = float(lens.lowest)  # lens position behind the play, where the spring comes to rest
+        self._offset, self._speed = 0.0, 0.0  # from there, lens positions and lens positions/s, at _since_ns
         self._since_ns: int | None = None
         self._start_ns = 0
         self._jitter_m = 0.0
 
-    def command(self, position: int, t_ns: int) -> int:
-        """Set the coil's current; returns the position that the driver reports, clamped to its range."""
+    def command(self, lens_position: int, t_ns: int) -> int:
+        """Set the coil's current; returns the lens position that the driver reports, clamped to its range."""
         lens = self._lens
-        reported = min(max(int(position), lens.lowest), lens.highest)
+        reported = min(max(int(lens_position), lens.lowest), lens.highest)
         offset, speed = self._motion(t_ns)
         here = self._held + offset
         self._held = min(max(self._held, reported - lens.hysteresis), reported + lens.hysteresis)

@@ -12,17 +12,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Tank
-from hw.twin import texture
-from hw.twin.defocus import blur, circles, margin
-from hw.twin.exposure import expose, gamma_curve, noise_key, normal_quantiles
-from hw.twin.lens import Lens
-from hw.twin.raycast import Floats, View, trace
+from agent.kernel.config import Tank
+from hw.twin.optics import texture
+from hw.twin.optics.defocus import blur, circles, margin
+from hw.twin.optics.exposure import expose, gamma_curve, noise_key, normal_quantiles
+from hw.twin.optics.lens import Lens
+from hw.twin.optics.raycast import Floats, View, trace
+from hw.twin.optics.shade import PER_M, ShadingTables, shade
+from hw.twin.optics.texture import MATERIALS
+from hw.twin.optics.view import Chessboard, Eye, Hull, make_view
+from hw.twin.optics.water import daylight, draw_water, transmission_and_veil
 from hw.twin.scene import Scene, generator
-from hw.twin.shade import PER_M, Looks, shade
-from hw.twin.texture import MATERIALS
-from hw.twin.view import Board, Eye, Hull, make_view
-from hw.twin.water import daylight, draw_water, look_through
 
 Image = NDArray[np.uint8]  # (h, w, 3), blue green red
 Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
@@ -42,7 +42,7 @@ class Painter:
         self._index = refractive_index
         self._lens = lens
         self._seed, self._robot = seed, robot
-        self._looks: Looks | None = None
+        self._tables: ShadingTables | None = None
         self._gain = np.float32(1)
 
     def prepare(self) -> None:
@@ -50,8 +50,8 @@ class Painter:
         water = draw_water(self._scene.water, generator(self._seed, "water"))
         room = self._scene.room_light
         steps_m = np.arange(int(np.linalg.norm(self._box_m) * PER_M) + 2) / PER_M
-        through, veil = look_through(water, steps_m)
-        self._looks = Looks(
+        through, veil = transmission_and_veil(water, steps_m)
+        self._tables = ShadingTables(
             atlas=texture.atlas(self._seed),
             layer=np.array([m.layer for m in MATERIALS]),
             texels_per_m=np.array([1 / m.texel_m for m in MATERIALS], np.float32),
@@ -61,7 +61,8 @@ class Painter:
             day=(room * daylight(water, steps_m)).astype(np.float32),
             pixel=np.float32(self._lens.pixel_m / self._lens.at_rest_m / self._index),
         )
-        card = WHITE_ALBEDO * UPRIGHT * room * daylight(water, self._box_m[2]) * look_through(water, WHITE_M)[0]
+        arriving, _ = transmission_and_veil(water, WHITE_M)
+        card = WHITE_ALBEDO * UPRIGHT * room * daylight(water, self._box_m[2]) * arriving
         self._gain = np.float32(WHITE_LEVEL / card.max())
         self.frame(Eye(self._box_m / 2, np.eye(3)), self._lens.at_rest_m, roi=(0, 0, 64, 64))
 
@@ -70,7 +71,7 @@ class Painter:
         eye: Eye,
         image_distance_m: float,
         hulls: Sequence[Hull] = (),
-        board: Board | None = None,
+        chessboard: Chessboard | None = None,
         roi: Part | None = None,
         tick: int = 0,
     ) -> Image:
@@ -78,10 +79,10 @@ class Painter:
 
         Raises ValueError for a part that is empty or not inside the frame.
         """
-        if self._looks is None:
+        if self._tables is None:
             raise RuntimeError("call prepare() before the first frame")
         x, y, width, height = part = self._part(roi)
-        view = self._view(eye, image_distance_m, hulls, board)
+        view = self._view(eye, image_distance_m, hulls, chessboard)
         x0, y0, w0, h0 = _grown(part, margin(LARGEST_PX))
         depth, identity = _trace(view, (x0, y0, w0, h0))
         radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX)
@@ -94,7 +95,7 @@ class Painter:
         identity = np.ascontiguousarray(identity[needed])
 
         picture = np.empty((h1, w1, 3), np.float32)
-        shade(view, self._looks, x1, y1, depth, identity, picture)
+        shade(view, self._tables, x1, y1, depth, identity, picture)
         picture = np.ascontiguousarray(blur(picture, radius)[y - y1 : y - y1 + height, x - x1 : x - x1 + width])
         image = np.empty((height, width, 3), np.uint8)
         key = noise_key(self._seed, self._robot, tick)
@@ -106,15 +107,15 @@ class Painter:
         eye: Eye,
         image_distance_m: float,
         hulls: Sequence[Hull] = (),
-        board: Board | None = None,
+        chessboard: Chessboard | None = None,
         roi: Part | None = None,
     ) -> Floats:
         """Truth (h, w): z-depth in metres from the optical centre, along the refracted rays that are rendered."""
-        return _trace(self._view(eye, image_distance_m, hulls, board), self._part(roi))[0]
+        return _trace(self._view(eye, image_distance_m, hulls, chessboard), self._part(roi))[0]
 
-    def _view(self, eye: Eye, image_distance_m: float, hulls: Sequence[Hull], board: Board | None) -> View:
+    def _view(self, eye: Eye, image_distance_m: float, hulls: Sequence[Hull], chessboard: Chessboard | None) -> View:
         solids = self._scene.solid
-        return make_view(eye, image_distance_m, self._lens, self._index, self._box_m, solids, hulls, board)
+        return make_view(eye, image_distance_m, self._lens, self._index, self._box_m, solids, hulls, chessboard)
 
     def _part(self, roi: Part | None) -> Part:
         width, height = self._lens.width, self._lens.height

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
+from hw.compiled import compiled
 
 Floats = NDArray[np.float32]
 Identities = NDArray[np.uint8]  # of the surface that a pixel shows
@@ -28,7 +28,7 @@ Map = tuple[Row, Row, Row]
 ZERO, ONE = np.float32(0), np.float32(1)
 TINY = np.float32(1e-9)  # stands for a slope of zero
 NEAREST_M = np.float32(1e-3)
-FLOOR_ID, SURFACE_ID, BOARD_ID, SOLID_ID = 4, 5, 6, 7  # identities; below are walls, from SOLID_ID on ellipsoids
+FLOOR_ID, SURFACE_ID, CHESSBOARD_ID, SOLID_ID = 4, 5, 6, 7  # identities; below are walls, from SOLID_ID on ellipsoids
 
 # numpy's error model: division by zero is inf, not an exception whose branch would forbid SIMD.
 kernel = compiled(fastmath=True, error_model="numpy")
@@ -36,7 +36,7 @@ inlined = compiled(fastmath=True, error_model="numpy", inline="always")
 
 
 class Optics(NamedTuple):
-    """From pixels to rays, float32."""
+    """Pixels to rays, float32."""
 
     slope: F  # pixel pitch / v
     cx: F
@@ -53,8 +53,8 @@ class View(NamedTuple):
     optics: Optics
     camera: Map  # camera to world
     box: tuple[F, F, F]  # size of the water body
-    board: Map  # camera to board
-    board_half: tuple[F, F]  # half size, 0: there is no board
+    chessboard: Map  # camera to chessboard
+    chessboard_half: tuple[F, F]  # half size, 0: there is none
     solids: Floats  # (E, 3, 4) camera to the unit sphere of each ellipsoid
     bounds: NDArray[np.int64]  # (E, 4) no pixel of the ellipsoid lies outside x0 <= x < x1, y0 <= y < y1
     radii: Floats  # (E, 3) semi-axes
@@ -114,15 +114,15 @@ def trace(view: View, x0: int, y0: int, depth: Floats, identity: Identities) -> 
             face = face if u < w else third + np.int32(FLOOR_ID)
             depth[row, col] = max(min(u, w), NEAREST_M)
             identity[row, col] = face
-    if view.board_half[0] > ZERO:
-        _trace_board(view, x0, y0, depth, identity)
+    if view.chessboard_half[0] > ZERO:
+        _trace_chessboard(view, x0, y0, depth, identity)
     for e in range(view.solids.shape[0]):
         _trace_solid(view, e, x0, y0, depth, identity)
 
 
 @kernel
-def _trace_board(view: View, x0: int, y0: int, depth: Floats, identity: Identities) -> None:
-    board, half = view.board, view.board_half
+def _trace_chessboard(view: View, x0: int, y0: int, depth: Floats, identity: Identities) -> None:
+    board, half = view.chessboard, view.chessboard_half
     for row in range(depth.shape[0]):
         for col in range(depth.shape[1]):
             mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
@@ -132,7 +132,7 @@ def _trace_board(view: View, x0: int, y0: int, depth: Floats, identity: Identiti
                 x, y = a + u * mx, b + u * my
                 if abs(at(board[0], x, y, u)) <= half[0] and abs(at(board[1], x, y, u)) <= half[1]:
                     depth[row, col] = u
-                    identity[row, col] = BOARD_ID
+                    identity[row, col] = CHESSBOARD_ID
 
 
 @kernel

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.raycast import (
-    BOARD_ID,
+from hw.twin.optics.raycast import (
+    CHESSBOARD_ID,
     FLOOR_ID,
     ONE,
     SOLID_ID,
@@ -27,7 +27,7 @@ from hw.twin.raycast import (
     map_row,
     ray,
 )
-from hw.twin.texture import LEVELS, SIZE
+from hw.twin.optics.texture import LEVELS, SIZE
 
 HALF, QUARTER, TWO = np.float32(0.5), np.float32(0.25), np.float32(2)
 WALL_LIGHT, SLOPE_LIGHT = np.float32(0.6), np.float32(0.4)  # a diffuse room gives 0.6 + 0.4 n_z
@@ -44,8 +44,8 @@ PER_M = 512  # steps a metre of the two tables below
 STEPS_PER_M = np.float32(PER_M)
 
 
-class Looks(NamedTuple):
-    """What does not change from frame to frame."""
+class ShadingTables(NamedTuple):
+    """What a pixel's light is looked up in; it does not change from frame to frame."""
 
     atlas: NDArray[np.uint8]  # texture.atlas
     layer: NDArray[np.int64]  # (M,) per material
@@ -88,13 +88,15 @@ def square_wave(x: F, footprint: F) -> F:
 
 
 @kernel
-def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: Identities, picture: Floats) -> None:
+def shade(
+    view: View, tables: ShadingTables, x0: int, y0: int, depth: Floats, identity: Identities, picture: Floats
+) -> None:
     """Fill picture (h, w, 3), blue green red, from what trace found for the same pixels."""
     camera, surface_m = view.camera, view.box[2]
     pixel = view.optics.slope / math.sqrt(view.optics.n_squared)  # slope of one pixel in water
     # The picture grows with the lens position. A mip level that followed would switch in the middle of a focus sweep,
     # and a surface that changes its texture seems to change its sharpness.
-    at_rest = looks.pixel / pixel
+    at_rest = tables.pixel / pixel
     for row in range(depth.shape[0]):
         for col in range(depth.shape[1]):
             mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
@@ -105,7 +107,7 @@ def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: I
             material = view.material[who]
             facing, footprint, grain = WALL_LIGHT, u * pixel, ONE
             across = footprint * at_rest  # with foreshortening
-            if who < BOARD_ID:
+            if who < CHESSBOARD_ID:
                 x, y = at(camera[0], px, py, u), at(camera[1], px, py, u)
                 if who < 2:
                     s, t, normal = y, z, along(camera[0], mx, my)
@@ -115,22 +117,22 @@ def shade(view: View, looks: Looks, x0: int, y0: int, depth: Floats, identity: I
                     s, t, normal = x, y, along(camera[2], mx, my)
                     facing = ONE
                 across /= max(abs(normal) / length, STEEPEST)
-            elif who == BOARD_ID:
-                s, t = at(view.board[0], px, py, u), at(view.board[1], px, py, u)
+            elif who == CHESSBOARD_ID:
+                s, t = at(view.chessboard[0], px, py, u), at(view.chessboard[1], px, py, u)
             else:
                 s, t, facing = _on_solid(view, who - SOLID_ID, px, py, u)
-            texels = looks.texels_per_m[material]
-            tone = look_up(looks.atlas, looks.layer[material], s * texels, t * texels, across * texels)
-            if who == BOARD_ID:
+            texels = tables.texels_per_m[material]
+            tone = look_up(tables.atlas, tables.layer[material], s * texels, t * texels, across * texels)
+            if who == CHESSBOARD_ID:
                 grain = ONE + GRAIN * (tone - HALF)
-                s, t = s + view.board_half[0], t + view.board_half[1]  # squares count from a corner
+                s, t = s + view.chessboard_half[0], t + view.chessboard_half[1]  # squares count from a corner
                 tone = HALF + HALF * square_wave(s, footprint) * square_wave(t, footprint)
-            path = looks.path[min(int(u * length * STEPS_PER_M), looks.path.shape[0] - 1)]
-            day = looks.day[min(max(int((surface_m - z) * STEPS_PER_M), 0), looks.day.shape[0] - 1)]
+            path = tables.path[min(int(u * length * STEPS_PER_M), tables.path.shape[0] - 1)]
+            day = tables.day[min(max(int((surface_m - z) * STEPS_PER_M), 0), tables.day.shape[0] - 1)]
             facing *= grain
             for c in range(3):
-                dark = looks.dark[material, c]
-                albedo = dark + tone * (looks.light[material, c] - dark)
+                dark = tables.dark[material, c]
+                albedo = dark + tone * (tables.light[material, c] - dark)
                 picture[row, col, c] = albedo * facing * day[c] * path[c] + path[c + 3]
 
 

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hw.twin import texture
-from hw.twin.lens import Lens
-from hw.twin.raycast import Map, Optics, View
+from hw.twin.optics import texture
+from hw.twin.optics.lens import Lens
+from hw.twin.optics.raycast import Map, Optics, View
+from hw.twin.optics.texture import MATERIALS
 from hw.twin.scene import Solid
-from hw.twin.texture import MATERIALS
 
 Affine = NDArray[np.float64]  # (3, 4) rotation and shift
 
 HULL_RADII_M = (0.14, 0.14, 0.08)
-FACES = [MATERIALS.index(m) for m in (*[texture.WALL] * 4, texture.FLOOR, texture.SURFACE, texture.BOARD)]
+FACES = [MATERIALS.index(m) for m in (*[texture.WALL] * 4, texture.FLOOR, texture.SURFACE, texture.CHESSBOARD)]
 STONE, HULL = (MATERIALS.index(m) for m in (texture.STONE, texture.HULL))
 BALLS = {
     "red": MATERIALS.index(texture.RED_BALL),
@@ -44,7 +44,7 @@ class Hull(NamedTuple):
     rotation: ArrayLike
 
 
-class Board(NamedTuple):
+class Chessboard(NamedTuple):
     """A calibration board: its plane is x-y, its z points to the viewer; `rotation` (3, 3) board to world."""
 
     position_m: ArrayLike
@@ -67,7 +67,7 @@ def make_view(
     box_m: ArrayLike,
     solids: Sequence[Solid],
     hulls: Sequence[Hull],
-    board: Board | None,
+    chessboard: Chessboard | None,
 ) -> View:
     """The world (metres, world frame; `box_m` (3,) is the water body) in the camera's own terms.
 
@@ -85,8 +85,8 @@ def make_view(
         optics=Optics(*_float32(optics)),
         camera=_rows(camera),
         box=_float32(np.asarray(box_m)),
-        board=_rows(_relative(board.rotation, board.position_m, camera) if board else camera),
-        board_half=_float32((board.size_m[0] / 2, board.size_m[1] / 2) if board else (0.0, 0.0)),
+        chessboard=_rows(_relative(chessboard.rotation, chessboard.position_m, camera) if chessboard else camera),
+        chessboard_half=_float32((chessboard.size_m[0] / 2, chessboard.size_m[1] / 2) if chessboard else (0.0, 0.0)),
         solids=np.array(to_unit, np.float32).reshape(-1, 3, 4),
         bounds=np.array([_bounds(b, camera, lens, index / slope) for b in bodies], np.int64).reshape(-1, 4),
         radii=np.array([b.radii_m for b in bodies], np.float32).reshape(-1, 3),

@@ -48,7 +48,7 @@ def draw_water(water: SceneWater, rng: np.random.Generator) -> Water:
     )
 
 
-def look_through(water: Water, range_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def transmission_and_veil(water: Water, range_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(..., 3) share of J that arrives over `range_m` (...), and (..., 3) veil in front of it."""
     z = np.asarray(range_m, float)[..., None]
     return np.exp(-water.direct * z), water.veil * -np.expm1(-water.scatter * z)

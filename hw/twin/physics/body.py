@@ -10,11 +10,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import Body as Mounting
-from agent.config import Tank
+from agent.kernel.config import Body as Mounting
+from agent.kernel.config import Tank
+from hw.twin.physics.servo import STOP_MARGIN_DEG
+from hw.twin.physics.thruster import LAG_S
 from hw.twin.scene import generator
-from hw.twin.servo import STOP_MARGIN_DEG
-from hw.twin.thruster import LAG_S
 
 # One record per robot, read by the compiled kernels. Vectors are body x, y, z; six-vectors add roll, pitch, yaw.
 BODY = np.dtype(

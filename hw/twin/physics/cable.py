@@ -52,7 +52,7 @@ class Cable:
         return b""
 
     def send(self, data: bytes) -> None:
-        """To the agent; what its buffer does not take is lost, as on a wire that nobody listens to."""
+        """Write to the agent; what its buffer does not take is lost, as on a wire that nobody listens to."""
         if self.plugged and data:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)

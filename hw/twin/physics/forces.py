@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
-from hw.twin.body import HULL_M
-from hw.twin.rotation import Quaternion, Vector, cross, to_body, to_world
+from hw.compiled import compiled
+from hw.twin.physics.body import HULL_M
+from hw.twin.physics.rotation import Quaternion, Vector, cross, to_body, to_world
 
 Wrench = NDArray[np.float64]
 Record = Any  # a numpy record of body.BODY or tank.STATE, whose fields numba knows and mypy does not
@@ -31,13 +31,13 @@ TETHER_N_M, TETHER_N_S_M = 20.0, 2.0
 
 
 @compiled()
-def reach_m(n: Vector) -> float:
-    """How far the hull's ellipsoid extends along the unit vector n of the body frame."""
+def support_m(n: Vector) -> float:
+    """Support function of the hull's ellipsoid: how far it extends along the unit vector n of the body frame."""
     return math.sqrt((HULL_M[0] * n[0]) ** 2 + (HULL_M[1] * n[1]) ** 2 + (HULL_M[2] * n[2]) ** 2)
 
 
 @compiled()
-def apply(wrench: Wrench, force: Vector, point: Vector) -> None:
+def add_force(wrench: Wrench, force: Vector, point: Vector) -> None:
     """Add a body-frame force that acts at a body-frame point."""
     torque = cross(point, force)
     for k in range(3):
@@ -62,12 +62,12 @@ def add_water(body: Record, v: Vector, w: Vector, wrench: Wrench) -> None:
 def add_weight(body: Record, z_m: float, q: Quaternion, surface_m: float, wrench: Wrench) -> None:
     """Weight in the centre of gravity; buoyancy above it, less by the share of the height that is out of the water."""
     up = to_body(q, (0.0, 0.0, 1.0))
-    h = reach_m(up)
+    h = support_m(up)
     wet = min(max((surface_m - z_m + h) / (2 * h), 0.0), 1.0)
     lift = GRAVITY_M_S2 * body.displaced_kg * wet
     weight = GRAVITY_M_S2 * body.mass_kg + TETHER_WEIGHT_N
-    apply(wrench, (lift * up[0], lift * up[1], lift * up[2]), (0.0, 0.0, body.buoyancy_arm_m))
-    apply(wrench, (-weight * up[0], -weight * up[1], -weight * up[2]), (0.0, 0.0, 0.0))
+    add_force(wrench, (lift * up[0], lift * up[1], lift * up[2]), (0.0, 0.0, body.buoyancy_arm_m))
+    add_force(wrench, (-weight * up[0], -weight * up[1], -weight * up[2]), (0.0, 0.0, 0.0))
 
 
 @compiled()
@@ -93,7 +93,7 @@ def add_lines(body: Record, p: Vector, q: Quaternion, v_world: Vector, w: Vector
         -spring * (p[1] - body.home_m[1]) - damper * v_world[1],
         0.0,
     )
-    apply(wrench, to_body(q, pull), (0.0, 0.0, 0.0))
+    add_force(wrench, to_body(q, pull), (0.0, 0.0, 0.0))
     ahead = to_world(q, (1.0, 0.0, 0.0))
     off = math.atan2(ahead[1], ahead[0]) - body.home_yaw_rad
     off -= 2 * math.pi * round(off / (2 * math.pi))
@@ -108,4 +108,4 @@ def add_lines(body: Record, p: Vector, q: Quaternion, v_world: Vector, w: Vector
     if length > body.tether_m:
         closing = (dx * v_world[0] + dy * v_world[1] + dz * v_world[2]) / length
         tension = max(0.0, TETHER_N_M * (length - body.tether_m) - TETHER_N_S_M * closing) / length
-        apply(wrench, to_body(q, (tension * dx, tension * dy, tension * dz)), eye)
+        add_force(wrench, to_body(q, (tension * dx, tension * dy, tension * dz)), eye)

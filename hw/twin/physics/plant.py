@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.sensors import LATE_SAMPLES, NOISE_M
-from hw.twin.thruster import F_MAX_N
+from hw.twin.physics.sensors import LATE_SAMPLES, NOISE_M
+from hw.twin.physics.thruster import F_MAX_N
 
 
 class Plant(NamedTuple):

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
-from hw.twin.forces import GRAVITY_M_S2, WATER_KG_M3
-from hw.twin.rotation import to_world
+from hw.compiled import compiled
+from hw.twin.physics.forces import GRAVITY_M_S2, WATER_KG_M3
+from hw.twin.physics.rotation import to_world
 from hw.twin.scene import generator
 
 PA_PER_M = WATER_KG_M3 * GRAVITY_M_S2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from agent.compiled import compiled
+from hw.compiled import compiled
 
 LAG_S = 0.04
 SLEW_DEG_S = 300.0  # 0.2 s per 60 deg, a usual figure of digital hobby servos

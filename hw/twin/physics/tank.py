@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
-from agent.messages import Vector
-from hw.twin.contact import add_contacts
-from hw.twin.forces import add_lines, add_thrust, add_water, add_weight, apply
-from hw.twin.rotation import to_body, to_world, turned
-from hw.twin.servo import motor_deg_after, shaft_deg_after
-from hw.twin.thruster import lagged_thrust_n, static_thrust_n
+from agent.kernel.messages import Vector
+from hw.compiled import compiled
+from hw.twin.physics.contact import add_contacts
+from hw.twin.physics.forces import add_force, add_lines, add_thrust, add_water, add_weight
+from hw.twin.physics.rotation import to_body, to_world, turned
+from hw.twin.physics.servo import motor_deg_after, shaft_deg_after
+from hw.twin.physics.thruster import lagged_thrust_n, static_thrust_n
 
 STEP_S = 0.002  # 20 times shorter than the fastest lag, that of the servos
 STEPS_PER_TICK = 5
@@ -93,7 +93,7 @@ def advance(
             add_contacts(states, i, q, v, v_world, w, size_m, wrench[i])
             if s.push_s > 0:
                 push = (s.push_n[0], s.push_n[1], s.push_n[2])
-                apply(wrench[i], to_body(q, push), (s.push_at_m[0], s.push_at_m[1], s.push_at_m[2]))
+                add_force(wrench[i], to_body(q, push), (s.push_at_m[0], s.push_at_m[1], s.push_at_m[2]))
                 s.push_s -= dt_s
         for i in range(robots):
             body, s = bodies[i], states[i]

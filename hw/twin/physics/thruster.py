@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from agent.compiled import compiled
+from hw.compiled import compiled
 
 F_MAX_N = 10.0  # forward, at 1900 us: small thrusters; a T200 would be oversized for 4 kg
 

@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.compiled import compiled
-from hw.twin.forces import GRAVITY_M_S2
-from hw.twin.rotation import to_world
+from hw.compiled import compiled
+from hw.twin.physics.forces import GRAVITY_M_S2
+from hw.twin.physics.rotation import to_world
+from hw.twin.physics.sensors import CORNERS, PA_PER_M
 from hw.twin.scene import Waves
-from hw.twin.sensors import CORNERS, PA_PER_M
 
 
 def add_waves(

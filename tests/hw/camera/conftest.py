@@ -1,6 +1,6 @@
-"""What stands in for the devices: a frame source behind the camera socket, and files. For V4L2 see fake_v4l2.
+"""What stands in for the devices: a frame source behind the camera socket, files, and a computer of fake_v4l2.
 
-All of them show the same scene, 96x64 pixels, whose picture tells the lens position: `scene(position)`.
+All of them show the same scene, 96x64 pixels, whose picture tells the lens position: `scene(lens_position)`.
 """
 
 import contextlib
@@ -9,9 +9,9 @@ import time
 
 import cv2
 import pytest
-from fake_v4l2 import scene
 
-from hw.camera import CameraError, FocusRange, Frame, Roi
+from hw.camera.camera import CameraError, FocusRange, Frame, Roi
+from tests.hw.camera.fake_v4l2 import FakeComputer, scene
 
 SIZE = (96, 64)
 
@@ -23,7 +23,7 @@ class Source:
     focus_range = FocusRange(0, 20, 2)
 
     def __init__(self):
-        self.position = 0
+        self.lens_position = 0
         self.seq = 0
         self.settles_s = []
         self.rois = []
@@ -31,9 +31,9 @@ class Source:
         self.gate.set()
         self.fault = None
 
-    def set_focus(self, position):
-        self.position = position
-        return position
+    def set_focus(self, lens_position):
+        self.lens_position = lens_position
+        return lens_position
 
     def read(self, roi, settle_s):
         self.gate.wait()
@@ -43,7 +43,7 @@ class Source:
         self.settles_s.append(settle_s)
         self.seq += 1
         part = roi or Roi(0, 0, *SIZE)
-        image = scene(self.position)[part.y : part.y + part.height, part.x : part.x + part.width]
+        image = scene(self.lens_position)[part.y : part.y + part.height, part.x : part.x + part.width]
         return Frame(time.monotonic_ns(), self.seq, image, part)
 
 
@@ -83,3 +83,13 @@ def closing():
     """Closes everything handed to it, the last one first."""
     with contextlib.ExitStack() as stack:
         yield lambda thing: stack.enter_context(contextlib.closing(thing))
+
+
+@pytest.fixture
+def computer():
+    return FakeComputer()
+
+
+@pytest.fixture
+def device(computer):
+    return computer.camera

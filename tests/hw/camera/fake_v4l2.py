@@ -10,10 +10,10 @@ import struct
 import cv2
 import numpy as np
 
-from hw import v4l2_calls as v4l2
-from hw.camera_v4l2 import open_v4l2
-from hw.v4l2_format import MJPG, YUYV
-from hw.v4l2_node import System
+from hw.camera import v4l2_calls as v4l2
+from hw.camera.v4l2 import open_v4l2
+from hw.camera.v4l2_format import MJPG, YUYV
+from hw.camera.v4l2_node import System
 
 FRAME_NS = 33_000_000
 CALL_NS = 10_000  # what a system call takes
@@ -24,9 +24,9 @@ ELSEWHERE_NS = 1_700_000_000_000_000_000  # a stamp of the wall clock
 STAMPS = {"start": 0x1_2000, "end": 0x2000, "unknown": 0x0, "copy": 0x4000}
 
 
-def scene(position):
+def scene(lens_position):
     y, x = np.mgrid[0:64, 0:96]
-    return np.stack([x + y, 2 * x + 20, np.full_like(x, 8 * position)], axis=2).astype(np.uint8)
+    return np.stack([x + y, 2 * x + 20, np.full_like(x, 8 * lens_position)], axis=2).astype(np.uint8)
 
 
 class Clock:
@@ -43,7 +43,7 @@ class FakeCamera:
     def __init__(self, path="/dev/video7", clock=None):
         self.path = path
         self.clock = clock or Clock()
-        self.capabilities = v4l2.CAN_CAPTURE | v4l2.CAN_STREAM
+        self.capabilities = v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_STREAMING
         self.formats = {YUYV: {(96, 64): 30, (1280, 960): 5}, MJPG: {(96, 64): 30, (1280, 960): 30}}  # frames/s
         self.padding = 0  # bytes at the end of a row
         self.late_ns = 0  # how far its clock lags behind ours
@@ -55,15 +55,15 @@ class FakeCamera:
         self.boot()
 
     def boot(self):
-        """As it comes out of its box: all automatics on."""
+        """The state in which it comes out of its box: all automatics on."""
         self.controls = {  # id: lowest, highest, step, value
             v4l2.FOCUS_AUTO: [0, 1, 1, 1],
             v4l2.FOCUS_ABSOLUTE: [0, 20, 5, 3],
             v4l2.EXPOSURE_AUTO: [0, 3, 1, 3],
-            v4l2.EXPOSURE_100US: [1, 2000, 1, 40],
-            v4l2.EXPOSURE_MAY_SLOW: [0, 1, 1, 1],
-            v4l2.WHITE_BALANCE_AUTO: [0, 1, 1, 1],
-            v4l2.WHITE_BALANCE_K: [2000, 8000, 1, 5000],
+            v4l2.EXPOSURE_ABSOLUTE: [1, 2000, 1, 40],
+            v4l2.EXPOSURE_AUTO_PRIORITY: [0, 1, 1, 1],
+            v4l2.AUTO_WHITE_BALANCE: [0, 1, 1, 1],
+            v4l2.WHITE_BALANCE_TEMPERATURE: [2000, 8000, 1, 5000],
             v4l2.SHARPNESS: [1, 9, 1, 5],
         }
         self.written = []  # (control, value) in order
@@ -127,7 +127,7 @@ class FakeCamera:
 
     def tell_capabilities(self, argument):
         node = self.capabilities
-        whole = node | v4l2.CAN_CAPTURE | v4l2.HAS_DEVICE_CAPS
+        whole = node | v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_DEVICE_CAPS
         struct.pack_into("16s32s32s3I", argument, 0, b"fake", self.card.encode(), self.bus.encode(), 1, whole, node)
 
     def tell_format(self, argument):
@@ -165,7 +165,7 @@ class FakeCamera:
             self.again = max(0, self.again - 1)
             raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
         index, count, flags, stamp_ns = self.filled.pop(0)
-        struct.pack_into("5I", argument, 0, index, v4l2.VIDEO_CAPTURE, count, flags, 1)
+        struct.pack_into("5I", argument, 0, index, v4l2.BUF_TYPE_VIDEO_CAPTURE, count, flags, 1)
         struct.pack_into("2q", argument, 24, stamp_ns // 10**9, stamp_ns % 10**9 // 1000)
 
     def stream_on(self, argument):
@@ -206,13 +206,13 @@ class FakeCamera:
             began_ns, self.exposing_ns = self.exposing_ns, self.exposing_ns + FRAME_NS
             automatic = self.controls.get(v4l2.EXPOSURE_AUTO)
             if automatic and automatic[3] != v4l2.EXPOSURE_MANUAL:
-                self.controls[v4l2.EXPOSURE_100US][3] = 100
+                self.controls[v4l2.EXPOSURE_ABSOLUTE][3] = 100
             if self.streaming and self.queued and not self.silent and not self.unplugged:
                 self.fill(self.queued.pop(0), began_ns)
 
     def fill(self, index, began_ns):
-        position = next(position for t_ns, position in reversed(self.moves) if t_ns <= began_ns)
-        data, flags = self.encoded(scene(position)), STAMPS[self.stamps]
+        lens_position = next(p for t_ns, p in reversed(self.moves) if t_ns <= began_ns)
+        data, flags = self.encoded(scene(lens_position)), STAMPS[self.stamps]
         stamp_ns = {"start": began_ns, "end": began_ns + FRAME_NS}.get(
             self.stamps, ELSEWHERE_NS + began_ns
         ) - self.late_ns
@@ -256,7 +256,7 @@ class FakeComputer:
         del self.there[self.camera.path]
 
     def plug(self, path="/dev/video9"):
-        """As another device, on another node."""
+        """Come back as another device, on another node."""
         self.camera = FakeCamera(path, self.clock)
         self.there[path] = self.camera
 

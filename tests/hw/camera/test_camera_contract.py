@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from fake_v4l2 import FakeComputer, scene, through_yuyv
 
-from hw.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest, open_camera
-from hw.twin.frame_socket import FrameServer
+from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
+from hw.camera.frame_server import FrameServer
+from hw.camera.open import open_camera
+from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
 
 SIZE = (96, 64)
 NOWHERE = Path("/nonexistent")
@@ -52,7 +53,11 @@ def file_rig(kind, path):
 def v4l2_rig():
     computer = FakeComputer()
     return Rig(
-        computer.open, computer.pull, computer.plug, lambda position: through_yuyv(scene(position)), computer.clock
+        computer.open,
+        computer.pull,
+        computer.plug,
+        lambda lens_position: through_yuyv(scene(lens_position)),
+        computer.clock,
     )
 
 
@@ -168,7 +173,7 @@ class TestEveryCameraThatGoesAway:
 
 
 def read_on(camera):
-    """Through all lens positions, and beyond the end of a video."""
+    """Read through all lens positions, and beyond the end of a video."""
     focus = camera.focus_range()
     for k in range(20):
         if focus is not None:

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hw.camera import CameraError, CameraGone
-from hw.camera_files import open_stack, open_video
+from hw.camera.camera import CameraError, CameraGone
+from hw.camera.files import open_stack, open_video
 
 
 def test_lens_positions_are_the_photographs_in_order_of_focus(stack):

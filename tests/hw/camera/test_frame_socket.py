@@ -7,17 +7,16 @@ import threading
 
 import pytest
 
-from hw.camera import CameraError, CameraGone, Roi
-from hw.camera_twin import open_twin
-from hw.twin import frame_socket
-from hw.twin.frame_socket import (
+from hw.camera import frame_server, frame_socket
+from hw.camera.camera import CameraError, CameraGone, Roi
+from hw.camera.frame_server import FrameServer
+from hw.camera.frame_socket import (
     FULL,
     INFO,
     READ,
     REPLY_SIZE,
     REQUEST_SIZE,
     SET_FOCUS,
-    FrameServer,
     Reply,
     Request,
     Torn,
@@ -26,6 +25,7 @@ from hw.twin.frame_socket import (
     parse_reply,
     parse_request,
 )
+from hw.camera.twin import open_twin
 
 REQUEST = Request(READ, 7, -3, 50_000, Roi(8, 16, 320, 240))
 REPLY = Reply(frame_socket.OK, 7, 12, 345_678_901_234, Roi(8, 16, 320, 240), 230_400)
@@ -114,9 +114,9 @@ class TestServer:
 
     def test_nothing_tells_where_the_lens_is(self, raw, source):
         answers = []
-        for position in (0, 20):
-            ask(raw, Request(SET_FOCUS, 1, focus=position))
-            source.position = 4  # what is in the picture stays the same
+        for lens_position in (0, 20):
+            ask(raw, Request(SET_FOCUS, 1, lens_position=lens_position))
+            source.lens_position = 4  # what is in the picture stays the same
             header, pixels = ask(raw, Request(READ, 2))
             answers.append((parse_reply(header)._replace(seq=0, t_ns=0), pixels))
         assert answers[0] == answers[1]
@@ -154,13 +154,13 @@ class TestServer:
             camera.close()
 
     def test_a_client_that_stops_in_mid_request_is_dropped(self, monkeypatch, raw, server, closing):
-        monkeypatch.setattr(frame_socket, "STALL_S", 0.05)
+        monkeypatch.setattr(frame_server, "STALL_S", 0.05)
         raw.sendall(pack_request(REQUEST)[:5])
         assert raw.recv(1) == b""
         assert closing(open_twin(server.path)).read().seq == 1
 
     def test_a_client_that_does_not_read_its_frame_is_dropped(self, monkeypatch, raw, server, closing):
-        monkeypatch.setattr(frame_socket, "STALL_S", 0.05)
+        monkeypatch.setattr(frame_server, "STALL_S", 0.05)
         raw.sendall(b"".join(pack_request(Request(READ, n)) for n in range(100)))  # 1.8 MB of answers
         camera = None
         while camera is None:

@@ -7,7 +7,7 @@ import json
 import sys
 
 sys.path.insert(0, sys.argv[1])
-import control
+import motor_control
 import parameters
 import wire
 
@@ -18,7 +18,7 @@ with open(sys.argv[2]) as file:
     for line in file:
         law, pressure_pa, answered, depth_m, roll_rad = json.loads(line)
         if law:
-            module = control.Control()
+            module = motor_control.Control()
             module.configure(parameters.from_flash({"law": law, "net_weight_N": 0.5, "zero_3_us": 1507}))
             module.plane.tare_pa = [AIR_PA] * 4
             for _ in range(10):

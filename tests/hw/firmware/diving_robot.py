@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.config import Fleet, Pose, Robot, Target, Twin
-from agent.messages import SetPoint, Telemetry
-from hw.stm32_talk import Talk
-from hw.twin.devices import Board, interpreter
-from hw.twin.dive import Dive, run_in_lock_step
-from hw.twin.event import Event
-from hw.twin.rotation import matrix
+from agent.kernel.config import Fleet, Pose, Robot, Target, Twin
+from agent.kernel.step_io import SetPoint, Telemetry
+from hw.stm32.protocol import HostProtocol
+from hw.twin.devices.board import Board, interpreter
+from hw.twin.dive import Dive
+from hw.twin.faults import AnyFault
+from hw.twin.pace import run_in_lock_step
+from hw.twin.physics.rotation import matrix
 
 FLEET = Fleet(
     fleet="tank",
@@ -39,14 +40,14 @@ HOVER = SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5)
 REST_N = 0.01  # a thruster that stops fades with its lag: a second leaves less than this of 10 N
 
 
-class Dived:
+class DivingRobot:
     """`run` is the only thing that lets time pass. The host sends set-points at 20 Hz while `talks`."""
 
-    def __init__(self, folder: Path, events: Sequence[Event]) -> None:
-        self.dive = Dive(FLEET, ["r1"], 0, events=events)
+    def __init__(self, folder: Path, faults: Sequence[AnyFault]) -> None:
+        self.dive = Dive(FLEET, ["r1"], 0, faults=faults)
         self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter())
         self.dive.boards = [self.board]
-        self.talk = Talk(7)
+        self.protocol = HostProtocol(7)
         self.talks = True
         self.asks = HOVER
         self.telemetry: list[Telemetry] = []
@@ -68,7 +69,7 @@ class Dived:
 
     def arm(self) -> None:
         """Hovering at depth, level, the crew's hands off."""
-        self.talk.arm()
+        self.protocol.arm()
         self.until(lambda: bool(self.telemetry) and self.telemetry[-1].armed, 10.0)
         self.run(3.0)
         assert abs(self.depth_m - HOVER.depth_m) < 0.01 and self.tilt_deg < 1.0
@@ -79,25 +80,25 @@ class Dived:
         if self._port < 0:
             with contextlib.suppress(FileNotFoundError):
                 self._port = os.open(self.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-                self.talk.connected()
+                self.protocol.connected()
         if self._port < 0:
             return
         try:
             with contextlib.suppress(BlockingIOError):
                 if not (chunk := os.read(self._port, 65536)):
                     raise OSError("hung up")
-                self.talk.receive(chunk, now_ns)
-            out = self.talk.due(now_ns) if self.talks else b""
+                self.protocol.receive(chunk, now_ns)
+            out = self.protocol.due(now_ns) if self.talks else b""
             if self.talks and self.dive.ticks % 5 == 0:
-                out += self.talk.set_point(self.asks, now_ns)
+                out += self.protocol.set_point(self.asks, now_ns)
             if out:
                 os.write(self._port, out)
         except OSError:
             self.hang_up()
-        self.telemetry += self.talk.telemetry
-        self.said += [line.text for line in self.talk.said]
-        self.talk.telemetry.clear()
-        self.talk.said.clear()
+        self.telemetry += self.protocol.telemetry
+        self.said += [line.text for line in self.protocol.lines]
+        self.protocol.telemetry.clear()
+        self.protocol.lines.clear()
 
     def hang_up(self) -> None:
         if self._port >= 0:
@@ -112,7 +113,7 @@ class Dived:
 
     @property
     def tilt_deg(self) -> float:
-        """Between the hull's up and the world's."""
+        """Angle between the hull's up and the world's."""
         return float(np.degrees(np.arccos(np.clip(matrix(self.dive.states["quaternion"][0])[2, 2], -1, 1))))
 
     @property
@@ -135,9 +136,9 @@ class Dived:
 
 
 @contextlib.contextmanager
-def dived(folder: Path, events: Sequence[Event] = ()) -> Iterator[Dived]:
+def diving_robot(folder: Path, faults: Sequence[AnyFault] = ()) -> Iterator[DivingRobot]:
     """A robot held by the crew at 0.35 m, its firmware running, until the end of the block."""
-    robot = Dived(folder, events)
+    robot = DivingRobot(folder, faults)
     try:
         robot.board.start()
         yield robot

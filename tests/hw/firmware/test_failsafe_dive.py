@@ -13,15 +13,15 @@ import time
 import msgspec
 import numpy as np
 import pytest
-from dived import HOVER, REST_N, dived
 
 from hw.firmware import failsafe, wire
-from hw.twin.dive import LOCK_STEP_S
+from hw.twin.pace import LOCK_STEP_S
+from tests.hw.firmware.diving_robot import HOVER, REST_N, diving_robot
 
 
 @pytest.fixture
 def robot(tmp_path):
-    with dived(tmp_path) as robot:
+    with diving_robot(tmp_path) as robot:
         yield robot
 
 
@@ -160,24 +160,27 @@ def test_on_its_side_it_stops_its_motors(hovering):
 
 def test_emergency_stop_lasts_until_the_power_was_off(hovering):
     robot = hovering
-    robot.talk.stop(wire.ESTOP)
+    boot_id = robot.protocol._boot_id
+    robot.protocol.stop(wire.ESTOP)
     robot.run(1.2)
     assert at_rest(robot) and robot.ladder == failsafe.LATCHED
-    robot.talk.arm()
+    robot.protocol.arm()
     robot.run(5.0)
     assert not robot.armed and at_rest(robot)
     assert robot.heard("fault latched")
+    assert robot.protocol._boot_id == boot_id and not robot.protocol.wants_armed
     robot.dive.cut_power("r1", 0.5)
     robot.run(1.0)
-    assert robot.heard("the board has restarted") or not robot.talk.wants_armed
+    assert robot.protocol._boot_id not in (None, boot_id) and robot.ladder == failsafe.OK
+    assert not robot.armed and not robot.protocol.wants_armed  # nor was the wish to arm kept over the restart
     robot.arm()
     assert robot.armed and not at_rest(robot)
 
 
 HOST = """
 import sys, time
-from agent.messages import SetPoint
-from hw.stm32 import Stm32
+from agent.kernel.step_io import SetPoint
+from hw.stm32.driver import Stm32
 with Stm32(sys.argv[1], time.monotonic_ns) as board:
     board.arm()
     while True:
@@ -228,18 +231,18 @@ def test_an_agent_that_is_killed_leaves_a_robot_that_comes_up(robot):
 
 def test_a_firmware_that_hangs_is_reset_and_stays_disarmed_until_somebody_has_looked(hovering):
     robot = hovering
-    boot_id = robot.talk._boot_id
+    boot_id = robot.protocol._boot_id
     robot.dive.hang_firmware("r1")
     robot.run(0.45)
     assert not at_rest(robot)  # its last pulses still stand
     robot.run(1.2)
     assert at_rest(robot)
     robot.run(6.0)  # long enough for the ESCs, had anybody asked
-    assert robot.talk._boot_id not in (None, boot_id)
+    assert robot.protocol._boot_id not in (None, boot_id)
     assert not robot.armed and at_rest(robot)
-    assert robot.heard("the board has restarted; arm again") and not robot.talk.wants_armed
+    assert robot.heard("the board has restarted; arm again") and not robot.protocol.wants_armed
     assert robot.ladder == failsafe.LATCHED
-    robot.talk.arm()
+    robot.protocol.arm()
     robot.run(1.0)
     assert robot.heard("fault latched") and not robot.armed
     robot.dive.cut_power("r1", 0.2)  # somebody has looked at it

@@ -5,14 +5,14 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from nominal_plant import AIR_PA, PA_PER_M, Plant
 
 from hw.firmware import failsafe, wire
+from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M, Plant
+from tests.waiting import until
 
 FIRMWARE = Path(wire.__file__).parent
 NEUTRAL = (1500,) * 8
@@ -25,9 +25,12 @@ def desk(put_on_desk, interpreter):
 
 def test_speaks_50_times_a_second_and_keeps_still(desk):
     act = desk.tick(100)
-    desk.listen()
-    time.sleep(0.05)
-    desk.listen()
+
+    def told() -> bool:
+        desk.listen()
+        return bool(desk.heard(wire.STATUS))
+
+    until(told)  # the last words of the hundredth cycle
     assert act[1:9] == NEUTRAL and act[-1] == wire.DISARMED
     telemetry = desk.heard(wire.TELEM)
     assert len(telemetry) == 50

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import MICROPYTHON
-from nominal_plant import AIR_PA, Plant
 
 from hw.firmware import law, pressure, thrust, wire
+from tests.hw.desk import MICROPYTHON
+from tests.hw.firmware.nominal_plant import AIR_PA, Plant
 
 FIRMWARE = Path(wire.__file__).parent
 COST = Path(__file__).with_name("cycle_cost.py")

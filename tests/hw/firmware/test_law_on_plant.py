@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from nominal_plant import ARM_X_M, ARM_Y_M, PA_PER_M, Plant
 
 from hw.firmware import law, pressure, thrust
+from tests.hw.firmware.nominal_plant import ARM_X_M, ARM_Y_M, PA_PER_M, Plant
 
 CYCLE_US = 10_000
 FULL_N, SLEW_N = 10.0, 2.0

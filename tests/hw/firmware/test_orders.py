@@ -8,10 +8,10 @@ import struct
 import zlib
 
 import pytest
-from nominal_plant import AIR_PA
 
 from hw.firmware import failsafe, parameters, wire
 from hw.firmware.parameters import IDS, TABLE
+from tests.hw.firmware.nominal_plant import AIR_PA
 
 NEUTRAL = (1500,) * 8
 

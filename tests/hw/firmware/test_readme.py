@@ -1,14 +1,20 @@
-"""hw/README.md says what the firmware does: its tables name every parameter, message and file."""
+"""hw/README.md is true: its tables name every parameter, message and file, and what is to be typed runs."""
 
 from __future__ import annotations
 
+import os
 import re
+import sys
+import threading
+import time
 from pathlib import Path
 
 from hw.firmware import parameters, pwm, wire
-from hw.stm32 import Stm32
+from hw.stm32.driver import Stm32
+from tests.places import ROOT
 
-README = (Path(wire.__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+README = (ROOT / "hw" / "README.md").read_text(encoding="utf-8")
+PROGRAMS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
 def test_every_parameter_with_its_default_and_range():
@@ -38,9 +44,39 @@ def test_every_file_is_copied_to_the_board_but_those_for_a_computer():
 
 
 def test_what_is_typed_at_the_bench_is_python_and_the_drivers():
-    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 2
-    for block in blocks:
-        compile(block, "README", "exec")
+    assert len(PROGRAMS) == 2
+    for program in PROGRAMS:
+        compile(program, "README", "exec")
     asked = set(re.findall(r"board\.(\w+)", README))
     assert {"start", "tare", "arm", "close"} <= asked <= set(dir(Stm32))
+
+
+def test_the_bench_s_program_speaks_with_a_board(put_on_desk, capsys):
+    desk = put_on_desk(sys.executable)
+    desk.listen = lambda: None  # the driver reads the tether
+    stop = threading.Event()
+
+    def let_time_pass() -> None:
+        while not stop.is_set():
+            desk.tick()
+            time.sleep(0.002)
+
+    board_clock = threading.Thread(target=let_time_pass)
+    board_clock.start()
+    typed: dict = {}
+    try:
+        exec(PROGRAMS[0].replace("/dev/ttyACM0", os.ttyname(desk.slave)), typed)
+        assert typed["hold"](1.0, servos_us=(1600, 1500, 1500, 1500)).servos_us == (1600, 1500, 1500, 1500)
+    finally:
+        if "board" in typed:
+            typed["board"].close()
+        stop.set()
+        board_clock.join()
+    shown = capsys.readouterr().out
+    assert "Greeting(" in shown and "Outcome(result='ok'" in shown and "'lag_s': 0.1" in shown
+
+
+def test_every_path_is_there():
+    paths = set(re.findall(r"`((?:hw|agent)/[\w./]+)`", README)) | set(re.findall(r"\]\((\.\./[\w./-]+\.md)", README))
+    assert len(paths) > 6
+    assert not [path for path in paths if not (ROOT / "hw" / path if path.startswith("..") else ROOT / path).exists()]

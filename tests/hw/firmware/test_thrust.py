@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib
 
 import pytest
-from nominal_plant import AIR_PA
 
 from hw.firmware import thrust, wire
+from tests.hw.firmware.nominal_plant import AIR_PA
 
 # Largest thrust of a T200 forward and in reverse, N, by battery voltage: the maker's workbook of September 2019.
 T200_N = {12: (36.4, 28.6), 14: (44.4, 34.5), 16: (51.4, 39.9), 18: (59.0, 45.0), 20: (65.9, 49.4)}
@@ -41,10 +41,10 @@ def test_slew_is_obeyed_and_the_law_is_told():
 def module(monkeypatch):
     """A control module with a tare, 30 cm deep, armed."""
     monkeypatch.syspath_prepend(str(importlib.import_module("hw.firmware").__path__[0]))
-    control, parameters = importlib.import_module("control"), importlib.import_module("parameters")
+    motor_control, parameters = importlib.import_module("motor_control"), importlib.import_module("parameters")
 
     def make(tilt_m: float = 0.0, **flash):
-        made = control.Control()
+        made = motor_control.Control()
         made.configure(parameters.from_flash(flash))
         made.plane.tare_pa = [AIR_PA] * 4
         made.plane.set_pa = [AIR_PA + wire.PA_PER_M * (0.3 + sign * tilt_m) for sign in (1, 1, -1, -1)]

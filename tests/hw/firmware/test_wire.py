@@ -18,8 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hw.firmware import wire
+from tests.places import GOLDEN
 
-VECTORS = Path(__file__).parents[1] / "golden" / "wire_vectors.jsonl"
+VECTORS = GOLDEN / "wire_vectors.jsonl"
 FUZZED = int(os.environ.get("AUCAMP_FUZZED_STREAMS", "100000"))  # 1000000 take half a minute
 CHECK = Path(__file__).with_name("check_vectors.py")
 FIRMWARE = Path(wire.__file__).parent

@@ -6,16 +6,14 @@ import sys
 import time
 
 import pytest
-from nominal_plant import AIR_PA
-from test_stm32 import Board, Port, drive
 
-from agent.config import ConfigError
+from agent.kernel.config import ConfigError
 from hw.firmware import parameters, wire
-from hw.stm32 import Stm32
-from hw.stm32_orders import NO_ANSWER, NO_BOARD, OVERTAKEN
-from hw.stm32_talk import Talk
-
-MS = 1_000_000
+from hw.stm32.driver import Stm32
+from hw.stm32.orders import NO_ANSWER, NO_BOARD
+from tests.hw.firmware.nominal_plant import AIR_PA
+from tests.hw.stm32.driven_desk import Port, drive
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -72,17 +70,14 @@ def test_reboot_brings_back_what_was_set_and_not_saved(desk, driver):
     assert outcome(desk, driver, driver.reboot()).ok
     drive(desk, driver, lambda: driver.greeting.boot_id != boot_id)
     assert driver.greeting.reset_cause == wire.BY_ORDER
-    drive(desk, driver, lambda: driver._talk._orders.idle)
+    drive(desk, driver, lambda: driver._protocol._orders.idle)
     assert outcome(desk, driver, driver.parameter("net_weight_N")).values == {"net_weight_N": 1.5}
 
 
 def test_a_pulled_plug_ends_what_was_asked(desk, driver):
     future = driver.tare()
     desk.power_off()
-    deadline_s = time.monotonic() + 3.0
-    while not future.done() and time.monotonic() < deadline_s:
-        time.sleep(0.01)
-        driver.drain()
+    until(future.done, 3.0)
     assert future.result(0).result in (NO_ANSWER, NO_BOARD)
 
 
@@ -101,77 +96,3 @@ def test_a_tap_sees_all_bytes_of_both_directions(desk, tmp_path):
         framer.feed(seen[from_board], len(seen[from_board]))
         assert kind in kinds and framer.rx_bad == 0
         assert not from_board or framer.rx_ok >= frames
-
-
-# --- the conversation alone ---------------------------------------------------------------------------------------
-
-
-def test_without_a_board_an_order_ends_at_once():
-    assert Talk(1).ask(wire.PARAM_LIST).result(0).result == NO_BOARD
-
-
-def test_an_order_is_repeated_three_times():
-    talk = Talk(1)
-    Board(talk).greet()
-    future = talk.ask(wire.PARAM_SAVE)
-    times = [ms for ms in range(0, 1000, 10) if talk.due(ms * MS)]
-    assert times == [0, 100, 200, 300]
-    assert future.result(0).result == NO_ANSWER
-    assert talk.is_answered()
-
-
-def test_a_board_at_work_is_asked_twice_a_second():
-    talk = Talk(1)
-    board = Board(talk)
-    board.greet()
-    future = talk.ask(wire.TARE, 0)
-    times = []
-    for ms in range(0, 3000, 10):
-        if talk.due(ms * MS):
-            times.append(ms)
-            board.say_at(ms * MS + 1, wire.ACK, 1, wire.TARE, wire.OK if ms >= 2000 else wire.RUNNING, board.boot_id)
-    assert times == [0, 510, 1020, 1530, 2040]
-    assert future.result(0).ok
-
-
-def test_a_stop_overtakes_and_ends_the_others():
-    talk = Talk(1)
-    Board(talk).greet()
-    first, second = talk.ask(wire.TARE, 0), talk.ask(wire.PARAM_SAVE)
-    talk.due(0)
-    talk.stop(wire.ESTOP)
-    assert first.result(0).result == second.result(0).result == OVERTAKEN
-    assert talk.due(1) and not talk.is_answered()
-
-
-def test_a_list_of_which_a_part_was_lost_is_asked_for_again():
-    talk = Talk(1)
-    board = Board(talk)
-    board.greet()
-    future = talk.ask(wire.PARAM_LIST)
-    for ms, lost in ((0, {2, 3}), (300, {0, 7})):
-        assert not talk.due((ms - 1) * MS) and talk.due(ms * MS)
-        for i in set(range(len(parameters.TABLE))) - lost:
-            board.say(wire.PARAM_VALUE, 1, board.boot_id, i, parameters.TABLE[i][5], 0, parameters.TABLE[i][2])
-    assert len(future.result(0).values) == len(parameters.TABLE)
-
-
-def test_a_reboot_whose_answer_was_lost_has_happened():
-    talk = Talk(1)
-    board = Board(talk)
-    board.greet()
-    future = talk.ask(wire.REBOOT, wire.REBOOT_MAGIC)
-    talk.due(0)
-    board.say(wire.ACK, 1, wire.REBOOT, wire.STALE_BOOT, board.boot_id + 1)
-    assert future.result(0).ok
-
-
-def test_a_cancelled_order_disturbs_nobody():
-    talk = Talk(1)
-    board = Board(talk)
-    board.greet()
-    future = talk.ask(wire.PARAM_SAVE)
-    talk.due(0)
-    assert future.cancel()
-    board.say(wire.ACK, 1, wire.PARAM_SAVE, wire.OK, board.boot_id)
-    assert talk.is_answered()

@@ -12,13 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.config import load_fleet
-from agent.messages import SetPoint
-from hw.camera import Roi, open_camera
-from hw.twin.bench import BenchClient
-from hw.twin.devices import Board
-from hw.twin.dive import Dive, run_in_lock_step
-from hw.twin.place import claimed, twin_dir
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.step_io import SetPoint
+from hw.camera.camera import Roi
+from hw.camera.open import open_camera
+from hw.twin.bench_socket import BenchClient
+from hw.twin.devices.board import Board
+from hw.twin.devices.twin_folder import locked, twin_dir
+from hw.twin.dive import Dive
+from hw.twin.pace import run_in_lock_step
+from tests.places import ROOT
+from tests.waiting import until
 
 FLEET = """
 fleet = "pair"
@@ -60,11 +64,10 @@ def start(fleet_file):
 
     def make(*arguments):
         command = [sys.executable, "-m", "hw.twin", str(fleet_file), *arguments]
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
         started.append(process)
-        ready, end_s = fleet_file.parent / "twin" / "ready", time.monotonic() + START_S
-        while not ready.exists() and process.poll() is None and time.monotonic() < end_s:
-            time.sleep(0.02)
+        ready = fleet_file.parent / "twin" / "ready"
+        until(lambda: ready.exists() or process.poll() is not None, START_S)
         return process
 
     yield make
@@ -141,14 +144,14 @@ def test_stale_files_of_a_killed_twin_are_no_obstacle(start, fleet_file):
 def test_what_a_user_can_put_right_is_one_line(fleet_file, before, after, says):
     fleet_file.write_text(fleet_file.read_text().replace(before, after))
     command = [sys.executable, "-m", "hw.twin", str(fleet_file)]
-    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2], check=False)
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False)
     assert done.returncode == 2
     assert says in done.stderr
     assert done.stderr.count("\n") == 1
 
 
 def test_a_path_that_no_socket_can_have_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"set twin\.dir"), claimed(tmp_path / ("x" * 100)):
+    with pytest.raises(ValueError, match=r"set twin\.dir"), locked(tmp_path / ("x" * 100)):
         pass
 
 
@@ -178,14 +181,14 @@ def test_the_bench_puts_the_board_where_it_is_told_in_no_time(start, fleet_file)
 
 
 def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
-    stm32_talk = pytest.importorskip("hw.stm32_talk")
+    host_protocol = pytest.importorskip("hw.stm32.protocol")
     fleet = load_fleet(fleet_file)
     dive = Dive(fleet, ["r1"], 0)
     board = Board("r1", tmp_path, dive.tare_pa[0])
     dive.boards = [board]
-    talk = stm32_talk.Talk(1)
-    talk.connected()
-    talk.arm()
+    protocol = host_protocol.HostProtocol(1)
+    protocol.connected()
+    protocol.arm()
     errors_m = []
     try:
         board.start()
@@ -193,8 +196,8 @@ def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
         for k in range(1000):
             now_ns = dive.now_ns
             with contextlib.suppress(BlockingIOError):  # nothing said yet
-                talk.receive(os.read(port, 4096), now_ns)
-            out = talk.due(now_ns) + (talk.set_point(SetPoint(depth_m=0.35), now_ns) if k % 5 == 0 else b"")
+                protocol.receive(os.read(port, 4096), now_ns)
+            out = protocol.due(now_ns) + (protocol.set_point(SetPoint(depth_m=0.35), now_ns) if k % 5 == 0 else b"")
             if out:
                 os.write(port, out)
             run_in_lock_step(dive, 1)

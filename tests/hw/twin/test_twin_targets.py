@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.config import ConfigError, load_fleet
-from agent.launch import fleet_file
+from agent.fleet_files import fleet_file
+from agent.kernel.config import ConfigError
+from agent.kernel.fleet_reader import load_fleet
 from hw.twin.__main__ import _targets_m, scene_of
-from hw.twin.lens import draw_lens
-from hw.twin.painter import Painter
+from hw.twin.optics.lens import draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.optics.view import Eye
 from hw.twin.scene import generator, load_scene
-from hw.twin.view import Eye
 
 FLEET = load_fleet(fleet_file("two_balls"))
 SCENE = load_scene("two_balls")

@@ -1,45 +1,32 @@
-"""Sweeps, pointing and search as pure state machines."""
+"""A sweep as a state machine: which positions it visits, what it measures, what it rejects and how it goes on then."""
 
 import itertools
 
 import pytest
 from msgspec.structs import replace
 
-from agent.control.pointing import PLAY_US, Pointing, Search
-from agent.control.positions import TRACK_STEPS, full_positions, home_position, short_of_infinity
-from agent.control.sweep import Measurement, Rejected, Sweep
-from agent.messages import Sighting, Telemetry
-from agent.ranging.calibration import FocusFit
+from agent.kernel.control.lens_positions import TRACK_STEPS, full_positions
+from agent.kernel.control.sweep import Measurement, Rejected, Sweep
+from agent.kernel.step_io import Sighting, Telemetry
+from tests.known_lens import PLAIN
 
-FIT = FocusFit(
-    u_inf_m=0.0,
-    b_m=130.0,
-    rho0=100.0,
-    covariance=(0.0,) * 6,
-    noise=1.0,
-    width=60.0,
-    lowest=200,
-    highest=900,
-    r2=1.0,
-    rmse_m=0.001,
-    held_out_rmse_m=0.001,
-)
+FIT = replace(PLAIN, u_inf_m=0.0, covariance=(0.0,) * 6, noise=1.0, lowest=200)
 S = 1_000_000_000
 
 
 def frames(sweep: Sweep, plan, peak: float, **changes):
-    for index, focus in enumerate(plan.focus[1:], start=1):
+    for index, lens_position in enumerate(plan.focus[1:], start=1):
         fields = dict(
             t_ns=index * 100,
             frame=index,
             sweep=plan.sweep,
             index=index,
-            focus=focus,
+            focus=lens_position,
             target="ball",
             found=True,
             centre_px=(320.0, 240.0),
             radius_px=150.0,
-            clarity=10 + 90 / (1 + ((focus - peak) / 60) ** 2),
+            clarity=10 + 90 / (1 + ((lens_position - peak) / 60) ** 2),
             area_px=1e4,
             score=1.0,
         )
@@ -57,7 +44,7 @@ def test_full_then_tracking_around_the_peak_stamped_with_the_sharpest_frame() ->
     frames(sweep, plan, 431.0)
     result = sweep.finish(S)
     assert isinstance(result, Measurement)
-    assert result.focus == pytest.approx(431.0, abs=1.0)
+    assert result.lens_position == pytest.approx(431.0, abs=1.0)
     nearest = min(range(1, 31), key=lambda k: abs(plan.focus[k] - 431))
     assert result.t_ns == nearest * 100
     track = sweep.start(2 * S)
@@ -67,7 +54,7 @@ def test_full_then_tracking_around_the_peak_stamped_with_the_sharpest_frame() ->
     frames(sweep, track, 440.0)
     result = sweep.finish(3 * S)
     assert isinstance(result, Measurement)
-    assert result.focus == pytest.approx(440.0, abs=1.0)
+    assert result.lens_position == pytest.approx(440.0, abs=1.0)
 
 
 def test_a_box_may_tremble_in_proportion_to_its_size() -> None:
@@ -179,18 +166,6 @@ def test_full_sweeps_that_keep_giving_nothing_leave_pauses() -> None:
     assert sweep.ready(now)
 
 
-@pytest.mark.parametrize("nearer", ["larger", "smaller"])
-def test_a_full_sweep_passes_infinity_and_both_ends_in_equal_steps(nearer: str) -> None:
-    fit = FIT if nearer == "larger" else replace(FIT, b_m=-130.0, rho0=1000.0)
-    positions = full_positions(fit, 30)
-    assert positions[0] <= fit.lowest - 60 and positions[-1] >= fit.highest + 60
-    infinity = positions[1] <= fit.rho0 if nearer == "larger" else positions[-2] >= fit.rho0
-    assert infinity  # between the second position from either end, where a peak is believed
-    steps = {b - a for a, b in itertools.pairwise(positions)}
-    assert max(steps) - min(steps) <= 1 and min(steps) > 0
-    assert home_position(positions, fit) < positions[0]
-
-
 @pytest.mark.parametrize(
     ("lowest", "says"),
     [(0, None), (100, None), (160, "the lens stops at 160, infinity is at 100: no range to targets beyond 2.1 m")],
@@ -204,13 +179,6 @@ def test_a_lens_that_stops_before_infinity_is_spoken_of_once(lowest: int, says: 
         assert sweep.remark() == (says if k == 0 else None)
         sweep.forget()
     assert sweep.remark() is None
-
-
-def test_the_other_end_where_smaller_positions_are_nearer() -> None:
-    fit = replace(FIT, b_m=-130.0, rho0=1000.0)
-    assert short_of_infinity(fit, [200, 600, 990, 1010]) is None
-    says = short_of_infinity(fit, [200, 600, 900, 930, 930])
-    assert says == "the lens stops at 930, infinity is at 1000: no range to targets beyond 1.3 m"
 
 
 def level(roll_deg: float, pitch_deg: float) -> Telemetry:
@@ -274,28 +242,3 @@ def test_frames_of_another_sweep_pass_by() -> None:
     sweep.start(0)
     frames(sweep, old, 431.0)
     assert sweep.finish(S) is None
-
-
-def test_final_approach_always_comes_from_below() -> None:
-    pointing, now = Pointing(), 0
-    for goal in ((1500, 1500), (1700, 1400), (1600, 1450)):
-        pointing.aim(goal, now)
-        assert pointing.servos_us(now) == (goal[0] - PLAY_US, goal[1] - PLAY_US)
-        assert not pointing.steady(now)
-        now += 3 * S
-        assert pointing.servos_us(now) == goal
-        assert pointing.steady(now)
-    before = pointing.steady_from_ns
-    pointing.aim((1600, 1450), now)
-    assert pointing.steady_from_ns == before
-
-
-def test_search_waits_for_the_gimbal_and_visits_both_sides() -> None:
-    search, now, seen = Search(), 0, []
-    assert search.offset_deg(steady=False, now_ns=100 * S) == (0.0, 0.0)
-    for _ in range(40):
-        seen.append(search.offset_deg(steady=True, now_ns=now))
-        now += S
-    assert min(p for p, _ in seen) < -30 < 30 < max(p for p, _ in seen)
-    search.reset()
-    assert search.offset_deg(steady=True, now_ns=now) == (0.0, 0.0)

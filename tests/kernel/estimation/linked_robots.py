@@ -2,11 +2,12 @@
 
 from random import Random
 
-from agent.estimation.evidence import Evidence
-from agent.estimation.face import Prior
-from agent.estimation.mailbox import Mailbox
-from agent.estimation.validate import Bounds
-from agent.messages import Estimate, decode, encode
+from agent.kernel.codec import decode, encode
+from agent.kernel.estimation.evidence import Evidence
+from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.messages import Estimate
 from tests.sample_messages import estimate
 
 COV = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)

@@ -5,30 +5,31 @@ import math
 import os
 import subprocess
 import sys
-from pathlib import Path
 from random import Random
 
 import msgspec
 import numpy as np
 import pytest
-from linked_robots import COV, NAMES, SECOND_NS, Net, line
 
-from agent.estimation.evidence import ENTRIES
-from agent.estimation.face import Prior
-from agent.estimation.mailbox import Letter
-from agent.experiments.bounds import bound_m, central_m
-from agent.experiments.graphs import graph
-from agent.experiments.lockstep import Swarm, prior, symmetric
-from agent.experiments.scene import TARGET_M, draw, scene
-from agent.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding, decode
+from agent.experiments.localization.bounds import bound_m, central_m
+from agent.experiments.localization.graphs import graph
+from agent.experiments.localization.lockstep import Swarm, prior, symmetric
+from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
+from agent.kernel.codec import decode
+from agent.kernel.estimation.evidence import ENTRIES
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.mailbox import Letter
+from agent.kernel.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding
+from tests.kernel.estimation.linked_robots import COV, NAMES, SECOND_NS, Net, line
+from tests.places import ROOT
 
 
 def dives(count, robots, topology, loss, views, iterations, outlier_m=0.0, systematic=False, seed=1):
     """Yields world, draw and swarm after its last iteration."""
     rng, random = np.random.default_rng(seed), Random(seed)
     for _ in range(count):
-        world = scene(robots, "aniso", systematic, rng)
-        dive = draw(world, views, outlier_m, iterations, rng)
+        world = draw_world(robots, "aniso", systematic, rng)
+        dive = draw_dive(world, views, outlier_m, iterations, rng)
         R, B = symmetric(world.random_m2), symmetric(world.systematic_m2)
         swarm = Swarm("evidence", graph(topology, robots), loss, random)
         for t in range(iterations):
@@ -45,6 +46,7 @@ def errors_m2(robots):
     return [math.dist(r.posterior.x_m, TARGET_M) ** 2 for r in robots]
 
 
+@pytest.mark.slow
 def test_a_third_of_all_messages_lost_costs_little_against_one_who_has_everything() -> None:
     ours, best = [], []
     for world, dive, swarm in dives(25, 10, "geometric", 0.3, "all", 50):
@@ -62,6 +64,7 @@ def test_one_of_three_wrong_by_300_mm_costs_the_others_little() -> None:
     assert math.sqrt(np.mean(ours) / np.mean(oracle)) <= 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robots", [3, 5])
 def test_the_stated_covariance_is_honest(robots) -> None:
     """Normalised error squared of the agreed place has mean 3; pure sums of samples would give hundreds."""
@@ -217,10 +220,10 @@ def run_hash() -> str:
 
 @pytest.mark.parametrize("hash_seed", ["0", "4242"])
 def test_same_bytes_in_a_fresh_process_with_another_hash_seed(hash_seed) -> None:
-    here = str(Path(__file__).parent)
-    code = f"import sys; sys.path.insert(0, {here!r}); import test_evidence; print(test_evidence.run_hash())"
+    code = "from tests.kernel.estimation.test_evidence import run_hash; print(run_hash())"
     done = subprocess.run(
         [sys.executable, "-c", code],
+        cwd=ROOT,
         env={**os.environ, "PYTHONHASHSEED": hash_seed},
         capture_output=True,
         text=True,
@@ -231,5 +234,5 @@ def test_same_bytes_in_a_fresh_process_with_another_hash_seed(hash_seed) -> None
 
 
 def test_the_bound_that_these_tests_lean_on_falls_with_samples() -> None:
-    world = scene(3, "aniso", False, np.random.default_rng(1))
+    world = draw_world(3, "aniso", False, np.random.default_rng(1))
     assert bound_m(world, np.full(3, 40)) == pytest.approx(bound_m(world, np.full(3, 10)) / 2)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.estimation import fuse as fusing
-from agent.estimation.fuse import Opinion, fuse
-from agent.estimation.matrix import inverse
-from agent.messages import upper
+from agent.kernel.estimation import fuse as fusing
+from agent.kernel.estimation.fuse import Opinion, fuse
+from agent.kernel.estimation.matrix import inverse
+from agent.kernel.messages import upper
 
 RNG = np.random.default_rng(5)
 

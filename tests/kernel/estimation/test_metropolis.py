@@ -5,11 +5,11 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent.estimation.face import Prior
-from agent.estimation.mailbox import Mailbox
-from agent.estimation.metropolis import Metropolis
-from agent.experiments.graphs import graph, metropolis_weights
-from agent.experiments.lockstep import Swarm
+from agent.experiments.localization.graphs import graph, metropolis_weights
+from agent.experiments.localization.lockstep import Swarm
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.estimation.metropolis import Metropolis
 from tests.sample_messages import estimate
 
 COV = (4e-4, 0.0, 0.0, 4e-4, 0.0, 4e-4)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from linked_robots import NAMES, Net, line
 
-from agent.estimation.face import Prior
-from agent.estimation.lagged import Held, Lagged
-from agent.estimation.matrix import apply, inverse
-from agent.estimation.motion import BATCH, Motion
-from agent.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, predict, surprise
-from agent.estimation.validate import Bounds
-from agent.estimation.window import WINDOW, Window
-from agent.messages import MAX_PAYLOAD, Epoch, Sample, upper
+from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.matrix import apply, inverse
+from agent.kernel.estimation.motion import BATCH, Motion
+from agent.kernel.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, nis, predict
+from agent.kernel.estimation.window import WINDOW, Window
+from agent.kernel.messages import MAX_PAYLOAD, Epoch, Sample, upper
+from tests.kernel.estimation.linked_robots import NAMES, Net, line
 
 SECOND_NS = 1_000_000_000
 BOUNDS = Bounds(frozenset({"r1", "r2", "r3"}), (10.0, 10.0, 10.0), SECOND_NS)
@@ -67,7 +67,7 @@ def test_the_track_is_the_textbook_filter() -> None:
     assert full(track.D) == pytest.approx(P[3:, 3:], abs=1e-12)
     gap = np.array([0.01, 0.0, 0.0])
     expected = gap @ np.linalg.solve(P[:3, :3] + full(COV), gap)
-    assert surprise(track, tuple(x[:3] + gap), COV) == pytest.approx(expected, rel=1e-6)
+    assert nis(track, tuple(x[:3] + gap), COV) == pytest.approx(expected, rel=1e-6)
 
 
 @given(st.permutations(range(20)), st.lists(st.integers(0, 19), max_size=10))
@@ -84,12 +84,12 @@ def test_samples_in_any_order_and_repeated_give_the_same_track(order, repeated) 
         assert window.merge(said[k], now_ns)[1] is None
     x, _ = kalman(samples)
     fresh = [held for origin in window.fresh().values() for held in origin]
-    assert Lagged().run(fresh, window.horizon_ns(now_ns), now_ns).x_m == pytest.approx(x[:3], abs=1e-9)
+    assert FixedLagFilter().run(fresh, window.horizon_ns(now_ns), now_ns).x_m == pytest.approx(x[:3], abs=1e-9)
 
 
 def test_freezing_changes_nothing_but_the_work() -> None:
     samples = path(np.random.default_rng(3), 60)
-    window, lagged = Window(BOUNDS), Lagged()
+    window, lagged = Window(BOUNDS), FixedLagFilter()
     for k, (t, z) in enumerate(samples):
         t_ns = round(t * 1e9)
         window.measure(("r1", 1, 1 + k), Held(t_ns, INFORMATION, apply(INFORMATION, tuple(z))))
@@ -185,7 +185,7 @@ def chased(names, seconds, wrong):
 
 @pytest.mark.parametrize("since", [0, 20])
 def test_a_robot_that_is_wrong_does_not_pull_the_track(since) -> None:
-    """From the start, or from one day to the other."""
+    """It is wrong from the start, or from one day to the other."""
     net, updates, truth_m = chased(NAMES[:4], 40, lambda name, t: 0.3 * (name == "r01" and t >= since))
     for name in ("r00", "r02", "r03"):
         assert updates[name].explain.status == "outlier"

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import InformationFilter, KalmanFilter
 
-from agent.estimation.fuse import HUBER, Opinion, fuse
-from agent.estimation.lagged import Held, Lagged
-from agent.estimation.matrix import apply, inverse, invert, plus, times
-from agent.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, predict, surprise
-from agent.messages import upper
+from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.fuse import HUBER, Opinion, fuse
+from agent.kernel.estimation.matrix import apply, inverse, invert, plus, times
+from agent.kernel.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, nis, predict
+from agent.kernel.messages import upper
 
 SECOND_NS = 1_000_000_000
 WEAK = 1e12  # prior information of an oracle that needs one, as a divisor: nothing, to nine digits
@@ -89,7 +89,7 @@ def test_news_out_of_order_ends_where_filterpy_ends_that_had_it_in_order(seed) -
     rng = np.random.default_rng(seed)
     samples = path(rng, 30)
     order = np.argsort(np.arange(30) + rng.uniform(0, 5, 30))
-    lagged, known, frozen_ns = Lagged(), [], -1
+    lagged, known, frozen_ns = FixedLagFilter(), [], -1
     for k in order:
         known.append(held(*samples[k]))
         now_ns = max(h.t_ns for h in known)
@@ -101,13 +101,13 @@ def test_news_out_of_order_ends_where_filterpy_ends_that_had_it_in_order(seed) -
 
 def test_the_surprise_is_the_mahalanobis_distance_of_filterpy() -> None:
     samples = path(np.random.default_rng(3), 6)
-    oracle, lagged = filterpy_track(samples[:-1]), Lagged()
+    oracle, lagged = filterpy_track(samples[:-1]), FixedLagFilter()
     track = lagged.run([held(*sample) for sample in samples[:-1]], 0, round(samples[-1][0] * 1e9))
     t, z, R = samples[-1]
     F, Q = constant_velocity(t - samples[-2][0])
     oracle.predict(F=F, Q=Q)
     oracle.update(z[:, None], R=R)
-    assert surprise(track, tuple(z.tolist()), upper(R)) == pytest.approx(oracle.mahalanobis**2, rel=1e-9)
+    assert nis(track, tuple(z.tolist()), upper(R)) == pytest.approx(oracle.mahalanobis**2, rel=1e-9)
 
 
 def test_sums_of_information_are_those_of_filterpy() -> None:

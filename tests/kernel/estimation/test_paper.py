@@ -5,10 +5,11 @@ from random import Random
 
 import pytest
 
-from agent.estimation.face import Prior
-from agent.estimation.mailbox import Mailbox
-from agent.estimation.paper import Paper
-from agent.messages import Estimate, Refusal
+from agent.kernel.codec import Refusal
+from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.estimation.paper import Paper
+from agent.kernel.messages import Estimate
 from tests.sample_messages import estimate
 
 COV = (4e-4, 0.0, 0.0, 4e-4, 0.0, 4e-4)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.config import Body, Pose
-from agent.ranging.calibration import at_lens
-from agent.ranging.camera_model import (
+from agent.kernel.config import Body, Pose
+from agent.kernel.ranging.calibration import at_lens_position
+from agent.kernel.ranging.camera_model import (
     camera_pose,
     centre_behind_skin_m,
     gimbal_deg,
@@ -110,7 +110,7 @@ def test_the_bend_is_that_of_a_flat_port():
 
 
 def test_the_picture_grows_with_the_lens_position():
-    assert at_lens(BENT, None) == BENT and at_lens(CAMERA, 700.0) == CAMERA
-    grown = at_lens(BENT, 700.0)
+    assert at_lens_position(BENT, None) == BENT and at_lens_position(CAMERA, 700.0) == CAMERA
+    grown = at_lens_position(BENT, 700.0)
     assert grown.f_px == pytest.approx(1169.0 * (1 + 400 * 4.2e-5), rel=1e-12)
-    assert at_lens(grown, 300.0).f_px == pytest.approx(1169.0, rel=1e-12)
+    assert at_lens_position(grown, 300.0).f_px == pytest.approx(1169.0, rel=1e-12)

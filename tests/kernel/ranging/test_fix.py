@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.config import Body, Pose, Target
-from agent.ranging import cues, fix
-from agent.ranging.calibration import Calibration, at_lens
-from agent.ranging.camera_model import Eye, camera_pose, centre_behind_skin_m, pixel, to_camera
-from agent.ranging.cues import Outline
-from agent.ranging.fix import Fix, locate
-from agent.ranging.focus import Refused, lens_position
-from agent.ranging.sag import UNKNOWN_SAG
+from agent.kernel.config import Body, Pose, Target
+from agent.kernel.ranging import cues, fix
+from agent.kernel.ranging.calibration import Calibration, at_lens_position
+from agent.kernel.ranging.camera_model import Eye, camera_pose, centre_behind_skin_m, pixel, to_camera
+from agent.kernel.ranging.cues import NoRange, Outline
+from agent.kernel.ranging.fix import Fix, locate
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.ranging.lens_sag import UNKNOWN_SAG
 from tests import known_lens
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0003)
@@ -46,10 +46,10 @@ def seen(here: Eye, d: float, off: tuple[float, float]) -> tuple[Outline, float,
     for _ in range(30):
         skin = d - centre_behind_skin_m(skin, BALL.radius_m)
     rho = lens_position(FOCUS, skin * m[2] + CAMERA.ahead_m)
-    lens = round(rho)
-    camera = at_lens(CAMERA, lens)
+    reported = round(rho)
+    camera = at_lens_position(CAMERA, reported)
     radius_px = camera.f_px * math.asin(BALL.radius_m / d)
-    outline = Outline(pixel(camera, tuple(in_camera)), radius_px, 1.0, lens)
+    outline = Outline(pixel(camera, tuple(in_camera)), radius_px, 1.0, reported)
     return outline, rho, np.array(here.position_m) + np.array(here.rotation) @ in_camera
 
 
@@ -123,7 +123,7 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
     of_focus, (ff, fa, aa) = root(matrix(FOCUS.covariance)), CAMERA.scale_covariance
     of_scale = root(np.array([[ff, fa], [fa, aa]]))
     look_up = math.asin(here.rotation[2][2])
-    lens = FOCUS.width * math.hypot(UNKNOWN_SAG * math.sin(look_up), cues.WARMTH)
+    lens_sigma = FOCUS.width * math.hypot(UNKNOWN_SAG * math.sin(look_up), cues.WARMTH)
     angles = np.radians([fix.LEVEL_SIGMA_DEG, fix.LEVEL_SIGMA_DEG, fix.HEADING_SIGMA_DEG])
     place = np.array([fix.PLACE_SIGMA_M, fix.PLACE_SIGMA_M, fix.HEIGHT_SIGMA_M])
     places = []
@@ -138,7 +138,7 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
         ball = replace(BALL, radius_m=BALL.radius_m + BALL.radius_sigma_m * e[11])
         look = outline._replace(radius_px=outline.radius_px + cues.EDGE_BIAS_PX * e[12])
         known = replace(KNOWN, focus=focus, camera=camera)
-        places.append(fixed_weights(there, look, rho + lens * e[13], cue, ours, known, ball))
+        places.append(fixed_weights(there, look, rho + lens_sigma * e[13], cue, ours, known, ball))
     agree(matrix(ours.systematic_m2), np.array(places))
 
 
@@ -154,5 +154,5 @@ def test_beyond_the_pole_only_the_size_tells():
     outline, _, truth = seen(eye(), 0.6, (0.0, 0.0))
     for cue in ("focus", "both"):
         refused = locate(KNOWN, eye(), outline, 90.0, 0.3, BALL, cue)
-        assert isinstance(refused, Refused) and "beyond" in refused.reason
+        assert isinstance(refused, NoRange) and "beyond" in refused.reason
     assert locate(KNOWN, eye(), outline, 90.0, 0.3, BALL, "size").position_m == pytest.approx(tuple(truth))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.ranging.focus import Peak, Refused, fit_peak, fit_peaks, h, lens_position, range_variance
+from agent.kernel.ranging.focus import NoPeak, Peak, fit_peak, fit_peaks, h, lens_position, range_variance
 from tests.known_lens import FITTED as FIT
 
 SWEEP = np.linspace(0, 1023, 30).round()
@@ -20,7 +20,7 @@ def curve(x, x0, w, noise=0.0, seed=0):
 def test_peak_of_the_model_itself_is_exact(x0, w):
     peak = fit_peak(SWEEP.tolist(), curve(SWEEP, x0, w).tolist())
     assert isinstance(peak, Peak)
-    assert peak.position == pytest.approx(x0, abs=0.01)
+    assert peak.lens_position == pytest.approx(x0, abs=0.01)
     assert peak.width == pytest.approx(w, rel=1e-3)
     assert peak.quality > 0.9999
 
@@ -30,7 +30,7 @@ def test_sigma_is_the_spread_of_the_error():
     for seed in range(150):
         x0 = 300 + seed
         peak = fit_peak(SWEEP.tolist(), curve(SWEEP, x0, 90, 15, seed).tolist())
-        normalised.append((peak.position - x0) / peak.sigma)
+        normalised.append((peak.lens_position - x0) / peak.sigma)
     assert 0.8 < np.std(normalised) < 1.25
     assert abs(np.mean(normalised)) < 0.3
 
@@ -41,14 +41,14 @@ def test_short_sweep_with_known_width_is_nearly_as_good_as_a_full_one():
         window = np.linspace(-1.5, 1.5, 7) * 90 + 400
         peak = fit_peak(window.tolist(), curve(window, 410, 90, 15, seed).tolist(), width=90.0)
         assert isinstance(peak, Peak) and peak.width == 90.0
-        errors.append(peak.position - 410)
+        errors.append(peak.lens_position - 410)
     assert np.std(errors) < 3.0 and abs(np.mean(errors)) < 1.0
 
 
 def test_unequal_steps_in_any_order():
     x = np.array([500.0, 410, 430, 340, 460, 395, 300, 445])
     peak = fit_peak(x.tolist(), curve(x, 421, 60).tolist())
-    assert isinstance(peak, Peak) and peak.position == pytest.approx(421, abs=0.01)
+    assert isinstance(peak, Peak) and peak.lens_position == pytest.approx(421, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_unequal_steps_in_any_order():
 )
 def test_no_peak_is_refused_with_its_reason(x, y, word):
     result = fit_peak(x, y)
-    assert isinstance(result, Refused)
+    assert isinstance(result, NoPeak)
     assert word in result.reason and "\n" not in result.reason
 
 
@@ -80,13 +80,13 @@ def test_many_curves_give_what_one_gives():
     assert many.accepted.all()
     for k in range(20):
         one = fit_peak(SWEEP.tolist(), curves[k].tolist())
-        assert one == Peak(many.position[k], many.sigma[k], many.width[k], many.quality[k])
+        assert one == Peak(many.lens_position[k], many.sigma[k], many.width[k], many.quality[k])
 
 
 def test_scale_of_the_clarity_does_not_matter():
     y = curve(SWEEP, 512, 80, 10)
     a, b = fit_peak(SWEEP.tolist(), y.tolist()), fit_peak(SWEEP.tolist(), (1e6 * y).tolist())
-    assert a.position == pytest.approx(b.position, abs=1e-6)
+    assert a.lens_position == pytest.approx(b.lens_position, abs=1e-6)
 
 
 def test_h_and_its_inverse():
@@ -121,7 +121,7 @@ def test_range_variance_agrees_with_monte_carlo():
 def test_methods_differ_in_the_peak_alone(method, within):
     curves = np.stack([curve(SWEEP, 300 + 3 * k, 60) for k in range(40)])
     peaks, matched = fit_peaks(SWEEP, curves, method=method), fit_peaks(SWEEP, curves)
-    error = np.abs(peaks.position - (300 + 3 * np.arange(40)))
+    error = np.abs(peaks.lens_position - (300 + 3 * np.arange(40)))
     assert within / 20 < error.max() < within or (method == "matched" and error.max() < within)
     assert np.array_equal(peaks.accepted, matched.accepted) and peaks.accepted.all()
 
@@ -134,7 +134,7 @@ NARROW = (-13, 2, -15, 6, 22, -5, 56, 46, 12, 7, -6, 3, -3, 9, 3, 6, 1, 5, 4, -6
 def test_a_step_that_makes_the_fit_worse_is_halved_not_dropped():
     y = np.array(NARROW, float)
     peaks = fit_peaks(SWEEP, y[None])
-    x0, w = peaks.position[0], peaks.width[0]
+    x0, w = peaks.lens_position[0], peaks.width[0]
     around = [_sse(y, x0 + dx, w * dw) for dx in (-1.0, 0.0, 1.0) for dw in (0.97, 1.0, 1.03)]
     assert _sse(y, x0, w) <= min(around) * (1 + 1e-6)
 
@@ -148,7 +148,7 @@ def _sse(y, x0, w):
 def test_a_second_rise_is_refused_whatever_the_quality():
     y = curve(SWEEP, 300, 120) + 0.4 * curve(SWEEP, 760, 70)
     result = fit_peak(SWEEP.tolist(), y.tolist())
-    assert isinstance(result, Refused) and "rises again" in result.reason
+    assert isinstance(result, NoPeak) and "rises again" in result.reason
 
 
 def test_sigma_has_a_floor():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.config import Target
-from agent.ranging.calibration import CameraFit, FocusFit
-from agent.ranging.cues import focus_range
-from agent.ranging.focus import h, lens_position, phase_sigma
-from agent.ranging.sag import UNKNOWN_SAG, TiltedPeak, at_tilt, with_sag
+from agent.kernel.config import Target
+from agent.kernel.ranging.calibration import CameraFit, FocusFit
+from agent.kernel.ranging.cues import focus_range
+from agent.kernel.ranging.focus import h, lens_position, phase_sigma
+from agent.kernel.ranging.lens_sag import UNKNOWN_SAG, TiltedPeak, at_tilt, with_sag
 
 FIT = FocusFit(
     u_inf_m=-0.001,

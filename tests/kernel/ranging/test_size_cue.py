@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.config import Target
-from agent.ranging import cues
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.ranging.cues import Outline, Range, distance, focus_range, fuse, size_range
-from agent.ranging.focus import Refused, lens_position
-from agent.ranging.sag import UNKNOWN_SAG
+from agent.kernel.config import Target
+from agent.kernel.ranging import cues
+from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.kernel.ranging.cues import NoRange, Outline, Range, distance, focus_range, fuse, size_range
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.ranging.lens_sag import UNKNOWN_SAG
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0)
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5, lens=300.0, breathing=4.2e-5)
@@ -31,18 +31,18 @@ FOCUS = FocusFit(
 KNOWN = Calibration(robot="r1", made="", source="", focus=FOCUS, camera=CAMERA)
 
 
-def outline(d, lens=300.0, share=1.0):
-    f_px = CAMERA.f_px * (1 + CAMERA.breathing * (lens - CAMERA.lens))
-    return Outline((319.5, 239.5), f_px * math.asin(0.07 / d), share, lens)
+def outline(d, lens_position=300.0, share=1.0):
+    f_px = CAMERA.f_px * (1 + CAMERA.breathing * (lens_position - CAMERA.lens))
+    return Outline((319.5, 239.5), f_px * math.asin(0.07 / d), share, lens_position)
 
 
 @pytest.mark.parametrize("d", [0.3, 0.5, 1.2])
-@pytest.mark.parametrize("lens", [200.0, 300.0, 800.0])
-def test_the_cone_gives_the_distance_of_the_centre_at_every_lens_position(d, lens):
-    assert size_range(CAMERA, outline(d, lens), BALL).distance_m == pytest.approx(d, rel=1e-12)
-    if lens != 300.0:
+@pytest.mark.parametrize("lens_position", [200.0, 300.0, 800.0])
+def test_the_cone_gives_the_distance_of_the_centre_at_every_lens_position(d, lens_position):
+    assert size_range(CAMERA, outline(d, lens_position), BALL).distance_m == pytest.approx(d, rel=1e-12)
+    if lens_position != 300.0:
         unaware = replace(CAMERA, breathing=0.0)
-        assert abs(size_range(unaware, outline(d, lens), BALL).distance_m - d) > 0.003 * d
+        assert abs(size_range(unaware, outline(d, lens_position), BALL).distance_m - d) > 0.003 * d
 
 
 def test_half_a_pixel_costs_what_the_geometry_says():
@@ -74,7 +74,7 @@ def test_a_gross_disagreement_is_said_and_not_averaged():
     wrong_ball = Target(radius_m=0.09, radius_sigma_m=0.0)
     focus = focus_range(FOCUS, CAMERA, (319.5, 239.5), lens_position(FOCUS, 0.43), 0.5, BALL)
     refused = distance(KNOWN, outline(0.5), lens_position(FOCUS, 0.43), 0.5, wrong_ball, "both", 0.0)
-    assert isinstance(refused, Refused) and "radius_m" in refused.reason and "\n" not in refused.reason
+    assert isinstance(refused, NoRange) and "radius_m" in refused.reason and "\n" not in refused.reason
     together = distance(KNOWN, outline(0.5), lens_position(FOCUS, 0.43), 0.5, BALL, "both", 0.0)
     assert together.distance_m == pytest.approx(0.5, abs=0.003)
     assert together.variance_m2 < focus.variance_m2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.perception.clarity import (
+from agent.perception.clarity.clarity import (
     gradient_energy,
     grid,
     luminance,

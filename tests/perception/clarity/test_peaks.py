@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.perception.peaks import block_peaks
-from agent.ranging.focus import fit_peaks
+from agent.kernel.ranging.focus import fit_peaks
+from agent.perception.clarity.peaks import block_peaks
 
 SWEEP = np.linspace(0, 1023, 30).round()
 
@@ -21,7 +21,7 @@ def test_as_the_kernel_fits(noise, seed):
     y = curves(noise, seed)
     compiled, kernel = block_peaks(SWEEP, y), fit_peaks(SWEEP, y)
     assert np.array_equal(compiled.accepted, kernel.accepted) and kernel.accepted.any()
-    for name in ("position", "sigma", "width", "quality"):
+    for name in ("lens_position", "sigma", "width", "quality"):
         ours, theirs = (getattr(peaks, name)[kernel.accepted] for peaks in (compiled, kernel))
         assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9)
 
@@ -29,9 +29,9 @@ def test_as_the_kernel_fits(noise, seed):
 @pytest.mark.parametrize(("noise", "seed"), [(0.0, 0), (15.0, 1), (100.0, 2)])
 def test_uneven_steps(noise, seed):
     """Narrow templates tie where they see one sample only; what starts from another ends where both stop to refine."""
-    focus, y = np.sort(np.random.default_rng(9).uniform(0, 1000, 30)), curves(noise, seed)
-    compiled, kernel = block_peaks(focus, y), fit_peaks(focus, y)
-    apart = np.abs(compiled.position - kernel.position)[kernel.accepted]
+    lens_positions, y = np.sort(np.random.default_rng(9).uniform(0, 1000, 30)), curves(noise, seed)
+    compiled, kernel = block_peaks(lens_positions, y), fit_peaks(lens_positions, y)
+    apart = np.abs(compiled.lens_position - kernel.lens_position)[kernel.accepted]
     assert np.array_equal(compiled.accepted, kernel.accepted)
     assert np.mean(apart > 1e-9 * 1000) < 0.05 and apart.max() < 0.01 * 1000 / 30  # a hundredth of a step
 
@@ -44,4 +44,4 @@ def test_curves_without_a_peak_are_refused():
 @pytest.mark.parametrize("method", ["parabola", "argmax"])
 def test_the_baselines_are_those_of_the_kernel(method):
     y = curves(15.0, 4)
-    assert np.array_equal(block_peaks(SWEEP, y, method).position, fit_peaks(SWEEP, y, method=method).position)
+    assert np.array_equal(block_peaks(SWEEP, y, method).lens_position, fit_peaks(SWEEP, y, method=method).lens_position)

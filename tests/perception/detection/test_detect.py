@@ -5,10 +5,10 @@ import math
 import cv2
 import numpy as np
 import pytest
-from painted import CAMERA, ball_frame, ball_light, defocus, expose, grain
 
-from agent.perception.detect import find_ball
-from agent.ranging.calibration import CameraFit
+from agent.kernel.ranging.calibration import CameraFit
+from agent.perception.detection.detect import find_ball
+from tests.perception.painted import CAMERA, ball_frame, ball_light, defocus, expose, grain
 
 
 def truth(centre_m, radius_m=0.07):

@@ -2,7 +2,7 @@
 
 import torch
 
-from agent.perception.lu2net import LU2Net
+from agent.perception.enhancement.lu2net import LU2Net
 
 
 def random_network(seed: int) -> LU2Net:

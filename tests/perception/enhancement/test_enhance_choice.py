@@ -3,8 +3,8 @@ import sys
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
-from agent.perception import enhance as face
+from agent.kernel.config import ConfigError
+from agent.perception.enhancement import enhance as face
 
 FRAME = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 
@@ -32,12 +32,12 @@ class TestWithTorch:
     def net(self):
         pytest.importorskip("torch", reason="the network needs torch")
         pytest.importorskip("safetensors")
-        from random_network import random_network
+        from tests.perception.enhancement.random_network import random_network
 
         return random_network(2)
 
     def test_folded_and_plain_paint_the_same_picture(self, net):
-        plain, quick = (face.of(net, variant).apply(FRAME) for variant in ("plain", "folded"))
+        plain, quick = (face.network_enhancer(net, variant).apply(FRAME) for variant in ("plain", "folded"))
         assert np.abs(plain.astype(int) - quick).max() <= 1
 
     @pytest.mark.parametrize(
@@ -51,13 +51,13 @@ class TestWithTorch:
         assert str(folded_ms) in way.why and (chosen == "folded" or str(fast_ms) in way.why)
 
     def test_where_nothing_waits_it_is_the_fast_way_on_any_machine(self, net, tmp_path):
-        from agent.perception.lu2net import save
+        from agent.perception.enhancement.lu2net import save
 
         save(net, tmp_path / "own.safetensors")
         assert face.enhancer("auto", tmp_path / "own.safetensors", budget_ms=None).variant == "fast"
 
     def test_weights_with_a_wrong_hash(self, net, tmp_path):
-        from agent.perception.lu2net import save
+        from agent.perception.enhancement.lu2net import save
 
         path = tmp_path / "own.safetensors"
         save(net, path)

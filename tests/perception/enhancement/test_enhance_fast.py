@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.fast_enhance import apply, estimate, guided
+from agent.perception.enhancement.fast_enhance import apply, estimate, guided_filter
 
 MATRIX = np.array([[1.1, 0.1, -0.1], [0.0, 0.8, 0.2], [-0.2, 0.3, 1.2]], np.float32)
 
@@ -59,5 +59,5 @@ def test_small_and_thin_pictures(size):
 
 def test_a_plain_picture_takes_the_networks_colour_without_noise():
     guide = np.full((20, 30, 3), 0.5, np.float32)
-    affine = guided(guide, np.full((20, 30, 3), 0.7, np.float32))
+    affine = guided_filter(guide, np.full((20, 30, 3), 0.7, np.float32))
     assert np.allclose(np.einsum("hwoi,hwi->hwo", affine[..., :3], guide) + affine[..., 3], 0.7, atol=1e-4)

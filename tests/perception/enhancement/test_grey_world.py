@@ -1,8 +1,8 @@
 import cv2
 import numpy as np
-from painted import ball_frame
 
-from agent.perception.grey_world import classic, white_balance
+from agent.perception.enhancement.grey_world import classic, white_balance
+from tests.perception.painted import ball_frame
 
 
 def test_a_cast_is_taken_out():

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
+from agent.kernel.config import ConfigError
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
-from agent.perception import lu2net  # noqa: E402
-from agent.perception.lu2net import LU2Net  # noqa: E402
+from agent.perception.enhancement import lu2net  # noqa: E402
+from agent.perception.enhancement.lu2net import LU2Net  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_outside_is_blue_green_red_and_inside_is_red_green_blue():
 
 
 def test_attention_is_the_only_thing_that_sees_beyond_its_neighbourhood(net):
-    """With gains held, a far pixel changes nothing: the convolutions reach less than 64 pixels."""
+    """Gains held, a far pixel changes nothing: the convolutions reach less than 64 pixels."""
     x = torch.rand(1, 3, 8, 256)
     far = x.clone()
     far[:, :, :, -4:] = 0
@@ -90,9 +90,9 @@ def test_weights_of_another_network_are_one_line(tmp_path):
 
 @pytest.mark.parametrize("name", ["own", "real"])
 def test_shipped_weights_bring_new_pictures_closer_to_their_targets(name):
-    from agent.enhancement.degrade import pair
-    from agent.enhancement.landscapes import landscape
-    from agent.enhancement.metrics import psnr
+    from agent.training.degrade import pair
+    from agent.training.landscapes import landscape
+    from agent.training.metrics import psnr
 
     file = lu2net.shipped(name)
     assert file.stat().st_size < 1_000_000

@@ -2,10 +2,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.perception.clear_view import DUE_NS, OLD_NS, SHARE, SURE, ClearView
-from agent.perception.enhance import Enhancer
-from agent.perception.fast_enhance import Colours
-from hw.camera import Frame, Roi
+from agent.perception.enhancement.enhance import Enhancer
+from agent.perception.enhancement.fast_enhance import Colours
+from agent.perception.enhancement.on_demand import DUE_NS, OLD_NS, SHARE, SURE, OnDemandEnhancer
+from hw.camera.camera import Frame, Roi
 
 WHOLE = (64, 48)
 IMAGE = np.full((48, 64, 3), 60, np.uint8)
@@ -41,50 +41,50 @@ def frame(t_ns, roi=ALL):
 
 def test_parts_of_later_frames_use_the_colours_of_a_whole_one():
     clock = Clock()
-    clear = ClearView(doubling(clock), clock)
-    assert (clear.view(frame(0), WHOLE) == 120).all()
+    enhancer = OnDemandEnhancer(doubling(clock), clock)
+    assert (enhancer.view(frame(0), WHOLE) == 120).all()
     spent_s = clock.now_s
-    assert (clear.view(frame(DUE_NS * 4, PART), WHOLE) == 120).all()
-    assert clear.view(frame(DUE_NS * 4, PART), WHOLE).shape == (16, 24, 3)
+    assert (enhancer.view(frame(DUE_NS * 4, PART), WHOLE) == 120).all()
+    assert enhancer.view(frame(DUE_NS * 4, PART), WHOLE).shape == (16, 24, 3)
     assert clock.now_s == spent_s
-    assert (clear.frames, clear.raw) == (3, 0)
+    assert (enhancer.frames, enhancer.raw) == (3, 0)
 
 
 def test_without_young_colours_a_frame_is_raw_and_counted():
     clock = Clock()
-    clear = ClearView(doubling(clock), clock)
-    assert (clear.view(frame(0, PART), WHOLE) == 60).all()
-    clear.view(frame(1), WHOLE)
-    assert (clear.view(frame(OLD_NS + 2, PART), WHOLE) == 60).all()
-    assert (clear.frames, clear.raw) == (3, 2)
+    enhancer = OnDemandEnhancer(doubling(clock), clock)
+    assert (enhancer.view(frame(0, PART), WHOLE) == 60).all()
+    enhancer.view(frame(1), WHOLE)
+    assert (enhancer.view(frame(OLD_NS + 2, PART), WHOLE) == 60).all()
+    assert (enhancer.frames, enhancer.raw) == (3, 2)
 
 
 def test_estimates_keep_to_their_share_of_a_core():
     """An estimate of a second on a busy machine: the next one is made when four have passed."""
     clock = Clock()
-    clear = ClearView(doubling(clock, 1.0), clock)
+    enhancer = OnDemandEnhancer(doubling(clock, 1.0), clock)
     spent_s, started_s = 0.0, clock.now_s
     for k in range(200):
         before_s = clock.now_s
-        clear.view(frame(k * DUE_NS), WHOLE)
+        enhancer.view(frame(k * DUE_NS), WHOLE)
         spent_s += clock.now_s - before_s
         clock.now_s += DUE_NS / 1e9
     assert 0 < spent_s <= SHARE * (clock.now_s - started_s) + 1.0
-    assert clear.raw < 150
+    assert enhancer.raw < 150
 
 
 def test_the_classic_way_needs_no_estimate():
-    clear = ClearView(Enhancer("classic", lambda image: image + 1))
-    assert (clear.view(frame(0, PART), WHOLE) == 61).all()
-    assert clear.raw == 0 and not clear.wants_whole(0)
+    enhancer = OnDemandEnhancer(Enhancer("classic", lambda image: image + 1))
+    assert (enhancer.view(frame(0, PART), WHOLE) == 61).all()
+    assert enhancer.raw == 0 and not enhancer.wants_whole(0)
 
 
 def test_one_frame_for_two_targets_counts_once():
     clock = Clock()
-    clear = ClearView(doubling(clock), clock)
+    enhancer = OnDemandEnhancer(doubling(clock), clock)
     one = frame(0)
-    assert clear.view(one, WHOLE) is clear.view(one, WHOLE)
-    assert clear.frames == 1
+    assert enhancer.view(one, WHOLE) is enhancer.view(one, WHOLE)
+    assert enhancer.frames == 1
 
 
 class Seen(NamedTuple):
@@ -99,23 +99,23 @@ def seen_from(least, score):
 
 def test_what_the_raw_frame_shows_costs_nothing():
     clock = Clock()
-    clear = ClearView(doubling(clock), clock)
-    assert clear.look(seen_from(50, 0.1), frame(0), WHOLE) == (60, 0.1)
-    assert clock.now_s == 100.0 and not clear.wants_whole(2 * OLD_NS)
+    enhancer = OnDemandEnhancer(doubling(clock), clock)
+    assert enhancer.look(seen_from(50, 0.1), frame(0), WHOLE) == (60, 0.1)
+    assert clock.now_s == 100.0 and not enhancer.wants_whole(2 * OLD_NS)
 
 
 def test_what_it_does_not_show_must_be_plain_in_the_enhanced_one():
     clock = Clock()
-    clear = ClearView(doubling(clock), clock)
-    assert clear.look(seen_from(100, SURE), frame(0), WHOLE) == (120, SURE)
-    assert clear.look(seen_from(100, SURE - 0.01), frame(1), WHOLE) is None
-    assert clear.look(seen_from(200, 1.0), frame(2), WHOLE) is None
+    enhancer = OnDemandEnhancer(doubling(clock), clock)
+    assert enhancer.look(seen_from(100, SURE), frame(0), WHOLE) == (120, SURE)
+    assert enhancer.look(seen_from(100, SURE - 0.01), frame(1), WHOLE) is None
+    assert enhancer.look(seen_from(200, 1.0), frame(2), WHOLE) is None
 
 
 def test_whole_frames_are_wanted_while_colours_are_needed_and_old():
     clock = Clock()
-    clear = ClearView(doubling(clock), clock)
-    clear.look(seen_from(100, 1.0), frame(0), WHOLE)
-    assert clear.wants_whole(OLD_NS) and not clear.wants_whole(2)
-    clear.look(seen_from(50, 1.0), frame(OLD_NS), WHOLE)
-    assert not clear.wants_whole(OLD_NS)
+    enhancer = OnDemandEnhancer(doubling(clock), clock)
+    enhancer.look(seen_from(100, 1.0), frame(0), WHOLE)
+    assert enhancer.wants_whole(OLD_NS) and not enhancer.wants_whole(2)
+    enhancer.look(seen_from(50, 1.0), frame(OLD_NS), WHOLE)
+    assert not enhancer.wants_whole(OLD_NS)

@@ -1,32 +1,27 @@
 """A stone of the twin that no detector knows: found by a picture of it, followed through a sweep, and measured."""
 
 import math
-import os
-import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-sys.path.insert(0, str(Path(__file__).parent))
-from swimming import clip, overlap
-
-from agent.config import ConfigError, Fleet, Pose, Robot, Target
-from agent.control.sweep import Measurement, Sweep
-from agent.experiments.still import StillCamera, View
-from agent.perception.clarity import tenengrad_blocks
-from agent.perception.region import around, box_clarity
-from agent.perception.seekers import seekers
+from agent.experiments.still_camera import StillCamera, View
+from agent.kernel.config import ConfigError, Fleet, Pose, Robot, Target
+from agent.kernel.control.sweep import Measurement, Sweep
+from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.ranging.fix import BOX_NOISE, locate
+from agent.perception.clarity.clarity import tenengrad_blocks
+from agent.perception.clarity.region import around, box_clarity
+from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
-from agent.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.ranging.camera_model import Eye
-from agent.ranging.fix import BOX_NOISE, locate
-from hw.camera import CameraError, Frame, Roi
+from hw.camera.camera import CameraError, Frame, Roi
 from hw.twin.scene import Solid, load_scene
+from tests.perception.tracking.swimming import clip, overlap
+from tests.places import DATA
 
-DATA = Path(os.environ.get("AUCAMP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 NANO = DATA / "models" / "nanotrack_v2"
 STONE_M, RADII_M = (0.75, 0.60, 0.06), (0.08, 0.05, 0.06)
 BOX = (199.0, 159.0, 240.0, 160.0)  # around it in the picture
@@ -69,7 +64,7 @@ def tank():
 
 @pytest.fixture(scope="module")
 def picture(tank, tmp_path_factory):
-    """Of the stone from 0.6 m, focused somewhere else."""
+    """A picture of the stone from 0.6 m, focused somewhere else."""
     path = tmp_path_factory.mktemp("picture") / "stone.png"
     tank.stand(0.6)
     tank.camera.set_focus(500)
@@ -91,14 +86,14 @@ def no_camera():
 
 def sweep(tank, fleet):
     """One full sweep as the vision worker does it; the sightings, and what the sweep's state machine makes of them."""
-    vision = Vision(no_camera, fleet, tank.known.camera, seekers(fleet, tank.known.camera), 0)
+    vision = Vision(no_camera, fleet, tank.known.camera, load_detectors(fleet, tank.known.camera), 0)
     state = Sweep(tank.known.focus, 30)
-    home, *positions = state.start(0).focus
+    home, *lens_positions = state.start(0).focus
     tank.camera.set_focus(home)
     seen, first = [vision.sight(tank.camera.read(settle_s=0.2), "stone", home, 0, -1, None)], None
-    for index, position in enumerate(positions, start=1):
-        lens = tank.camera.set_focus(position)
-        seen.append(vision.sight(tank.camera.read(settle_s=0.05), "stone", lens, 1, index, first))
+    for index, wanted in enumerate(lens_positions, start=1):
+        reached = tank.camera.set_focus(wanted)
+        seen.append(vision.sight(tank.camera.read(settle_s=0.05), "stone", reached, 1, index, first))
         state.frame(seen[-1])
         first = first or (seen[-1] if seen[-1].found else None)
     return seen, state.finish(10**12)
@@ -118,9 +113,9 @@ def test_the_range_is_that_of_the_surface_in_the_box(tank, picture, models, dist
     assert len({s.area_px for s in seen[1:]}) == 1
     assert isinstance(found, Measurement), found
     (u, v), (width, height) = found.outline.centre_px, found.outline.size_px
-    truth_m = tank.camera.truth_m(found.focus)
+    truth_m = tank.camera.truth_m(found.lens_position)
     inner_m = truth_m[round(v - height / 4) : round(v + height / 4), round(u - width / 4) : round(u + width / 4)]
-    fix = locate(tank.known, AHEAD, found.outline, found.focus, found.sigma, fleet(picture).target["stone"])
+    fix = locate(tank.known, AHEAD, found.outline, found.lens_position, found.sigma, fleet(picture).target["stone"])
     assert fix.focus_share == 1.0
     sigma_m = math.sqrt(fix.covariance_m2[0])
     assert sigma_m < 0.005
@@ -132,11 +127,11 @@ def test_the_range_is_that_of_the_surface_in_the_box(tank, picture, models, dist
 
 def test_what_is_not_there_is_not_found(tank, picture):
     fleet_ = fleet(picture)
-    seeker = seekers(fleet_, tank.known.camera)["stone"]
+    detector = load_detectors(fleet_, tank.known.camera)["stone"]
     tank.camera.view = View((0.3, 0.3, 0.12), -100.0)
     tank.camera.set_focus(400)
-    assert seeker.find(tank.camera.read(settle_s=0.2).image) is None
-    vision = Vision(no_camera, fleet_, tank.known.camera, {"stone": seeker}, 0)
+    assert detector.find(tank.camera.read(settle_s=0.2).image) is None
+    vision = Vision(no_camera, fleet_, tank.known.camera, {"stone": detector}, 0)
     sighting = vision.sight(tank.camera.read(), "stone", 400, 0, -1, None)
     assert not sighting.found and sighting.size_px is None and sighting.clarity is None
 
@@ -146,13 +141,13 @@ def test_a_picture_of_it_is_enough_wherever_it_is_and_however_large(tmp_path):
     later, there = np.roll(image, (40, 120), (0, 1)), (box[0] + 120, box[1] + 40, *box[2:])
     path = tmp_path / "fish.png"
     cv2.imwrite(str(path), image)
-    seeker = seekers(fleet(path, box=box), replace(PLAIN, width_px=480, height_px=360))["stone"]
-    found = seeker.find(later)
+    detector = load_detectors(fleet(path, box=box), replace(PLAIN, width_px=480, height_px=360))["stone"]
+    found = detector.find(later)
     assert found is not None and overlap(found.box, there) > 0.6
     assert found.radius_px is None and found.score > 0.7
     larger = cv2.resize(later, None, fx=1.6, fy=1.6)[80:440, 150:630]
-    seeker = seekers(fleet(path, box=box), replace(PLAIN, width_px=480, height_px=360))["stone"]
-    found = seeker.find(larger)
+    detector = load_detectors(fleet(path, box=box), replace(PLAIN, width_px=480, height_px=360))["stone"]
+    found = detector.find(larger)
     assert found is not None
     assert overlap(found.box, (1.6 * there[0] - 150, 1.6 * there[1] - 80, 1.6 * there[2], 1.6 * there[3])) > 0.6
 
@@ -180,5 +175,5 @@ def test_mistakes_are_one_line(picture, mistake):
     change, expected = MISTAKES[mistake]
     width, height = change.pop("size", (640, 480))
     with pytest.raises(ConfigError) as caught:
-        seekers(fleet(**{"picture": picture, **change}), replace(PLAIN, width_px=width, height_px=height))
+        load_detectors(fleet(**{"picture": picture, **change}), replace(PLAIN, width_px=width, height_px=height))
     assert expected in str(caught.value) and "\n" not in str(caught.value)

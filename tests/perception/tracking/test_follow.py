@@ -1,21 +1,19 @@
 """A thing in a box is followed, known to be gone when it is gone, and found again; with NanoTrack where it is there."""
 
 import hashlib
-import os
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from swimming import clip, overlap
 
-from agent.config import ConfigError
-from agent.perception.engines import load_engine
-from agent.perception.follow import FOUND_LIKE, HOLD_LIKE, SURE_LIKE, Follower, steady
-from agent.perception.likeness import Box, likeness, remember, search
+from agent.kernel.config import ConfigError
+from agent.perception.tracking.appearance import Box, likeness, remember, search
+from agent.perception.tracking.box_trackers import load_box_tracker
+from agent.perception.tracking.follow import FOUND_LIKE, HOLD_LIKE, SURE_LIKE, Follower, steady
+from tests.perception.tracking.swimming import clip, overlap
+from tests.places import DATA
 
-MODELS = Path(os.environ.get("AUCAMP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-MODELS = MODELS / "models" / "nanotrack_v2"
+MODELS = DATA / "models" / "nanotrack_v2"
 BACKBONE, NECK = MODELS / "nanotrack_backbone_sim.onnx", MODELS / "nanotrack_head_sim.onnx"
 
 
@@ -26,11 +24,11 @@ def nano():
     for line in (MODELS / "SHA256SUMS").read_text().splitlines():
         digest, name = line.split()
         assert hashlib.sha256((MODELS / name).read_bytes()).hexdigest() == digest, name
-    return load_engine(BACKBONE, NECK)
+    return load_box_tracker(BACKBONE, NECK)
 
 
 class Scripted:
-    """An engine that follows the truth, then settles on the background with full confidence, as trackers do."""
+    """An tracker that follows the truth, then settles on the background with full confidence, as trackers do."""
 
     def __init__(self, boxes):
         self.boxes, self.starts = list(boxes), []
@@ -60,13 +58,13 @@ def test_nanotrack_follows_loses_and_finds_again(nano):
 def test_a_confident_engine_on_the_wrong_thing_is_not_believed():
     frames = list(clip(12))
     boxes = [box for _, box in frames[1:6]] + [(330, 250, 90, 50)] * 6
-    engine = Scripted(boxes)
-    follower = Follower(engine)
+    tracker = Scripted(boxes)
+    follower = Follower(tracker)
     follower.start(frames[0][0], Box(*frames[0][1]))
     seen = [follower.look(image) for image, _ in frames[1:]]
     assert not any(now.lost for now in seen[:5])
-    assert len(engine.starts) > 1  # begun again where the thing really was
-    assert overlap(engine.starts[1], frames[6][1]) > 0.6
+    assert len(tracker.starts) > 1  # begun again where the thing really was
+    assert overlap(tracker.starts[1], frames[6][1]) > 0.6
 
 
 def test_lost_is_said_with_the_last_place_and_no_score():
@@ -107,8 +105,8 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
     other = tmp_path / "other.onnx"
     other.write_bytes(b"no network")
     with pytest.raises(ConfigError, match="no such file"):
-        load_engine(tmp_path / "none.onnx", other)
+        load_box_tracker(tmp_path / "none.onnx", other)
     with pytest.raises(ConfigError, match="both"):
-        load_engine(other, None)
+        load_box_tracker(other, None)
     with pytest.raises(ConfigError, match="is not nanotrack_backbone_sim"):
-        load_engine(other, other)
+        load_box_tracker(other, other)

@@ -4,20 +4,18 @@ import json
 import math
 import shutil
 import struct
-import sys
 from pathlib import Path
 
 import msgpack
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rewritten import GOLDEN, rewritten
-
-from agent.config import ConfigError
-from replay.check import check, text
-from replay.compare import Difference, differences, distance_ulps
-from replay.environment import environment
-from replay.log import Record
+from agent.kernel.config import ConfigError
+from replay.check.check import check, text
+from replay.check.compare import Difference, differences, distance_ulps
+from replay.files.environment import environment
+from replay.files.log import Record
+from tests.places import GOLDEN
+from tests.replay.rewritten import rewritten
 
 R1 = GOLDEN / "three" / "r1.mcap"
 X = ("state", "posterior_m", 0)
@@ -53,7 +51,7 @@ def only(step: int, change):
 
 def stated(since: int) -> int:
     """The first step from `since` on in which the golden robot shows a posterior."""
-    from replay.blackbox import open_box
+    from replay.check.black_box import open_box
 
     for step in open_box(R1).steps():
         state = msgpack.unpackb(step.outputs)["state"]
@@ -114,7 +112,7 @@ def test_the_first_divergence_has_its_step_field_bits_and_inputs(tmp_path: Path)
     assert "3 ULP apart" in shown
     assert first.difference.recorded.hex() in shown
     assert "telemetry, 0.0 ms old" in shown
-    count = checked.reruns[0].fields["state.posterior_m"]
+    count = checked.results[0].fields["state.posterior_m"]
     assert count.first == step
     assert 0 < count.absolute < 1e-15
     assert checked.as_json()["first_divergence"]["step"] == step
@@ -124,14 +122,14 @@ def test_one_ulp_in_one_step_is_enough(tmp_path: Path) -> None:
     step = stated(100)
     checked = check([rewritten(R1, tmp_path / "r1.mcap", only(step, nudged(step)))])
     assert checked.exit_code == 1
-    assert checked.reruns[0].fields["state.posterior_m"].steps == 1
+    assert checked.results[0].fields["state.posterior_m"].steps == 1
 
 
 def test_another_class_of_cpu_gets_a_tolerance_and_says_so(tmp_path: Path) -> None:
     step = stated(100)
     other = {"cpu.features": "none"}
     checked = check([rewritten(R1, tmp_path / "near.mcap", nudged(step), run=other)])
-    assert checked.reruns[0].verdict == "within tolerance"
+    assert checked.results[0].verdict == "within tolerance"
     assert checked.exit_code == 0
     assert checked.as_json()["identical"] is False
     assert "another class of CPU: floats may differ by 1e-09" in text(checked)
@@ -155,7 +153,7 @@ def test_rows_of_the_ignore_list_cover_a_field_and_all_below_it(tmp_path: Path) 
     )
     checked = check([file], rows)
     assert checked.exit_code == 0
-    assert checked.reruns[0].ignored["state.posterior_m"] > 1
+    assert checked.results[0].ignored["state.posterior_m"] > 1
     assert checked.unused == ("state.post",)
     rows.write_text('[[ignore]]\nfield = "state"\n')
     with pytest.raises(ConfigError, match="reason"):
@@ -168,7 +166,7 @@ def test_steps_that_were_dropped_end_the_check_where_they_are_missing(tmp_path: 
 
     checked = check([rewritten(R1, tmp_path / "r1.mcap", change)])
     assert checked.exit_code == 0
-    assert checked.reruns[0].steps == 150
+    assert checked.results[0].steps == 150
     assert "steps are missing after step 149: 168 later ones cannot be checked" in text(checked)
 
 
@@ -178,7 +176,7 @@ def test_missing_outputs_are_counted_and_the_rest_is_checked(tmp_path: Path) -> 
 
     checked = check([rewritten(R1, tmp_path / "r1.mcap", change)])
     assert checked.exit_code == 0
-    assert checked.reruns[0].steps == 319
+    assert checked.results[0].steps == 319
     assert "the outputs of step 150 are not in the file" in text(checked)
 
 
@@ -190,7 +188,7 @@ def test_a_file_cut_anywhere_is_checked_up_to_the_cut(tmp_path: Path) -> None:
         file.write_bytes(whole[: round(share * len(whole))])
         checked = check([file.parent])
         assert checked.exit_code == 0
-        assert checked.reruns[0].steps > 0
+        assert checked.results[0].steps > 0
         assert "not finished by its writer" in text(checked)
 
 
@@ -223,7 +221,7 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_kernel_that_raises_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from agent.core import Agent
+    from agent.kernel.core import Agent
 
     monkeypatch.setattr(Agent, "_measure", lambda self, now_ns: 1 // 0)
     checked = check([R1])

@@ -1,18 +1,17 @@
 """Why a robot believed what it believed, in sentences that agree with the recording."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rewritten import GOLDEN
-
-from agent.config import ConfigError
-from agent.messages import Outputs, State, decode
-from replay.blackbox import open_box
-from replay.explain import explain, find
+from agent.kernel.codec import decode
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import State
+from agent.kernel.step_io import Outputs
+from replay.check.black_box import open_box
+from replay.check.explain import explain, find
+from tests.places import GOLDEN
 
 R2 = GOLDEN / "three" / "r2.mcap"
 
@@ -59,6 +58,17 @@ def test_mixing_has_its_weights_ages_and_alpha() -> None:
     assert "Neighbours in S that counted: r1, r3." in shown
     assert shown.count(f"weight {(1 - 1 / state.t) / 2:.4f}") == 2
     assert "ms old" in shown
+
+
+def test_sweeps_are_told_with_the_peak_and_the_place_that_the_kernel_logged() -> None:
+    outcome = next(
+        outputs.outcome
+        for step in open_box(R2).steps()
+        if (outputs := decode(step.outputs, Outputs, limit=10**6)).outcome and outputs.outcome.x_m
+    )
+    told = "\n".join(explain(R2, str(t)) for t in range(1, 16))
+    assert f"Sweep {outcome.sweep}: peak at lens position {outcome.lens_position:.1f} ± {outcome.sigma:.1f}" in told
+    assert f"puts the target at ({1e3 * outcome.x_m[0]:.2f}, " in told
 
 
 def test_being_told_and_holding_are_told_apart() -> None:

@@ -2,18 +2,16 @@
 
 import os
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rewritten import GOLDEN, rewritten
-
-from agent.config import ConfigError
-from replay.accept import accept
-from replay.check import check
-from replay.log import info, read
+from agent.kernel.config import ConfigError
+from replay.check.check import check
+from replay.check.update import update_recordings
+from replay.files.log import info, read
+from tests.places import GOLDEN
+from tests.replay.rewritten import rewritten
 
 BLIND_GIT = "#!/bin/sh\nexit 128\n"  # no checkout
 
@@ -35,11 +33,11 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.control.sweep.TRACK_SPAN", 1.6)
+    monkeypatch.setattr("agent.kernel.control.sweep.TRACK_SPAN", 1.6)
     assert check([run]).exit_code == 1
     before = {record.sequence: record.data for record in read(run / "r1.mcap") if record.channel == "/raw/step_in"}
-    accepted = accept([run], "wider sweeps find the flanks")
-    assert [each.box.robot for each in accepted] == ["r1", "r2", "r3"]
+    updated = update_recordings([run], "wider sweeps find the flanks")
+    assert [each.box.robot for each in updated] == ["r1", "r2", "r3"]
     assert check([run]).exit_code == 0
     after = {record.sequence: record.data for record in read(run / "r1.mcap") if record.channel == "/raw/step_in"}
     assert after == before
@@ -48,35 +46,35 @@ def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch:
     assert about.run["accepted"] == "wider sweeps find the flanks"
     assert about.run["incarnation"] == info(GOLDEN / "three" / "r1.mcap").run["incarnation"]
     assert [file.name for file in sorted(run.iterdir())] == ["r1.mcap", "r2.mcap", "r3.mcap"]
-    assert "estimate_m: (" in str(accepted[0])
-    assert f"{accepted[0].steps} steps changed" in str(accepted[0])
+    assert "estimate_m: (" in str(updated[0])
+    assert f"{updated[0].steps} steps changed" in str(updated[0])
     monkeypatch.undo()
     monkeypatch.setenv("PATH", f"{git.parent}:{os.environ['PATH']}")
-    accept([run], "back again")
+    update_recordings([run], "back again")
     assert info(run / "r1.mcap").run["accepted"] == "wider sweeps find the flanks; back again"
     assert [r.data for r in read(run / "r1.mcap")] == [r.data for r in read(GOLDEN / "three" / "r1.mcap")]
 
 
 def test_nothing_is_written_where_nothing_changed(run: Path, git: Path) -> None:
     before = (run / "r1.mcap").read_bytes()
-    assert accept([run], "no reason needed, but one given") == []
+    assert update_recordings([run], "no reason needed, but one given") == []
     assert (run / "r1.mcap").read_bytes() == before
 
 
 def test_it_needs_a_reason(run: Path, git: Path) -> None:
     with pytest.raises(ConfigError, match="needs --reason"):
-        accept([run], " ")
+        update_recordings([run], " ")
 
 
 def test_it_refuses_a_dirty_checkout(run: Path, git: Path) -> None:
-    git.write_text("#!/bin/sh\necho ' M agent/core.py'\n")
+    git.write_text("#!/bin/sh\necho ' M agent/kernel/core.py'\n")
     with pytest.raises(ConfigError, match="uncommitted changes"):
-        accept([run], "a reason")
+        update_recordings([run], "a reason")
 
 
 def test_it_refuses_what_is_not_whole(run: Path, git: Path) -> None:
     rewritten(GOLDEN / "three" / "r1.mcap", run / "x.mcap", lambda r: None if r.sequence == 9 else r.data)
     with pytest.raises(ConfigError, match="lacks steps"):
-        accept([run / "x.mcap"], "a reason")
+        update_recordings([run / "x.mcap"], "a reason")
     with pytest.raises(ConfigError, match="is torn"):
-        accept([GOLDEN / "torn"], "a reason")
+        update_recordings([GOLDEN / "torn"], "a reason")

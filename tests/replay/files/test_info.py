@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
-from small_box import STEPS, write_box
 
-from agent.config import ConfigError
-from replay.blackbox import open_box
-from replay.info import describe, info, info_all
-from replay.log import LogWriter
-from replay.mcap_file import summary
+from agent.kernel.config import ConfigError
+from replay.check.black_box import open_box
+from replay.files.backlog import Entry
+from replay.files.info import describe, info, info_all
+from replay.files.log import LogWriter
+from replay.files.mcap_file import summary
+from tests.replay.small_box import STEPS, write_box
 
 
 def test_a_finished_file_says_the_same_at_its_end_as_a_walk_through_it(tmp_path: Path) -> None:
@@ -41,7 +42,7 @@ def test_missing_messages_and_wrong_rates_are_told(tmp_path: Path) -> None:
     with LogWriter(path, {"kind": "fleet", "fleet": "tank"}) as log:
         for n in range(20):
             if n not in (4, 5, 9):
-                log.write(key, n * 1_000_000_000, 0, n, b"x")
+                log.put(Entry(key, n * 1_000_000_000, 0, n, b"x", "msgpack", {}))
     about = info(path)
     assert about.channels[key].gaps == 3
     row = next(line for line in describe(path, about).splitlines() if key in line)

@@ -5,31 +5,34 @@ import random
 import signal
 import subprocess
 import sys
-import time
 from hashlib import sha256
 from pathlib import Path
 
 import msgpack
 import pytest
 
-import replay.log
-from agent.config import ConfigError
-from replay.backlog import Backlog, Entry
-from replay.log import DROPS, LogWriter, info, read, unused
+import replay.files.log
+from agent.kernel.config import ConfigError
+from replay.files.backlog import Backlog, Entry
+from replay.files.channels import DROPS
+from replay.files.log import LogWriter, info, read, unused
+from tests.places import ROOT
+from tests.waiting import until
 
 RUN = {"robot": "r1", "seed": 7}
 
 
 def write(writer: LogWriter, count: int, first: int = 0) -> None:
     for n in range(first, first + count):
-        writer.write(f"/raw/{'in' if n % 2 else 'out'}", 1000 + n, 900 + n, n, bytes([n % 251]) * (n % 40))
+        channel, data = f"/raw/{'in' if n % 2 else 'out'}", bytes([n % 251]) * (n % 40)
+        writer.put(Entry(channel, 1000 + n, 900 + n, n, data, "msgpack", {}))
 
 
 def test_what_is_written_is_read_in_order(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
     with LogWriter(path, RUN, {"fleet.toml": "fleet = 'tank'\n"}) as writer:
         write(writer, 500)
-        writer.write("/text", 5000, 5000, 2**32 + 3, b"{}", encoding="json", metadata={"unit": "m"})
+        writer.put(Entry("/text", 5000, 5000, 2**32 + 3, b"{}", "json", {"unit": "m"}))
     records = list(read(path))
     assert [record.sequence for record in records] == [*range(500), 3]
     assert records[7] == ("/raw/in", 1007, 907, 7, bytes([7]) * 7)
@@ -95,19 +98,19 @@ def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path, content: bytes 
 
 
 def test_what_the_backlog_lost_stands_in_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay.log, "BACKLOG_MESSAGES", 10)
+    monkeypatch.setattr(replay.files.log, "BACKLOG_MESSAGES", 10)
     path = tmp_path / "r1.mcap"
     writer = LogWriter(path, RUN)
     write(writer, 35)  # before the thread runs, as if the disk stalled
     with writer:
         pass
     records = list(read(path))
-    notes = [msgpack.unpackb(record.data) for record in records if record.channel == DROPS]
+    notes = [msgpack.unpackb(record.data) for record in records if record.channel == DROPS.name]
     assert [(note["channel"], note["messages"], note["first"], note["last"]) for note in notes] == [
         ("/raw/out", 13, 0, 24),
         ("/raw/in", 12, 1, 23),
     ]
-    assert [record.sequence for record in records if record.channel != DROPS] == list(range(25, 35))
+    assert [record.sequence for record in records if record.channel != DROPS.name] == list(range(25, 35))
     assert json.loads(info(path).end["dropped"]) == {"/raw/in": 12, "/raw/out": 13}
 
 
@@ -125,11 +128,12 @@ def test_a_failing_disk_stops_the_recording_and_not_the_caller(tmp_path: Path) -
     path = tmp_path / "r1.mcap"
     with LogWriter(path, RUN) as writer:
         writer._part._file.close()  # every further write fails, as on a disk that went away
-        deadline = time.monotonic() + 10
-        while writer.failed is None and time.monotonic() < deadline:
+
+        def failed() -> bool:
             write(writer, 2000)
-            time.sleep(0.05)
-        assert writer.failed is not None
+            return writer.failed is not None
+
+        until(failed)
         write(writer, 10)
     assert not path.exists()  # the final name promises a finished file
 
@@ -139,7 +143,7 @@ def test_every_cut_of_a_file_is_readable_up_to_the_tear(tmp_path: Path) -> None:
     with LogWriter(path, RUN, {"fleet.toml": "x" * 100}) as writer:
         for part in range(4):
             write(writer, 50, 50 * part)
-            time.sleep(0.6)  # one chunk each
+            until(lambda written=50 * (part + 1): len(list(read(path))) == written)  # one chunk each
     whole = path.read_bytes()
     expected = list(read(path))
     torn = tmp_path / "torn.mcap.active"
@@ -158,7 +162,7 @@ def test_a_corrupted_chunk_is_not_believed(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
     with LogWriter(path, RUN) as writer:
         for n in range(2000):
-            writer.write("/raw/in", n, n, n, random.Random(n).randbytes(100))
+            writer.put(Entry("/raw/in", n, n, n, random.Random(n).randbytes(100), "msgpack", {}))
     data = bytearray(path.read_bytes())
     data[data.index(random.Random(1000).randbytes(100)[40:48])] ^= 0xFF  # random bytes are not compressed
     path.write_bytes(data)
@@ -169,11 +173,11 @@ def test_a_corrupted_chunk_is_not_believed(tmp_path: Path) -> None:
 
 WRITE_FOR_EVER = """
 import itertools, pathlib, sys, time
-from replay.backlog import Backlog, Entry
-from replay.log import LogWriter
+from replay.files.backlog import Entry
+from replay.files.log import LogWriter
 with LogWriter(pathlib.Path(sys.argv[1]), {}) as writer:
     for n in itertools.count():
-        writer.write("/raw/in", time.time_ns(), time.time_ns(), n, bytes(200))
+        writer.put(Entry("/raw/in", time.time_ns(), time.time_ns(), n, bytes(200), "msgpack", {}))
         print(n, flush=True)
         time.sleep(0.005)
 """
@@ -181,9 +185,8 @@ with LogWriter(pathlib.Path(sys.argv[1]), {}) as writer:
 
 def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
-    root = Path(replay.log.__file__).parents[1]
     with subprocess.Popen(
-        [sys.executable, "-c", WRITE_FOR_EVER, path], stdout=subprocess.PIPE, text=True, cwd=root
+        [sys.executable, "-c", WRITE_FOR_EVER, path], stdout=subprocess.PIPE, text=True, cwd=ROOT
     ) as process:
         assert process.stdout is not None
         try:

@@ -1,45 +1,45 @@
 """A long recording is a chain of files; a disk that fills up ends it with a sound file."""
 
 import contextlib
+import itertools
 import os
 import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rewritten import GOLDEN
-
-import replay.log
-from agent.config import ConfigError
-from replay.backlog import Backlog, Entry
-from replay.check import check
-from replay.info import info
-from replay.log import Limits, LogWriter, parts, read
-from replay.recover import STEP_IN, STEP_OUT
+import replay.files.log
+from agent.kernel.config import ConfigError
+from replay.check.check import check
+from replay.files.backlog import Backlog, Entry
+from replay.files.channels import FRAME, STEP_IN, STEP_OUT, entry_on
+from replay.files.info import info
+from replay.files.log import Limits, LogWriter, parts, read
+from tests.places import GOLDEN
+from tests.waiting import until
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay.log, "WRITE_S", 0.01)
+    monkeypatch.setattr(replay.files.log, "WRITE_S", 0.01)
 
 
-def write_steps(log: LogWriter, numbers: range, pause_s: float = 0.0) -> None:
+def write_steps(log: LogWriter, numbers: range, wait_every: int = 10**6) -> None:
+    """Three messages a step; now and then it is waited until the writer's thread has taken them."""
     for n in numbers:
-        log.write(STEP_IN, n, n, n, os.urandom(300))
-        log.write("/raw/frame", n, n, n, os.urandom(300))  # comes from another thread, at any moment
-        log.write(STEP_OUT, n, n, n, os.urandom(300))
-        time.sleep(pause_s)
+        log.put(entry_on(STEP_IN, n, n, n, os.urandom(300)))
+        log.put(entry_on(FRAME, n, n, n, os.urandom(300)))  # comes from another thread, at any moment
+        log.put(entry_on(STEP_OUT, n, n, n, os.urandom(300)))
+        if n % wait_every == wait_every - 1:
+            until(lambda: not len(log._backlog))
 
 
 def test_parts_begin_with_a_step_and_are_read_as_one(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
     limits = Limits(part_bytes=20_000, floor_bytes=0)
-    with LogWriter(path, {"robot": "r1"}, {"fleet.toml": "x"}, limits, splits_at=STEP_IN) as log:
-        write_steps(log, range(200), 0.002)
+    with LogWriter(path, {"robot": "r1"}, {"fleet.toml": "x"}, limits, splits_at=STEP_IN.name) as log:
+        write_steps(log, range(200), wait_every=10)
     files = parts(path)
     assert [file.name for file in files[:3]] == ["r1.mcap", "r1.part002.mcap", "r1.part003.mcap"]
     assert len(files) == len(list(tmp_path.iterdir()))
@@ -48,7 +48,7 @@ def test_parts_begin_with_a_step_and_are_read_as_one(tmp_path: Path) -> None:
         assert about.complete
         assert (about.run["part"], about.run["robot"], about.attachments) == (str(number), "r1", {"fleet.toml": "x"})
         assert about.end["cause"] == ("clean" if number == len(files) else "rotated")
-        assert next(read(file)).channel == STEP_IN
+        assert next(read(file)).channel == STEP_IN.name
         assert set(about.clock) == {"start", "end"}
     records = list(read(path))
     assert [record.sequence for record in records] == [n for n in range(200) for _ in range(3)]
@@ -57,29 +57,36 @@ def test_parts_begin_with_a_step_and_are_read_as_one(tmp_path: Path) -> None:
 def test_parts_are_replayed_as_a_chain_and_not_alone(tmp_path: Path) -> None:
     about = info(GOLDEN / "three" / "r1.mcap")
     limits = Limits(part_bytes=10_000, floor_bytes=0)
-    with LogWriter(tmp_path / "r1.mcap", about.run, about.attachments, limits, splits_at=STEP_IN) as log:
-        for record in read(GOLDEN / "three" / "r1.mcap"):
+    with LogWriter(tmp_path / "r1.mcap", about.run, about.attachments, limits, splits_at=STEP_IN.name) as log:
+        for n, record in enumerate(read(GOLDEN / "three" / "r1.mcap")):
             log.put(Entry(*record, "msgpack", {}))
-            time.sleep(0.001)
+            if n % 20 == 0:
+                until(lambda: not len(log._backlog))
     assert len(parts(tmp_path / "r1.mcap")) > 2
-    (rerun,) = check([tmp_path]).reruns
-    assert (rerun.verdict, rerun.steps) == ("identical", 320)
+    (result,) = check([tmp_path]).results
+    assert (result.verdict, result.steps) == ("identical", 320)
     with pytest.raises(ConfigError, match="is part 2, and its steps build on those before"):
         check([tmp_path / "r1.part002.mcap"])
 
 
 def test_a_part_ends_by_its_age_too(tmp_path: Path) -> None:
     path = tmp_path / "fleet.mcap"
+    numbers = itertools.count()
     with LogWriter(path, {}, limits=Limits(part_s=0.1, floor_bytes=0)) as log:
-        write_steps(log, range(60), 0.005)
-    assert len(parts(path)) >= 3
-    assert len(list(read(path))) == 180
+
+        def third_part() -> bool:
+            number = next(numbers)
+            write_steps(log, range(number, number + 1))
+            return len(parts(path)) >= 3
+
+        until(third_part)
+    assert len(list(read(path))) == 3 * next(numbers)
 
 
 def test_a_killed_recording_is_read_with_its_torn_last_part(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
-    with LogWriter(path, {}, limits=Limits(part_bytes=20_000, floor_bytes=0), splits_at=STEP_IN) as log:
-        write_steps(log, range(100), 0.002)
+    with LogWriter(path, {}, limits=Limits(part_bytes=20_000, floor_bytes=0), splits_at=STEP_IN.name) as log:
+        write_steps(log, range(100), wait_every=10)
     whole = list(read(path))
     last = parts(path)[-1]
     last.with_name(last.name + ".active").write_bytes(last.read_bytes()[:-30])
@@ -103,10 +110,12 @@ def test_frames_are_lost_before_state() -> None:
 def test_below_the_floor_the_file_is_finished_and_the_caller_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
     with LogWriter(path, {}, limits=Limits(floor_bytes=2**62, floor_share=1.0)) as log:
-        deadline = time.monotonic() + 10
-        while log.failed is None and time.monotonic() < deadline:
+
+        def failed() -> bool:
             write_steps(log, range(10))
-            time.sleep(0.01)
+            return log.failed is not None
+
+        until(failed)
         assert log.failed is not None
         assert "make room there" in log.failed
     about = info(path)
@@ -131,23 +140,24 @@ def small_disk(folder: Path, size: str) -> Iterator[Path]:
 
 @pytest.mark.parametrize(("floor_bytes", "whole"), [(2_000_000, True), (0, False)])
 def test_a_disk_that_fills_up(tmp_path: Path, floor_bytes: int, whole: bool) -> None:
-    """With the floor the file is finished; without it the file is torn, and read up to the last flush."""
+    """A floor leaves a finished file; without one the file is torn, and read up to the last flush."""
     with small_disk(tmp_path / "disk", "4m") as disk:
         path = disk / "r1.mcap"
         with LogWriter(path, {}, limits=Limits(floor_bytes=floor_bytes, floor_share=1.0)) as log:
-            deadline = time.monotonic() + 20
-            n = 0
-            while log.failed is None and time.monotonic() < deadline:
-                write_steps(log, range(n, n + 20))
-                n += 20
-                time.sleep(0.005)
-        assert log.failed is not None
+            first = itertools.count(step=20)
+
+            def failed() -> bool:
+                number = next(first)
+                write_steps(log, range(number, number + 20))
+                return log.failed is not None
+
+            until(failed)
         there = path if whole else path.with_name("r1.mcap.active")
         assert [file.name for file in disk.iterdir()] == [there.name]
         about = info(there)
         assert about.complete is whole
         assert about.end.get("cause") == ("disk_floor" if whole else None)
-        sequences = [record.sequence for record in read(there) if record.channel == STEP_OUT]
+        sequences = [record.sequence for record in read(there) if record.channel == STEP_OUT.name]
         assert sequences == list(range(len(sequences)))
         assert len(sequences) * 900 > 1_500_000
 
@@ -161,6 +171,6 @@ def test_viewer_channels_that_fail_do_not_end_the_recording(tmp_path: Path, capl
         write_steps(log, range(40))
     channels = [record.channel for record in read(path)]
     assert channels.count("/view") == 60
-    assert channels.count(STEP_IN) == 40
+    assert channels.count(STEP_IN.name) == 40
     assert "no more viewer channels" in caplog.text
     assert info(path).complete

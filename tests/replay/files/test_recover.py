@@ -2,20 +2,22 @@
 
 import os
 import random
-import time
 from pathlib import Path
 
 import pytest
-from small_box import STEPS, write_box
 
-from agent.config import ConfigError
-from replay.claim import claim, claimed
-from replay.info import describe, info
-from replay.leftovers import leftovers
-from replay.log import LogWriter, Record, read
-from replay.mcap_file import Part
-from replay.names import active
-from replay.recover import CUT, STEP_IN, STEP_OUT, recover, recover_all, sound
+from agent.kernel.config import ConfigError
+from replay.files.auto_recover import torn_files
+from replay.files.backlog import Entry
+from replay.files.channels import CUT, STEP_IN, STEP_OUT
+from replay.files.file_lock import hold, is_held
+from replay.files.info import describe, info
+from replay.files.log import LogWriter, Record, read
+from replay.files.mcap_file import Part
+from replay.files.names import active
+from replay.files.recover import recover, recover_all, sound
+from tests.replay.small_box import STEPS, write_box
+from tests.waiting import until
 
 
 def torn(folder: Path, data: bytes, name: str = "r1.mcap.active") -> Path:
@@ -28,12 +30,12 @@ def torn(folder: Path, data: bytes, name: str = "r1.mcap.active") -> Path:
 def write(path: Path, records: list[tuple[str, int]], run: dict[str, object] | None = None) -> bytes:
     with LogWriter(path, run or {"kind": "black box"}, {"fleet.toml": "fleet = 'tank'\n"}) as log:
         for n, (channel, sequence) in enumerate(records):
-            log.write(channel, n, n, sequence, b"%d" % n)
+            log.put(Entry(channel, n, n, sequence, b"%d" % n, "msgpack", {}))
     return path.read_bytes()
 
 
 def steps(count: int) -> list[tuple[str, int]]:
-    return [(channel, n) for n in range(count) for channel in (STEP_IN, STEP_OUT)]
+    return [(channel.name, n) for n in range(count) for channel in (STEP_IN, STEP_OUT)]
 
 
 def test_a_whole_file_is_left_alone(tmp_path: Path) -> None:
@@ -58,14 +60,14 @@ def test_every_cut_is_mended(tmp_path: Path) -> None:
             assert not result.messages
             assert "nothing to save" in result.summary
             continue
-        kept = [record for record in read(result.out) if record.channel != CUT]
+        kept = [record for record in read(result.out) if record.channel != CUT.name]
         places = [place[record] for record in kept]
         assert places == sorted(places)
         about = info(result.out)
         assert about.torn_bytes == 0
         assert about.attachments == info(torn(folder, data[:cut])).attachments
-        paired = [record.sequence for record in kept if record.channel == STEP_IN]
-        assert paired == [record.sequence for record in kept if record.channel == STEP_OUT]
+        paired = [record.sequence for record in kept if record.channel == STEP_IN.name]
+        assert paired == [record.sequence for record in kept if record.channel == STEP_OUT.name]
         assert paired == list(range(len(paired)))
         assert result.last_step == (paired[-1] if paired else None)
         lengths.add(len(paired))
@@ -73,7 +75,7 @@ def test_every_cut_is_mended(tmp_path: Path) -> None:
 
 
 def test_inputs_without_outputs_are_kept_aside(tmp_path: Path) -> None:
-    records = [*steps(3), (STEP_IN, 3), ("/raw/vision", 9)]
+    records = [*steps(3), (STEP_IN.name, 3), ("/raw/vision", 9)]
     data = write(tmp_path / "x.mcap", records)
     path = torn(tmp_path, data[:-20])
     result = recover(path)
@@ -82,7 +84,7 @@ def test_inputs_without_outputs_are_kept_aside(tmp_path: Path) -> None:
     assert result.out == tmp_path / "r1.recovered.mcap"
     assert [(record.channel, record.sequence) for record in read(result.out)] == [
         *steps(3),
-        (CUT, 3),
+        (CUT.name, 3),
         ("/raw/vision", 9),
     ]
     assert path.read_bytes() == data[:-20]
@@ -91,10 +93,10 @@ def test_inputs_without_outputs_are_kept_aside(tmp_path: Path) -> None:
 def test_a_broken_chunk_costs_only_itself(tmp_path: Path) -> None:
     path = tmp_path / "fleet.mcap"
     with LogWriter(path, {"kind": "fleet"}) as log:
-        log.write("/a", 0, 0, 0, b"")
-        time.sleep(0.7)  # the channel is in a chunk of its own
+        log.put(Entry("/a", 0, 0, 0, b"", "msgpack", {}))
+        until(lambda: list(read(path)))  # the channel is in a chunk of its own
         for n in range(1, 4000):
-            log.write("/a", n, n, n, random.Random(n).randbytes(200))
+            log.put(Entry("/a", n, n, n, random.Random(n).randbytes(200), "msgpack", {}))
     data = bytearray(path.read_bytes())
     data[data.index(random.Random(1000).randbytes(200)[50:58])] ^= 0xFF  # random bytes are not compressed
     path.unlink()
@@ -113,14 +115,14 @@ def test_a_file_with_a_writer_is_not_touched_however_long_it_is_silent(tmp_path:
     path = torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20])
     os.utime(path, (0, 0))
     with path.open("rb") as writer:
-        claim(writer)
-        assert leftovers(tmp_path / "r1.mcap") == []
+        hold(writer)
+        assert torn_files(tmp_path / "r1.mcap") == []
         with pytest.raises(ConfigError, match="still being written"):
             recover(path)
         assert sound(path, pytest.fail) == path
         with pytest.raises(ConfigError, match="is being written by another process; give another name"):
             Part(tmp_path / "r1.mcap")
-    assert leftovers(tmp_path / "r1.mcap") == [path]
+    assert torn_files(tmp_path / "r1.mcap") == [path]
     assert recover(path).last_step == 2
 
 
@@ -128,9 +130,9 @@ def test_a_part_claims_its_file_until_it_is_finished_or_given_up(tmp_path: Path)
     for number, end in enumerate((lambda part: part.finish("aucamp.end", {}), lambda part: part.abandon())):
         part = Part(tmp_path / f"{number}.mcap")
         part.start({}, {})
-        assert claimed(active(part.path))
+        assert is_held(active(part.path))
         end(part)
-        assert not any(claimed(file) for file in tmp_path.iterdir())
+        assert not any(is_held(file) for file in tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCA"])
@@ -180,5 +182,5 @@ def test_the_exit_code_says_whether_there_was_anything(tmp_path: Path, length: i
 
 def test_what_is_read_is_a_record(tmp_path: Path) -> None:
     path = tmp_path / "r1.mcap"
-    write(path, [(STEP_IN, 7)])
-    assert list(read(path)) == [Record(STEP_IN, 0, 0, 7, b"0")]
+    write(path, [(STEP_IN.name, 7)])
+    assert list(read(path)) == [Record(STEP_IN.name, 0, 0, 7, b"0")]

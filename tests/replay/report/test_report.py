@@ -5,22 +5,22 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rewritten import GOLDEN, rewritten
-
-from agent.config import ConfigError, dump
-from replay.blackbox import open_boxes
-from replay.errors import error_table, relative_percent
-from replay.figures_posture import hover, thin
-from replay.report import report
-from replay.story import stories
+from agent.kernel.config import ConfigError
+from agent.kernel.toml_files import dump
+from replay.check.black_box import open_boxes
+from replay.report.errors import error_table, relative_percent
+from replay.report.figures_posture import hover, thin
+from replay.report.report import report
+from replay.report.robot_timeline import timelines
+from tests.places import GOLDEN
+from tests.replay.page_tables import table
+from tests.replay.rewritten import rewritten
 
 TRUTH_M = (0.76, 0.56, 0.07)
 CHROMIUM = shutil.which("chromium")
@@ -44,10 +44,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     boxes = open_boxes([folder])
     (folder / "fleet.toml").write_text(dump(boxes[0].fleet))
     agents = {}
-    for story in stories(boxes):
-        x_m = story.beliefs[-1].state.posterior_m
+    for timeline in timelines(boxes):
+        x_m = timeline.beliefs[-1].state.posterior_m
         error_mm = 1e3 * float(np.linalg.norm(np.subtract(x_m, TRUTH_M)))
-        agents[story.robot] = {"estimate_m": x_m, "error_mm": error_mm}
+        agents[timeline.robot] = {"estimate_m": x_m, "error_mm": error_mm}
     summary = {"seed": 4, "truth_m": list(TRUTH_M), "agents": agents, "verdict": "fail", "reasons": ["r9 is <lost>"]}
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder
@@ -58,14 +58,6 @@ def page(run: Path) -> str:
     out = report(run)
     assert out == run / "report.html"
     return out.read_text(encoding="utf-8")
-
-
-def table(page: str, section: str, number: int = 0) -> list[list[str]]:
-    """The cells of a table of the page."""
-    part = page[page.index(f'<section id="{section}">') :]
-    found = re.findall(r"<table>.*?</table>", part, re.DOTALL)[number]
-    rows = re.findall(r"<tr>.*?</tr>", found, re.DOTALL)
-    return [[html.unescape(cell) for cell in re.findall(r"<t[dh]>(.*?)</t[dh]>", row)] for row in rows]
 
 
 def test_the_page_has_all_figures_and_needs_nothing_else(page: str) -> None:
@@ -90,11 +82,11 @@ def test_the_page_has_all_figures_and_needs_nothing_else(page: str) -> None:
 
 
 def test_its_numbers_are_those_of_the_recordings(run: Path, page: str) -> None:
-    told = stories(open_boxes([run]))
+    found = timelines(open_boxes([run]))
     head, *ends = table(page, "errors")
     assert [row[0] for row in ends] == ["r1", "r2", "r3"]
-    for story, cells in zip(told, ends, strict=True):
-        state, row = story.beliefs[-1].state, dict(zip(head, cells, strict=True))
+    for timeline, cells in zip(found, ends, strict=True):
+        state, row = timeline.beliefs[-1].state, dict(zip(head, cells, strict=True))
         assert [row[f"{axis} mm"] for axis in "xyz"] == [f"{1e3 * x:.2f}" for x in state.posterior_m]
         assert [row["first view"], row["iterations"]] == [str(state.acquired_t), str(state.t)]
         error_mm = 1e3 * np.linalg.norm(np.subtract(state.posterior_m, TRUTH_M))
@@ -109,12 +101,12 @@ def test_its_numbers_are_those_of_the_recordings(run: Path, page: str) -> None:
 
 
 def test_errors_are_those_of_priors_and_late_posteriors(run: Path) -> None:
-    told = stories(open_boxes([run]))
-    rows = {(row.robot, row.what, row.axis): row for row in error_table(told, TRUTH_M)}
+    found = timelines(open_boxes([run]))
+    rows = {(row.robot, row.what, row.axis): row for row in error_table(found, TRUTH_M)}
     assert len(rows) == 3 * 2 * 4
-    priors = np.array([x for _, x in told[0].priors]) - TRUTH_M
+    priors = np.array([x for _, x in found[0].priors]) - TRUTH_M
     x = rows["r1", "prior", "x"]
-    assert x.n == len(priors) == told[0].beliefs[-1].state.measurements
+    assert x.n == len(priors) == found[0].beliefs[-1].state.measurements
     assert x.bias == pytest.approx(1e3 * priors[:, 0].mean())
     assert x.rmse == pytest.approx(1e3 * np.sqrt((priors[:, 0] ** 2).mean()))
     assert rows["r1", "prior", "3-D"].largest == pytest.approx(1e3 * np.linalg.norm(priors, axis=1).max())
@@ -124,15 +116,15 @@ def test_errors_are_those_of_priors_and_late_posteriors(run: Path) -> None:
 
 
 def test_priors_stand_at_the_iteration_that_they_went_into(run: Path) -> None:
-    for story in stories(open_boxes([run])):
-        assert story.priors[0][0] == story.beliefs[-1].state.acquired_t
-        assert len({t for t, _ in story.priors}) == len(story.priors)
+    for timeline in timelines(open_boxes([run])):
+        assert timeline.priors[0][0] == timeline.beliefs[-1].state.acquired_t
+        assert len({t for t, _ in timeline.priors}) == len(timeline.priors)
 
 
-def test_a_robot_that_started_again_has_one_story(tmp_path: Path) -> None:
-    told = {story.robot: story for story in stories(open_boxes([GOLDEN / "outage"]))}
-    assert len(told["r3"].starts_s) == len(told["r3"].boxes) == 2
-    assert told["r3"].starts_s[1] > 13.0
+def test_a_robot_that_started_again_has_one_timeline(tmp_path: Path) -> None:
+    found = {timeline.robot: timeline for timeline in timelines(open_boxes([GOLDEN / "outage"]))}
+    assert len(found["r3"].starts_s) == len(found["r3"].boxes) == 2
+    assert found["r3"].starts_s[1] > 13.0
     folder = Path(shutil.copytree(GOLDEN / "outage", tmp_path / "outage"))
     events = table(report(folder).read_text(), "valid")
     assert ["r3", "starts again"] in [[row[0], row[2]] for row in events]
@@ -172,10 +164,10 @@ def test_a_folder_that_is_no_run_is_one_line(tmp_path: Path) -> None:
 
 def test_long_series_are_thinned_and_a_robot_that_never_dived_has_no_hover(run: Path) -> None:
     assert len(range(45_000)[thin(np.arange(45_000.0))]) <= 600
-    story = stories(open_boxes([run]))[0]
-    assert hover(story) == {"depth_rms_mm": 0.0, "tilt_rms_deg": 0.0}  # the script's robots hang still
-    surface = story.posture._replace(depth_m=np.zeros_like(story.posture.depth_m))
-    assert hover(story._replace(posture=surface)) is None
+    timeline = timelines(open_boxes([run]))[0]
+    assert hover(timeline) == {"depth_rms_mm": 0.0, "tilt_rms_deg": 0.0}  # the script's robots hang still
+    surface = timeline.posture._replace(depth_m=np.zeros_like(timeline.posture.depth_m))
+    assert hover(timeline._replace(posture=surface)) is None
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")

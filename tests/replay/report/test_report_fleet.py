@@ -1,22 +1,19 @@
 """The page of a run of which only the fleet file is left, and of one in which some robots left a black box."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from overheard_run import overheard_run
-from rewritten import GOLDEN
-from test_report import table
-
-from agent.config import ConfigError
-from agent.messages import LogLine, Message
-from replay.blackbox import open_boxes
-from replay.fleet_story import open_fleet_file, overheard
-from replay.report import report
-from replay.story import stories
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import LogLine, Message
+from replay.check.black_box import open_boxes
+from replay.report.fleet_timeline import open_fleet_file, overheard
+from replay.report.report import report
+from replay.report.robot_timeline import timelines
+from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
+from tests.replay.page_tables import table
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +22,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_network_tells_the_same_of_beliefs_as_the_black_boxes(file: Path) -> None:
-    inside = stories(open_boxes([GOLDEN / "three"]))
-    outside = overheard(open_fleet_file(file)).stories
-    assert [story.robot for story in outside] == ["r1", "r2", "r3"]
+    inside = timelines(open_boxes([GOLDEN / "three"]))
+    outside = overheard(open_fleet_file(file)).timelines
+    assert [timeline.robot for timeline in outside] == ["r1", "r2", "r3"]
     for a, b in zip(inside, outside, strict=True):
         assert [state for _, state in a.states] == [state for _, state in b.states]
         assert [(x.t, x.cov_m2) for x in a.beliefs] == [(x.t, x.cov_m2) for x in b.beliefs]
@@ -44,14 +41,14 @@ def test_links_are_counted_by_those_who_heard(file: Path) -> None:
 
 def test_a_restart_is_seen_and_strangers_are_passed_over(tmp_path: Path) -> None:
     file = overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap")
-    told = {story.robot: story for story in overheard(open_fleet_file(file)).stories}
-    assert [len(told[name].starts_s) for name in ("r1", "r2", "r3")] == [1, 1, 2]
+    found = {timeline.robot: timeline for timeline in overheard(open_fleet_file(file)).timelines}
+    assert [len(found[name].starts_s) for name in ("r1", "r2", "r3")] == [1, 1, 2]
 
     def garbled(message: Message) -> Message:
         return LogLine(robot="r1", sent_ns=1, level="info", text="not what this key is for")
 
     nothing = overheard(open_fleet_file(overheard_run(GOLDEN / "empty", tmp_path / "bad.mcap", garbled)))
-    assert nothing.stories == []
+    assert nothing.timelines == []
 
 
 def test_the_page_draws_what_the_network_tells_and_says_what_it_does_not(file: Path) -> None:

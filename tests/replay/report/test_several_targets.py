@@ -1,35 +1,34 @@
-"""A run about two targets: each has its own story, explanation, viewer channels and sections of the report."""
+"""A run about two targets: each has its own timeline, explanation, viewer channels and sections of the report."""
 
 import math
 import shutil
-import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rewritten import GOLDEN
-
-from replay.backlog import Entry
-from replay.blackbox import open_boxes
-from replay.derive import Derive
-from replay.explain import explain
-from replay.log import read
-from replay.recover import STEP_OUT
-from replay.report import report
-from replay.story import stories
+from replay.check.black_box import open_boxes
+from replay.check.explain import explain
+from replay.files.backlog import Entry
+from replay.files.channels import STEP_OUT
+from replay.files.log import read
+from replay.report.report import report
+from replay.report.robot_timeline import timelines
+from replay.viewers.viewer_channels import ViewerChannels
+from tests.places import GOLDEN
 
 TWO = GOLDEN / "two"
 WHERE_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}
 
 
-def test_a_story_is_about_one_target() -> None:
-    told = stories(open_boxes([TWO]))
-    assert [(story.robot, story.target) for story in told] == [(r, t) for r in ("r1", "r2", "r3") for t in WHERE_M]
-    for story in told:
-        where_m = WHERE_M[story.target]
-        assert {state.target for _, state in story.states} == {story.target}
-        assert math.dist(story.estimate[0], where_m) < 0.002
-        assert all(math.dist(x_m, where_m) < 0.05 for _, x_m in story.priors)
-        assert story.sweeps
+def test_a_timeline_is_about_one_target() -> None:
+    found = timelines(open_boxes([TWO]))
+    assert [(timeline.robot, timeline.target) for timeline in found] == [
+        (r, t) for r in ("r1", "r2", "r3") for t in WHERE_M
+    ]
+    for timeline in found:
+        where_m = WHERE_M[timeline.target]
+        assert {state.target for _, state in timeline.states} == {timeline.target}
+        assert math.dist(timeline.estimate[0], where_m) < 0.002
+        assert all(math.dist(x_m, where_m) < 0.05 for _, x_m in timeline.priors)
+        assert timeline.sweeps
 
 
 def test_an_explanation_names_both_and_mixes_neither() -> None:
@@ -42,9 +41,9 @@ def test_an_explanation_names_both_and_mixes_neither() -> None:
 
 def test_viewers_get_a_channel_for_each_target() -> None:
     box = open_boxes([TWO / "r1.mcap"])[0]
-    derive = Derive(box.fleet, "r1")
+    derive = ViewerChannels(box.fleet, "r1")
     channels = {
-        made.channel for record in read(box.path) if record.channel == STEP_OUT for made in derive(entry(record))
+        made.channel for record in read(box.path) if record.channel == STEP_OUT.name for made in derive(entry(record))
     }
     for target in WHERE_M:
         for name in (f"/r1/target/{target}/estimate", f"/r1/plot/protocol/{target}", f"/r1/plot/hears/r2/{target}"):

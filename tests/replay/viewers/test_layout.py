@@ -10,9 +10,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from agent.config import ConfigError, Fleet, load_fleet
-from replay.layout import foxglove_layout, shipped, write
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.fleet_reader import load_fleet
 from replay.view import where_the_layout_is
+from replay.viewers.layout import foxglove_layout, shipped, write
 
 
 def fleet_of(file: str, *robots: str) -> Fleet:

@@ -1,25 +1,22 @@
 """Depth maps of a recorded sweep: frames lie on each other by their target, and a whole sweep is told from others."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
-from painted import PX_PER_POSITION, ball_light, defocus, expose
-from small_box import CALIBRATION, flat, write_box
-
-from agent.messages import Sighting, encode
-from agent.ranging.focus import lens_position
-from agent.sweep_depth import BLOCK_PX, growth, sweep_depth
-from replay.backlog import Entry
-from replay.depth import SweepFrame, points, whole_sweeps
-from replay.frames import FRAME, VISION, picture
-from replay.log import LogWriter, read
-from replay.report import report
+from agent.kernel.codec import encode
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.step_io import Sighting
+from agent.pictures.recorded_depth import BLOCK_PX, growth, sweep_depth
+from replay.files.channels import FRAME, VISION, entry_on
+from replay.files.frames import picture
+from replay.files.log import LogWriter, read
+from replay.report.report import report
+from replay.viewers.whole_sweeps import SweepFrame, points, whole_sweeps
+from tests.perception.painted import PX_PER_POSITION, ball_light, defocus, expose
+from tests.replay.small_box import CALIBRATION, flat, write_box
 
 FOCUS = CALIBRATION.focus
 STEPS = 30
@@ -32,13 +29,13 @@ def frames() -> list[SweepFrame]:
     """A sweep across RANGE_M over which the robot drifts: everything in the picture is equally far."""
     light, sharp = ball_light(CENTRE_M), lens_position(FOCUS, RANGE_M)
     sweep = []
-    for k, focus in enumerate(np.linspace(FOCUS.lowest, FOCUS.highest, STEPS).round().astype(int)):
+    for k, rho in enumerate(np.linspace(FOCUS.lowest, FOCUS.highest, STEPS).round().astype(int)):
         drift_x, drift_y = k // 3, -(k // 4)
-        image = expose(defocus(light, abs(focus - sharp) * PX_PER_POSITION), seed=k)
+        image = expose(defocus(light, abs(rho - sharp) * PX_PER_POSITION), seed=k)
         image = np.roll(image, (drift_y, drift_x), axis=(0, 1))[TOP:420, LEFT:540]
         centre_px = (319.5 + drift_x, 239.5 + drift_y)
         sighting = Sighting(
-            t_ns=k, frame=k, sweep=1, index=k + 1, focus=int(focus), target="ball", found=True, centre_px=centre_px,
+            t_ns=k, frame=k, sweep=1, index=k + 1, focus=int(rho), target="ball", found=True, centre_px=centre_px,
             radius_px=149.0,
         )  # fmt: skip
         sweep.append(SweepFrame(image, (LEFT, TOP, 440, 360), sighting))
@@ -89,17 +86,17 @@ def hidden(sighting: Sighting) -> Sighting:
 
 
 def test_growth_is_a_line_through_the_radii() -> None:
-    focus = np.array([100.0, 200.0, 300.0])
-    assert growth(focus, [100.0, 101.0, 102.0]) == pytest.approx(0.02)
-    assert growth(focus, [0.0, 0.0, 0.0]) == 0.0
+    lens_positions = np.array([100.0, 200.0, 300.0])
+    assert growth(lens_positions, [100.0, 101.0, 102.0]) == pytest.approx(0.02)
+    assert growth(lens_positions, [0.0, 0.0, 0.0]) == 0.0
 
 
 def write_sweep(log: LogWriter, sweep: list[SweepFrame], lost: int | None = None) -> None:
     for n, frame in enumerate(sweep):
         if n != lost:
             data = picture(frame.image, frame.roi, frame.sighting, False)
-            log.put(Entry(FRAME, n, n, n, data, "msgpack", {}, expendable=True))
-        log.put(Entry(VISION, n, n, n, encode(frame.sighting), "msgpack", {}))
+            log.put(entry_on(FRAME, n, n, n, data, expendable=True))
+        log.put(entry_on(VISION, n, n, n, encode(frame.sighting)))
 
 
 @pytest.mark.parametrize(("lost", "sweeps"), [(None, 1), (7, 0)])

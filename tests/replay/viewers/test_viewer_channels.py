@@ -17,19 +17,21 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from small_box import CALIBRATION, FLEET, START_NS, STEP_NS, STEPS, disc, flat, state, write_box
 
-from agent.messages import Sighting, decode
-from agent.ranging.camera_model import camera_pose
-from replay import rerun_blueprint
-from replay.backlog import Entry
-from replay.derive import Derive
-from replay.foxglove import Turn, transforms
-from replay.frames import FRAME, MAX_FRAME, VISION, Picture, pixels
-from replay.info import info
-from replay.layout import shipped
-from replay.log import read
-from replay.plots import PLOTS, plot
+from agent.kernel.codec import decode
+from agent.kernel.ranging.camera_model import camera_pose
+from agent.kernel.step_io import Sighting
+from replay.files.backlog import Entry
+from replay.files.channels import FRAME, VISION
+from replay.files.frames import MAX_FRAME, Picture, pixels
+from replay.files.info import info
+from replay.files.log import read
+from replay.viewers import rerun_blueprint
+from replay.viewers.foxglove import Turn, transforms
+from replay.viewers.layout import shipped
+from replay.viewers.plots import PLOTS, plot
+from replay.viewers.viewer_channels import ViewerChannels
+from tests.replay.small_box import CALIBRATION, FLEET, START_NS, STEP_NS, STEPS, disc, flat, state, write_box
 
 SCHEMAS = {  # channel -> what Foxglove decodes it as, what Rerun shows it as
     "/r1/camera/calibration": ("foxglove.CameraCalibration", "Pinhole"),
@@ -101,7 +103,7 @@ def test_every_viewer_channel_decodes_by_its_own_descriptor(box: Path) -> None:
 
 def test_viewer_channels_can_be_derived_again(box: Path) -> None:
     """The recording's own, message for message, from its raw channels."""
-    derive, made, recorded = Derive(FLEET, "r1", CALIBRATION, flat), [], []
+    derive, made, recorded = ViewerChannels(FLEET, "r1", CALIBRATION, flat), [], []
     for record in read(box):
         if record.channel in SCHEMAS:
             recorded.append(record)
@@ -121,19 +123,19 @@ def test_they_can_be_left_out(tmp_path: Path, box: Path) -> None:
 
 
 def test_what_does_not_decode_has_no_viewer_channel() -> None:
-    derive = Derive(FLEET)
+    derive = ViewerChannels(FLEET)
     for channel in ("/raw/step_in", "/zenoh/aucamp/tank/robot/r1/state", "/zenoh/aucamp/tank/alive/r1", "/other"):
         assert list(derive(Entry(channel, 0, 0, 0, b"\xc1", "msgpack", {}))) == []
 
 
 def test_frames_come_back(tmp_path: Path) -> None:
-    """Without loss bit by bit, otherwise nearly; with what vision knew and what it said."""
+    """Bit by bit where they are lossless, otherwise nearly; with what vision knew and what it said."""
     for lossless in (True, False):
         folder = tmp_path / str(lossless)
         folder.mkdir()
         records = list(read(write_box(folder, lossless=lossless)))
-        pictures = [decode(record.data, Picture, MAX_FRAME) for record in records if record.channel == FRAME]
-        sightings = [decode(record.data, Sighting) for record in records if record.channel == VISION]
+        pictures = [decode(record.data, Picture, MAX_FRAME) for record in records if record.channel == FRAME.name]
+        sightings = [decode(record.data, Sighting) for record in records if record.channel == VISION.name]
         assert len(pictures) == len(sightings) == STEPS
         for picture, sighting in zip(pictures, sightings, strict=True):
             for name in ("t_ns", "frame", "sweep", "index", "focus"):
@@ -182,14 +184,14 @@ def test_the_layouts_show_channels_that_exist(box: Path) -> None:
     text = shipped("foxglove.json").read_text(encoding="utf-8")
     json.loads(text)
     named = set(re.findall(r"/r\d/[a-z/]*[a-z]", text))
-    named |= {channel for view in rerun_blueprint.channels().values() for channel in view}
+    named |= {channel for view in rerun_blueprint.shown_channels().values() for channel in view}
     exist = {*info(box).channels, "/r1/preview"}  # the last: of a fleet file
     assert len(named) > 12
     assert {re.sub(r"/r\d/", "/r1/", name) for name in named} <= exist
     assert {name for name in named if name.endswith("/preview")} == {f"/r{n}/preview" for n in (1, 2, 3)}
     for path, field in re.findall(r"/r1/plot/(\w+)\.(\w+)", text):
         assert field in PLOTS[path.capitalize()]
-    assert (resources.files("replay") / "layouts" / "rerun.rbl").read_bytes()[:3] == b"RRF"
+    assert (resources.files("replay.viewers") / "layouts" / "rerun.rbl").read_bytes()[:3] == b"RRF"
 
 
 def tool(name: str) -> str:

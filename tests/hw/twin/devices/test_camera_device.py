@@ -2,19 +2,17 @@
 
 import math
 import threading
-import time
 
 import numpy as np
 import pytest
 
-from hw.camera import CameraGone, Roi
-from hw.twin.camera_device import EXPOSURE_NS, FRAME_NS, DiveCamera, FrameClock, look
-from hw.twin.history import SPAN, History, Pose
-from hw.twin.lens import draw_lens
-from hw.twin.rotation import matrix, quaternion
-from hw.twin.tank import STATE, TICK_NS
-
-START_NS = 1_000_000_000
+from hw.camera.camera import CameraGone, Roi
+from hw.twin.devices.camera_device import EXPOSURE_NS, FRAME_NS, DiveCamera, FrameClock, look
+from hw.twin.history import RobotPose
+from hw.twin.optics.lens import draw_lens
+from hw.twin.physics.rotation import matrix, quaternion
+from tests.hw.twin.filled_history import START_NS, filled, states
+from tests.waiting import until
 
 
 class Notebook:
@@ -23,54 +21,22 @@ class Notebook:
     def __init__(self):
         self.frames, self.asked = [], []
 
-    def frame(self, eye, image_distance_m, hulls=(), board=None, roi=None, tick=0):
+    def frame(self, eye, image_distance_m, hulls=(), chessboard=None, roi=None, tick=0):
         self.frames.append((eye, image_distance_m, hulls, roi, tick))
         return np.zeros((2, 2, 3), np.uint8)
 
-    def command(self, position, t_ns):
-        return position
+    def command(self, lens_position, t_ns):
+        return lens_position
 
     def image_distance_m(self, t_ns, tilt_rad):
         self.asked.append((t_ns, tilt_rad))
         return 0.004
 
 
-def states(x_m, yaw_rad=0.0, pan_deg=0.0):
-    state = np.zeros(2, STATE)
-    state["position_m"] = [(x_m, 0.2, 0.1), (1.0, 0.8, 0.1)]
-    state["quaternion"] = quaternion(0, 0, yaw_rad)
-    state["shaft_deg"][:, 0] = pan_deg
-    return state
-
-
-def filled(ticks):
-    history = History(2, START_NS)
-    for k in range(ticks):
-        history.append(states(0.001 * k, 0.01 * k, 0.1 * k))
-    return history
-
-
 def camera(history, now_ns, notebook=None):
     notebook = notebook or Notebook()
     lens = draw_lens("imx519_640", np.random.default_rng(0))
     return DiveCamera(0, history, lens, notebook, notebook, (0.1, 0.0, 0.0), FrameClock(START_NS), now_ns), notebook
-
-
-def test_poses_are_interpolated_between_ticks():
-    pose, other = filled(20).at(START_NS + 12 * TICK_NS + TICK_NS // 4)
-    np.testing.assert_allclose(pose.position_m, (0.01225, 0.2, 0.1))
-    np.testing.assert_allclose(pose.rotation, matrix(quaternion(0, 0, 0.1225)), atol=1e-7)
-    assert pose.pan_deg == pytest.approx(1.225)
-    np.testing.assert_allclose(other.position_m, (1.0, 0.8, 0.1))
-
-
-def test_a_pose_of_the_future_or_the_forgotten_past_is_refused():
-    history = filled(SPAN + 50)
-    assert history.at(START_NS + 50 * TICK_NS)
-    assert history.at(history.newest_ns)
-    for t_ns in (START_NS + 50 * TICK_NS - 1, history.newest_ns + 1):
-        with pytest.raises(CameraGone):
-            history.at(t_ns)
 
 
 def test_the_frame_is_the_first_exposed_after_the_request():
@@ -93,14 +59,14 @@ def test_the_lens_is_given_its_time_to_settle():
 
 
 def test_the_eye_is_at_the_pivot_and_looks_where_the_gimbal_points():
-    pose = Pose(np.array([0.5, 0.5, 0.1]), matrix(quaternion(0, 0, math.pi / 2)), 30.0, 10.0)
+    pose = RobotPose(np.array([0.5, 0.5, 0.1]), matrix(quaternion(0, 0, math.pi / 2)), 30.0, 10.0)
     eye, elevation_rad = look(pose, (0.1, 0.0, 0.0))
     np.testing.assert_allclose(eye.position_m, (0.5, 0.6, 0.1), atol=1e-12)
     forward = (-math.sin(math.radians(30)) * math.cos(math.radians(10)), 0, math.sin(math.radians(10)))
     np.testing.assert_allclose(eye.rotation[[0, 2], 2], (forward[0], forward[2]), atol=1e-12)
     assert elevation_rad == pytest.approx(math.radians(10))
     assert eye.rotation[2, 1] < -0.9  # the image's down is the world's down
-    ahead, _ = look(Pose(np.zeros(3), np.eye(3), 0.0, 0.0), (0.1, 0.0, 0.0))
+    ahead, _ = look(RobotPose(np.zeros(3), np.eye(3), 0.0, 0.0), (0.1, 0.0, 0.0))
     np.testing.assert_allclose(ahead.rotation[:, 0], (0, -1, 0), atol=1e-12)  # the image's right is the robot's right
 
 
@@ -125,12 +91,10 @@ def test_a_read_waits_for_the_water_and_ends_with_it():
 
     thread = threading.Thread(target=read)
     thread.start()
-    time.sleep(0.05)
+    until(lambda: history._awaited_ns < math.inf)  # it waits
     assert got == []
     history.append(states(0.0))
-    end_s = time.monotonic() + 5
-    while not got and time.monotonic() < end_s:
-        time.sleep(0.005)
+    until(lambda: got)
     assert got == [0]
     history.close()
     thread.join(5)

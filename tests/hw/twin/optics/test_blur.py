@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from hw.twin.defocus import apparent_m, blur, circle_gain, circles, margin, vergence
-from hw.twin.lens import draw_lens
+from hw.twin.optics.defocus import apparent_m, blur, circle_gain, circles, margin, vergence
+from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 
 LENS = draw_lens("imx519_640", generator(0, "r1", "lens"))

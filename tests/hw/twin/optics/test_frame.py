@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.config import Tank
-from hw.twin.defocus import apparent_m
-from hw.twin.lens import draw_lens
-from hw.twin.painter import Painter
+from agent.kernel.config import Tank
+from hw.twin.optics.defocus import apparent_m
+from hw.twin.optics.lens import draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.optics.view import HULL_RADII_M, Chessboard, Eye, Hull
+from hw.twin.optics.water import draw_water, transmission_and_veil
 from hw.twin.scene import Scene, SceneWater, Solid, generator, load_scene
-from hw.twin.view import HULL_RADII_M, Board, Eye, Hull
-from hw.twin.water import draw_water, look_through
 
 N = 1.333
 LENS = draw_lens("imx519_640", generator(0, "r1", "lens"))
@@ -30,12 +30,12 @@ def painter():
     return painter_of()
 
 
-def look(position, target):
-    forward = np.asarray(target, float) - position
+def look(position_m, target):
+    forward = np.asarray(target, float) - position_m
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
-    return Eye(np.asarray(position, float), np.column_stack([right, np.cross(forward, right), forward]))
+    return Eye(np.asarray(position_m, float), np.column_stack([right, np.cross(forward, right), forward]))
 
 
 def sharp_at(depth_m, lens=LENS):
@@ -45,7 +45,7 @@ def sharp_at(depth_m, lens=LENS):
 def facing(eye, distance_m, **changes):
     """A board square to the camera, its x to the right of the picture and its y up."""
     right, down, forward = np.asarray(eye.rotation).T
-    return Board(eye.position_m + distance_m * forward, np.column_stack([right, -down, -forward]), **changes)
+    return Chessboard(eye.position_m + distance_m * forward, np.column_stack([right, -down, -forward]), **changes)
 
 
 AHEAD = look(START, BALL)
@@ -117,7 +117,7 @@ def test_chessboard_has_its_corners_and_its_scale():
     painter = painter_of(Scene(name="bare"), lens=PINHOLE)
     distance_m, v = 0.75, sharp_at(0.75, PINHOLE)
     eye = look(np.array([0.3, 0.6, 0.25]), [1.5, 0.6, 0.25])
-    grey = cv2.cvtColor(painter.frame(eye, v, board=facing(eye, distance_m)), cv2.COLOR_BGR2GRAY)
+    grey = cv2.cvtColor(painter.frame(eye, v, chessboard=facing(eye, distance_m)), cv2.COLOR_BGR2GRAY)
     found, corners = cv2.findChessboardCornersSB(grey, (14, 9), None)
     assert found
     corners = corners.reshape(9, 14, 2)
@@ -129,16 +129,16 @@ def test_chessboard_has_its_corners_and_its_scale():
 
 def test_board_ends_at_its_size(painter):
     eye = look(np.array([0.3, 0.6, 0.25]), [1.5, 0.6, 0.25])
-    depth = painter.depth(eye, LENS.at_rest_m, board=facing(eye, 0.75, size_m=(0.20, 0.10)))
+    depth = painter.depth(eye, LENS.at_rest_m, chessboard=facing(eye, 0.75, size_m=(0.20, 0.10)))
     rows, cols = np.nonzero(depth < 0.751)
     aspect = (np.ptp(cols) + 1) / (np.ptp(rows) + 1)
     assert aspect == pytest.approx(2, rel=0.02)
     assert depth[rows, cols] == pytest.approx(0.75, abs=1e-4)
 
 
-@pytest.mark.parametrize("position", [150, 400, 700, 1000])
-def test_part_of_a_frame_equals_the_frame_there(painter, position):
-    v = LENS.at_position_m(position)
+@pytest.mark.parametrize("lens_position", [150, 400, 700, 1000])
+def test_part_of_a_frame_equals_the_frame_there(painter, lens_position):
+    v = LENS.at_position_m(lens_position)
     x, y, w, h = roi = (171, 83, 205, 190)
     part = painter.frame(AHEAD, v, roi=roi, tick=3).astype(int)
     crop = painter.frame(AHEAD, v, tick=3)[y : y + h, x : x + w].astype(int)
@@ -176,26 +176,6 @@ def test_noise_is_a_photon_count_s(painter):
     assert light.var(0, ddof=1).mean() == pytest.approx(expected.mean(), rel=0.05)
 
 
-def test_air_adds_and_takes_nothing():
-    air = draw_water(SceneWater(preset="air"), generator(0, "water"))
-    through, veil = look_through(air, np.array([0.0, 0.5, 3.0]))
-    assert np.array_equal(through, np.ones((3, 3)))
-    assert not veil.any()
-
-
-def test_tap_water_takes_red_and_adds_a_veil():
-    for seed in range(20):
-        water = draw_water(SceneWater(preset="tap"), generator(seed, "water"))
-        through, veil = look_through(water, np.array([0.0, 0.5, 1.5]))
-        assert np.array_equal(through[0], np.ones(3))
-        assert not veil[0].any()
-        assert np.all(np.diff(veil, axis=0) > 0)
-        blue, green, red = 1 - through[2]
-        assert 0.25 < red < 0.55
-        assert max(blue, green) < 0.2
-        assert not np.allclose(water.direct, water.scatter)
-
-
 def test_the_same_board_is_dimmer_in_water_by_what_water_takes():
     scene = Scene(name="bare", water=SceneWater(preset="turbid"))
     painter = painter_of(scene, lens=PINHOLE)
@@ -203,9 +183,9 @@ def test_the_same_board_is_dimmer_in_water_by_what_water_takes():
     water = draw_water(scene.water, generator(0, "water"))
     levels = []
     for distance_m in (0.3, 0.9):
-        image = painter.frame(eye, sharp_at(distance_m, PINHOLE), board=facing(eye, distance_m))
+        image = painter.frame(eye, sharp_at(distance_m, PINHOLE), chessboard=facing(eye, distance_m))
         levels.append((image[160:320, 240:400] / 255.0) ** 2.2)
-    (t_near, t_far), _ = look_through(water, np.array([0.3, 0.9]))
+    (t_near, t_far), _ = transmission_and_veil(water, np.array([0.3, 0.9]))
     # contrast, unlike brightness, owes nothing to the veil
     contrast = [np.ptp(cv2.blur(level, (9, 9))[10:-10, 10:-10], axis=(0, 1)) for level in levels]
     assert contrast[1] / contrast[0] == pytest.approx(t_far / t_near, rel=0.1)
@@ -226,8 +206,8 @@ def test_clarity_of_the_ball_peaks_once_and_where_it_is(painter, distance_m):
     half = int(0.3 * 0.07 / (distance_m + 0.07) * 1169)
     roi = (320 - half, 240 - half, 2 * half, 2 * half)
 
-    def clarity(positions):
-        frames = (painter.frame(eye, LENS.at_position_m(p), roi=roi, tick=int(p)) for p in positions)
+    def clarity(lens_positions):
+        frames = (painter.frame(eye, LENS.at_position_m(p), roi=roi, tick=int(p)) for p in lens_positions)
         return np.array([tenengrad(frame).mean() for frame in frames])
 
     sweep = np.arange(0, 1024, 31)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.config import ConfigError
-from hw.twin.lens import PRESETS, Vcm, draw_lens
+from agent.kernel.config import ConfigError
+from hw.twin.optics.lens import PRESETS, Vcm, draw_lens
 from hw.twin.scene import generator
 
 MS = 1_000_000
@@ -84,8 +84,8 @@ def test_play_separates_the_two_directions():
     lens = lens_of(jitter_m=0.0, drift_m=0.0)
     vcm = vcm_of(lens)
     rest = []
-    for k, position in enumerate((500, 1000, 500, 501)):
-        vcm.command(position, k * 200 * MS)
+    for k, lens_position in enumerate((500, 1000, 500, 501)):
+        vcm.command(lens_position, k * 200 * MS)
         rest.append(vcm.image_distance_m((k * 200 + 199) * MS, 0.0))
     assert rest[2] - rest[0] == pytest.approx(2 * lens.hysteresis * lens.per_position_m, rel=1e-3)
     assert rest[3] == pytest.approx(rest[2], abs=1e-12)  # one position more is lost in the play

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from agent.config import load_fleet
-from agent.launch import shipped_fleet
-from agent.perception.clarity import tenengrad_blocks
-from hw.twin import texture
-from hw.twin.lens import draw_lens
-from hw.twin.painter import Painter
+from agent.fleet_files import shipped_fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.perception.clarity.clarity import tenengrad_blocks
+from hw.twin.optics import texture
+from hw.twin.optics.lens import draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.optics.shade import LOD_UP
+from hw.twin.optics.view import Eye
 from hw.twin.scene import generator, load_scene
-from hw.twin.shade import LOD_UP
-from hw.twin.view import Eye
 
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera axes as columns: looks along world x
 

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from agent.config import Body, Tank
-from hw.twin.body import BODY, draw_body
-from hw.twin.rotation import quaternion
-from hw.twin.sensors import ATMOSPHERE_PA, NOISE_M, PA_PER_M, STEP_PA, PressureSensors, water_pressure_pa
-from hw.twin.servo import PLAY_DEG, SLEW_DEG_S, motor_deg_after, shaft_deg_after
-from hw.twin.tank import STATE, STEP_S
+from agent.kernel.config import Body, Tank
+from hw.twin.physics.body import BODY, draw_body
+from hw.twin.physics.rotation import quaternion
+from hw.twin.physics.sensors import ATMOSPHERE_PA, NOISE_M, PA_PER_M, STEP_PA, PressureSensors, water_pressure_pa
+from hw.twin.physics.servo import PLAY_DEG, SLEW_DEG_S, motor_deg_after, shaft_deg_after
+from hw.twin.physics.tank import STATE, STEP_S
 
 SURFACE_M = 0.5
 

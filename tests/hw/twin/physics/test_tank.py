@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from agent.config import Body, Tank
-from hw.twin.body import BODY, HULL_M, MOORING, draw_body, draw_servos
-from hw.twin.forces import GRAVITY_M_S2, TETHER_WEIGHT_N, add_water
-from hw.twin.rotation import euler_rad, matrix, quaternion, to_body, to_world
-from hw.twin.tank import STATE, STEP_S, advance, push
-from hw.twin.thruster import static_thrust_n
+from agent.kernel.config import Body, Tank
+from hw.twin.physics.body import BODY, HULL_M, MOORING, draw_body, draw_servos
+from hw.twin.physics.forces import GRAVITY_M_S2, TETHER_WEIGHT_N, add_water
+from hw.twin.physics.rotation import euler_rad, matrix, quaternion, to_body, to_world
+from hw.twin.physics.tank import STATE, STEP_S, advance, push
+from hw.twin.physics.thruster import static_thrust_n
 
 SIZE_M = np.array([4.0, 4.0, 4.0])
 SURFACE_M = 3.5

@@ -1,0 +1,215 @@
+"""One agent process: a robot's devices, links and recording, opened around the loop of runtime.py.
+
+On the way out the motors go off first, then the last state is shown, then links close, then the recording ends.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple
+
+from agent.console_log import ConsoleLog
+from agent.kernel.config import ConfigError, Fleet, Robot
+from agent.kernel.core import Agent
+from agent.kernel.fleet_reader import load_fleet, load_robot
+from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine
+from agent.kernel.ranging.calibration import Calibration, load_calibration
+from agent.kernel.step_io import Sighting
+from agent.perception.detection.detectors import Detector, load_detectors
+from agent.perception.enhancement.enhance import default
+from agent.perception.enhancement.on_demand import OnDemandEnhancer
+from agent.perception.preview import Preview
+from agent.perception.vision import Vision
+from agent.pictures.recorded_depth import sweep_depth
+from agent.runtime import Runtime, say_goodbye
+from agent.stop_signal import until_signal
+from agent.transport import Transport
+from hw.camera.camera import Frame
+from hw.camera.open import known_scheme, open_camera
+from hw.stm32.driver import Stm32, open_port_path
+from hw.twin.devices.twin_folder import twin_dir
+from replay.black_box_writer import BlackBoxWriter, black_box_log
+from replay.files.auto_recover import recovering, torn_files
+from replay.files.environment import environment
+
+GIVEN_UP = "to start them, put right what stopped them, end this agent and start it again with --arm"
+
+
+class Setup(NamedTuple):
+    """What the files say of one robot, read and checked before anything is opened."""
+
+    fleet: Fleet
+    name: str
+    robot: Robot
+    calibration: Calibration
+    detectors: Mapping[str, Detector]
+
+
+def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool = False, views: bool = True) -> None:
+    """One agent process, from its fleet file until SIGTERM or Ctrl-C. Raises ConfigError or CameraError before
+    anything moves.
+
+    With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
+    `lossless` records frames bit by bit, `views` adds channels for viewers to the recording.
+    """
+    setup = load_setup(fleet_path, name)
+    with ExitStack() as stack:
+        stop = stack.enter_context(until_signal())
+        stack.enter_context(recovering(torn_files((out or Path()) / f"{name}.mcap")))
+        process = AgentProcess(setup, stack, stop)
+        process.open_links(out or Path(), lossless, views)
+        process.open_eyes()
+        process.open_module(arm)
+        motors = "motors start when the control module agrees" if arm else "motors stay off (--arm starts them)"
+        tell(f"{name}: {motors}; recording {process.log.path}; Ctrl-C ends it\n")
+        process.runtime(arm).run(stop)
+    failed = process.log.failed
+    tell(f"{name}: stopped; {f'not recorded to the end: {failed}' if failed else f'recorded {process.log.path}'}\n")
+
+
+def load_setup(fleet_path: Path, name: str) -> Setup:
+    """Read all files. Raises ConfigError or CameraError, one line, for what a person has to mend first."""
+    fleet = load_fleet(fleet_path)
+    robot = load_robot(fleet, name, fleet_path)
+    known_scheme(robot.camera)
+    calibration = own_calibration(fleet, name, fleet_path)
+    return Setup(fleet, name, robot, calibration, load_detectors(fleet, calibration.camera))
+
+
+class AgentProcess:
+    """The parts of one agent, each opened by a method of its own, in this order; `stack` closes them, last first."""
+
+    def __init__(self, setup: Setup, stack: ExitStack, stop: Event) -> None:
+        self._setup, self._stack, self._stop = setup, stack, stop
+        self._size = setup.fleet.camera.width_px, setup.fleet.camera.height_px
+        self._sockets = twin_dir(setup.fleet)
+        self._epoch_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._incarnation = self.clock()
+        self._agent = Agent(setup.fleet, setup.name, setup.calibration, self._incarnation)
+
+    def clock(self) -> int:
+        """Unix time in nanoseconds that never steps back: sampled once, then monotonic."""
+        return self._epoch_offset_ns + time.monotonic_ns()
+
+    def open_links(self, out: Path, lossless: bool, views: bool) -> None:
+        """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
+        fleet, name, calibration = self._setup.fleet, self._setup.name, self._setup.calibration
+        with ExitStack() as links:
+            link = links.enter_context(Transport(fleet, name, self.clock))
+            facts = run_facts(fleet, name, self._incarnation)
+            self.log = self._stack.enter_context(
+                black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
+            )
+            self._stack.push(links.pop_all())
+        self._box = BlackBoxWriter(self.log, self.clock, lossless)
+        self._network = self._stack.enter_context(ConsoleLog(link, tell))
+        self._stack.callback(say_goodbye, self._agent, self._network, self.clock)
+
+    def open_eyes(self) -> None:
+        """The camera's thread, and previews of what it sees."""
+        fleet, name = self._setup.fleet, self._setup.name
+        enhancer = self._open_enhancer() if fleet.camera.enhance else None
+        self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer)
+        self._eyes = Vision(
+            lambda: open_camera(self._setup.robot.camera, self._sockets, self._size),
+            fleet,
+            self._setup.calibration.camera,
+            self._setup.detectors,
+            epoch_offset_ns=self._epoch_offset_ns,
+            on_frame=self._on_frame,
+            enhancer=enhancer,
+        )
+        self._eyes.start()
+        self._stack.callback(self._eyes.close)
+
+    def open_module(self, arm: bool) -> None:
+        """The control module. Last, so that its motors are off before anything else ends."""
+        port = open_port_path(self._setup.robot.serial, self._sockets)
+        self._module = self._stack.enter_context(Stm32(port, self.clock, tap=self._box.serial))
+        if arm:
+            self._module.arm()
+
+    def runtime(self, arm: bool) -> Runtime:
+        """The loop over all of this."""
+
+        def faults() -> dict[str, str | None]:
+            given_up = GIVEN_UP if arm and not self._module.wants_armed else None
+            return {"not recording": self.log.failed, "no camera": self._eyes.fault, "motors off": given_up}
+
+        return Runtime(
+            self._setup.name,
+            self._agent,
+            self._eyes,
+            self._module,
+            self._network,
+            self._box.step,
+            self.clock,
+            faults=faults,
+            resume=self._module.arm if arm else lambda: None,
+        )
+
+    def _open_enhancer(self) -> OnDemandEnhancer:
+        way = default()
+        if way.why:
+            self._log("warning", f"enhancement: {way.why}")
+        enhancer = OnDemandEnhancer(way)
+        self._stack.callback(self._log_shown_raw, enhancer)
+        return enhancer
+
+    def _log_shown_raw(self, enhancer: OnDemandEnhancer) -> None:
+        """How many frames could not be enhanced in time."""
+        text = f"enhancement: {enhancer.raw} of {enhancer.frames} frames to be enhanced had no colours in time"
+        self._log("info", text)
+
+    def _on_frame(self, frame: Frame, sightings: Sequence[Sighting]) -> None:
+        """Vision's thread: record, and show to whoever looks."""
+        self._box.frame(frame.image, frame.roi, *sightings)
+        if not self._stop.is_set() and (image := self._preview.of(frame, sightings[0], self.clock())) is not None:
+            self._network.show(image)
+
+    def _log(self, level: Level, text: str) -> None:
+        line = LogLine(robot=self._setup.name, sent_ns=self.clock(), level=level, text=text[:MAX_TEXT])
+        self._network.show(line)
+
+
+def tell(text: str) -> None:
+    """Say it to the person who started it, at once."""
+    sys.stderr.write(text)
+    sys.stderr.flush()
+
+
+def own_calibration(fleet: Fleet, name: str, fleet_path: Path) -> Calibration:
+    """The calibration of a robot's own camera. Raises ConfigError if there is none, or if it is of another camera."""
+    path = fleet_path.parent / fleet.robot[name].calibration
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file; make it with: aucamp calibrate run {fleet_path} --robot {name}")
+    calibration = load_calibration(path)
+    if calibration.robot != name:
+        raise ConfigError(f"{path}: key 'robot': made for '{calibration.robot}', not '{name}'; take that robot's own")
+    made = calibration.camera.width_px, calibration.camera.height_px
+    asked = fleet.camera.width_px, fleet.camera.height_px
+    if made != asked:
+        raise ConfigError(
+            f"{path}: made for pictures of {made[0]}x{made[1]}, [camera] of {fleet_path} has {asked[0]}x{asked[1]}; "
+            f"calibrate again, or correct width_px and height_px"
+        )
+    return calibration
+
+
+def run_facts(fleet: Fleet, name: str, incarnation: int) -> dict[str, str]:
+    """What a reader of the recording needs to know about the run."""
+    return {
+        "kind": "black box",
+        "fleet": fleet.fleet,
+        "robot": name,
+        "protocol": fleet.estimation.protocol,
+        "seed": str(fleet.twin.seed),
+        "schema": str(SCHEMA),
+        "incarnation": str(incarnation),  # Unix time of the start, ns
+        **environment(),
+    }

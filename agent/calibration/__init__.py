@@ -1,0 +1,1 @@
+"""Procedures that measure what a real camera, lens and gimbal do."""

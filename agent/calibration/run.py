@@ -1,0 +1,47 @@
+"""`aucamp calibrate run`: sets up the bench, runs the procedure, writes the calibration file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from agent.calibration.bench import bench_by_hand, twin_bench
+from agent.calibration.procedure import calibrate
+from agent.kernel.config import ConfigError
+from agent.kernel.fleet_reader import load_fleet, load_robot
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.toml_files import dump
+from agent.progress import with_bar
+
+
+def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None:
+    """Calibrate one robot of a fleet file; the result goes to `out`, else where the fleet file says.
+
+    Raises ConfigError, CameraError and Failed (CalibrationRefused is one), one line each.
+    """
+    fleet = load_fleet(fleet_path)
+    robot = load_robot(fleet, name, fleet_path)
+    file = out or fleet_path.parent / robot.calibration
+    if file.exists():
+        raise ConfigError(f"{file}: exists already; move it away or give another --out")
+    bench = twin_bench if robot.camera.startswith("twin:") else bench_by_hand
+    with bench(fleet, name) as (camera, place):
+        calibration = with_bar(console, f"calibrating {name}", lambda show: calibrate(fleet, name, camera, place, show))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(dump(calibration), encoding="utf-8")
+    console.print(describe(calibration))
+    console.print(f"written to {file}")
+
+
+def describe(calibration: Calibration) -> str:
+    """What the fit is worth, in two lines."""
+    focus, camera = calibration.focus, calibration.camera
+    nearer = "larger" if focus.b_m > 0.0 else "smaller"  # u = u_inf + b / (rho - rho0): 0 for infinity is custom only
+    return (
+        f"focus: R² {focus.r2:.4f}, rms {1e3 * focus.rmse_m:.1f} mm, held out {1e3 * focus.held_out_rmse_m:.1f} mm, "
+        f"one peak ± {focus.noise:.2f} lens positions, "
+        f"{nearer} ones are nearer\n"
+        f"camera: f {camera.f_px:.1f} px, pan zero {camera.pan_zero_deg:+.2f}° gain {camera.pan_gain:.4f}, "
+        f"tilt zero {camera.tilt_zero_deg:+.2f}° gain {camera.tilt_gain:.4f}, residual {camera.noise_px:.2f} px"
+    )

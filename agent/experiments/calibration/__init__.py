@@ -1,0 +1,1 @@
+"""Range against focus position, on the twin's bench."""

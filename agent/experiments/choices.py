@@ -1,0 +1,11 @@
+"""Names that an experiment can be asked for. The command line reads them before anything else: nothing heavy here."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+from agent.kernel.config import WaterKind
+
+Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens
+DEFAULT_SENSOR: Sensor = "imx519_640"
+WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

@@ -1,0 +1,1 @@
+"""Whether measurements of a ball are as wrong as they say."""

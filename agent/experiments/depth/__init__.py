@@ -1,0 +1,1 @@
+"""Depth of whole views from focus, against the twin's truth."""

@@ -1,0 +1,1 @@
+"""Whether the ball is found in every kind of water."""

@@ -1,0 +1,1 @@
+"""Protocols of agreement against the Cramér-Rao bound."""

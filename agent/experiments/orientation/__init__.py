@@ -1,0 +1,1 @@
+"""Push and depth step under the three control laws."""

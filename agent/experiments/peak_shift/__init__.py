@@ -1,0 +1,1 @@
+"""How far the focus peak moves when frames are enhanced."""

@@ -1,0 +1,44 @@
+"""Any experiment, from what was asked to its folder: run under a bar, result.json and figures written, tables shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from rich.console import Console, RenderableType
+
+from agent.experiments.figure_files import Figures, write_figures
+from agent.experiments.result import ExperimentResult, write_result
+from agent.progress import Progress, with_bar
+from agent.run_folder import run_folder
+
+S = TypeVar("S")
+R = TypeVar("R", bound=ExperimentResult)
+
+
+def no_figures(result: ExperimentResult) -> Figures:
+    """What an experiment has that draws nothing."""
+    return iter(())
+
+
+def perform(
+    run: Callable[[S, Progress], R],
+    settings: S,
+    table: Callable[[R], RenderableType],
+    out: Path | None,
+    console: Console,
+    counted: str,
+    figures: Callable[[R], Figures] = no_figures,
+) -> R:
+    """Run it into `out` or runs/<UTC>; `counted` is what the bar counts.
+
+    Raises ConfigError where the folder holds anything or cannot be written, and whatever the run raises.
+    """
+    folder = run_folder(out)
+    result = with_bar(console, counted, lambda show: run(settings, show))
+    write_result(result, folder)
+    write_figures(figures(result), folder)
+    console.print(table(result))
+    console.print(f"written to {folder}")
+    return result

@@ -1,0 +1,50 @@
+"""Messages <-> bytes: the msgpack map of a struct, and why bytes are no message. Only the shape is believed here."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeVar
+
+import msgpack
+import msgspec
+
+from agent.kernel.messages import MAX_PAYLOAD, SCHEMA, Message
+
+M = TypeVar("M", bound=Message)
+
+RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place", "target"]
+
+
+class Refusal(ValueError):
+    """A payload that is not believed: `kind` to count by, the text to read."""
+
+    def __init__(self, kind: RefusalKind, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
+
+
+def encode(message: Message) -> bytes:
+    """The msgpack map of a message, fields in the order of declaration: equal messages give equal bytes."""
+    return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,))))
+
+
+def decode(payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD) -> M:
+    """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and this schema."""
+    if len(payload) > limit:
+        raise Refusal("size", f"{len(payload)} bytes, limit {limit}")
+    try:
+        fields = msgpack.unpackb(payload, strict_map_key=True)
+    except (ValueError, msgpack.UnpackException, RecursionError):
+        raise Refusal("garbage", "not msgpack") from None
+    if not isinstance(fields, dict):
+        raise Refusal("garbage", "not a map")
+    if "schema" in kind.__struct_fields__ and fields.get("schema") != SCHEMA:
+        raise Refusal("schema", f"schema {fields.get('schema')!r:.20}, ours is {SCHEMA}")
+    try:
+        return msgspec.convert(fields, kind, builtin_types=(bytes,))
+    except msgspec.ValidationError as error:
+        raise Refusal("content", str(error)[:200]) from None
+
+
+def encoding(kind: type[Message]) -> str:
+    """The encoding string that every sample of this kind carries."""
+    return f"application/msgpack;aucamp.{kind.__name__}"

@@ -1,0 +1,119 @@
+"""What Agent.step takes and gives, as frozen structs: all that a black box has to hold.
+
+Units, times and frames as in messages.py.
+"""
+
+from __future__ import annotations
+
+from msgspec import UNSET, UnsetType
+
+from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
+
+# --- inputs: from the robot's own devices, and from others ----------------------------------------------------
+
+
+class Sighting(Message, frozen=True, kw_only=True):
+    """What vision found in one frame. Pixels: u right, v down, from the centre of the upper left pixel."""
+
+    t_ns: int  # middle of the exposure
+    frame: Count
+    sweep: Count = 0  # the plan this frame belongs to; 0: none
+    index: int = -1  # which position of that plan
+    focus: int | None = None  # lens position, once at rest
+    target: Id
+    found: bool
+    centre_px: tuple[float, float] | None = None  # where the ray to a ball's centre meets the image; middle of a box
+    radius_px: float | None = None  # apparent radius of a ball
+    clarity: float | None = None  # Tenengrad per pixel over a ball's inner disc, or the inner half of a box
+    area_px: float | None = None  # pixels that clarity was taken over
+    score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape, or how sure a tracker is of its box
+    size_px: tuple[float, float] | None = None  # width and height of the box around a target that is no ball
+
+
+class Telemetry(Message, frozen=True, kw_only=True):
+    """One telemetry frame of the control module."""
+
+    t_ns: int  # arrival at the host
+    board_us: int  # the board's clock
+    depth_m: float
+    roll_deg: float
+    pitch_deg: float
+    sensor_depth_m: tuple[float, float, float, float]  # each sensor, below its tare
+    pulses_us: tuple[int, int, int, int, int, int, int, int]
+    servos_us: tuple[int, int, int, int]
+    battery_v: float
+    armed: bool
+    ladder: int  # failsafe level, 0 is normal
+    flags: int
+    loop_us: int
+
+
+class Heard(Message, frozen=True, kw_only=True):
+    """A payload as it came, not yet believed."""
+
+    arrived_ns: int
+    src: Id  # from the key it came on
+    payload: bytes
+
+
+class DroppedPayloads(Message, frozen=True, kw_only=True):
+    """Payloads that transport turned away unread."""
+
+    reason: str
+    count: int
+
+
+class Inputs(Message, frozen=True, kw_only=True):
+    """All that arrived since the last step, in order of arrival."""
+
+    telemetry: tuple[Telemetry, ...] = ()
+    sightings: tuple[Sighting, ...] = ()
+    heard: tuple[Heard, ...] = ()
+    refused: tuple[DroppedPayloads, ...] = ()
+
+
+# --- outputs: to the robot's own devices, and to others ---------------------------------------------------------
+
+
+class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """Lens positions to visit in this order; the first only brings the lens to its starting side."""
+
+    sweep: Count
+    focus: tuple[int, ...]
+    target: Id | None = None  # whose clarity to take; left out where the fleet has one target
+
+
+class SetPoint(Message, frozen=True, kw_only=True):
+    """What the control module shall hold; repeated, it is the module's heartbeat."""
+
+    depth_m: float
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    force_n: tuple[float, float] = (0.0, 0.0)  # forward, left; open loop
+    yaw_moment_nm: float = 0.0  # open loop
+    servos_us: tuple[int, int, int, int] = (1500, 1500, 1500, 1500)  # camera pan, tilt, lamp pan, tilt
+    light: float = 0.0  # 0 to 1
+
+
+class SweepOutcome(Message, frozen=True, kw_only=True):
+    """What the kernel made of one sweep: the peak of its clarity and the place that it gave, or why there is none."""
+
+    sweep: Count  # number of its plan
+    target: Id
+    t_ns: int | None = None  # middle of the exposure of the sharpest frame
+    lens_position: float | None = None  # of the peak
+    sigma: float | None = None  # its standard deviation, lens positions
+    width: float | None = None  # half width of the peak, lens positions
+    held_width: float | None = None  # the half width that the fit was told; none: it was free
+    quality: float | None = None  # correlation of curve and model, 0 to 1
+    x_m: Vector | None = None  # where that puts the target: the prior
+    rejected: str = ""  # why there is no prior
+
+
+class Outputs(Message, frozen=True, kw_only=True):
+    set_point: SetPoint
+    sweep: SweepPlan | None = None
+    says: tuple[Estimate, ...] = ()
+    state: State | None = None
+    log: tuple[LogLine, ...] = ()
+    outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were

@@ -1,0 +1,1 @@
+"""A target found in one frame."""

@@ -1,0 +1,1 @@
+"""Frames as they would look without the water."""

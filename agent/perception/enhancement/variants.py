@@ -1,0 +1,8 @@
+"""The names of the ways to enhance a picture. The command line reads them before anything else: nothing heavy here."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Variant = Literal["plain", "folded", "fast", "classic", "auto"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)

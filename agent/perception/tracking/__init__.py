@@ -1,0 +1,1 @@
+"""A target followed from frame to frame in a box."""

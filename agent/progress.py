@@ -1,0 +1,47 @@
+"""What a person sees while something takes long: a bar where the end is known, else a spinner."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+import rich.progress
+from rich.console import Console
+
+T = TypeVar("T")
+
+Progress = Callable[[int, int], None]  # parts of the work that are done, parts in all
+
+
+def with_bar(console: Console, what: str, work: Callable[[Progress], T]) -> T:
+    """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
+    with contextlib.ExitStack() as stack:
+        bar = rich.progress.Progress(console=console)
+        task = bar.add_task(what)
+
+        def show(done: int, total: int) -> None:
+            if not bar.live.is_started:
+                stack.enter_context(bar)
+            bar.update(task, completed=done, total=total)
+
+        return work(show)
+
+
+def step_by_step(progress: Progress, total: int) -> Callable[[], None]:
+    """What is to be called after each of `total` parts; that none is done yet is shown at once."""
+    done = itertools.count(1)
+    progress(0, total)
+    return lambda: progress(next(done), total)
+
+
+@contextlib.contextmanager
+def with_spinner(console: Console, what: str) -> Iterator[None]:
+    """Say what takes long: beside a spinner on a terminal, as a line in a pipe."""
+    if console.is_terminal:
+        with console.status(what):
+            yield
+    else:
+        console.print(what)
+        yield

@@ -1,0 +1,36 @@
+"""Where a run writes: the folder that stays, and one that goes with it."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from agent.kernel.config import ConfigError
+
+
+def run_folder(out: Path | None) -> Path:
+    """The folder that was asked for, else runs/<UTC>. Raises ConfigError if it holds anything or cannot be written."""
+    folder = out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ConfigError(f"{folder}: not empty; give --out a new folder, recordings are never overwritten")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".writable").touch()
+        (folder / ".writable").unlink()
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+    return folder
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A folder with a short path: that of a socket may not be longer than 107 bytes."""
+    folder = Path(tempfile.mkdtemp(prefix="aucamp-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

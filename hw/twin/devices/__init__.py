@@ -1,0 +1,1 @@
+"""Serial ports and cameras that agents open, with the twin behind them."""

@@ -1,0 +1,1 @@
+"""What a lens under water throws on a sensor."""

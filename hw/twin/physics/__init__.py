@@ -1,0 +1,1 @@
+"""Bodies in water: forces, sensors, thrusters, the tank's walls."""

@@ -1,0 +1,1 @@
+"""Recordings and running fleets as other people's viewers want them."""

@@ -1,0 +1,136 @@
+"""The one door to the network: keys, bytes and integers pass it. Nothing else of ours imports zenoh.
+
+What arrives is handed over in Zenoh's own threads. A callback does no more than stamp, judge and append: a slow one
+holds up every other subscription of its session.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from agent.kernel.codec import encoding
+from agent.kernel.config import ConfigError
+from agent.kernel.topics import Topic
+
+logger = logging.getLogger(__name__)
+
+# What zenoh says when it cannot listen, and what a person can do about it.
+REMEDIES = {
+    "Address already in use": "the address is in use; end that process or take another port",
+    "Cannot assign requested address": "no address of this computer; write one of its own",
+    "failed to lookup address": "no such host; write the computer's address as a number",
+}
+
+
+class Sample:
+    """What arrived, where it lies in Zenoh's memory: the payload is copied when it is asked for, and not before."""
+
+    __slots__ = ("_sample",)
+
+    def __init__(self, sample: zenoh.Sample) -> None:
+        self._sample = sample
+
+    @property
+    def key(self) -> str:
+        return str(self._sample.key_expr)
+
+    @property
+    def is_put(self) -> bool:
+        """Whether something was published or a token appeared; False: something was deleted or a token went."""
+        return bool(self._sample.kind == zenoh.SampleKind.PUT)
+
+    @property
+    def encoding(self) -> str:
+        return str(self._sample.encoding)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the payload."""
+        return len(self._sample.payload)
+
+    def payload(self) -> bytes:
+        """A copy of the payload."""
+        return self._sample.payload.to_bytes()
+
+
+Arrived = Callable[[Sample], None]
+Publish = Callable[[bytes], None]
+
+
+def unusable(sample: Sample, topic: Topic, any_encoding: bool = False) -> str | None:
+    """Why a sample cannot be a message of this topic, judged before its payload is copied; None if it can.
+
+    `any_encoding`: it need not say that it is encoded as the topic's messages are.
+    """
+    if not sample.is_put:
+        return "not a put"
+    if not any_encoding and sample.encoding != encoding(topic.message):
+        return "wrong encoding"
+    if sample.size > topic.limit:
+        return "too large"
+    return None
+
+
+class Session:
+    """One process's part in the network. Context manager; leaving undoes all that was declared.
+
+    Entering raises ConfigError, one line that starts with `where`, when Zenoh does not take the configuration or cannot
+    listen where it says.
+    """
+
+    def __init__(self, config: str, where: str) -> None:
+        """`config` is JSON text of router_config.session; `where` names the process or its endpoint to a person."""
+        self._config, self._where = config, where
+        self._open = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        try:
+            self._session = self._open.enter_context(zenoh.open(zenoh.Config.from_json5(self._config)))
+        except zenoh.ZError as error:
+            for sign, remedy in REMEDIES.items():
+                if sign in str(error):
+                    raise ConfigError(f"{self._where}: {remedy}") from None
+            reason = " ".join(re.sub(r" at /\S+", "", str(error)).split())  # zenoh names the places in its own source
+            raise ConfigError(f"{self._where}: zenoh cannot open it: {reason}") from None
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        try:
+            self._open.close()
+        except zenoh.ZError as failure:
+            logger.warning("zenoh did not close cleanly: %s", failure)  # the process is ending: nothing is left to do
+
+    def publisher(self, topic: Topic, key: str) -> Publish:
+        """A function that sends a payload, with the topic's encoding and quality of service. It never blocks."""
+        publisher = self._session.declare_publisher(
+            key,
+            encoding=encoding(topic.message),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=getattr(zenoh.Priority, topic.qos.priority),
+            reliability=getattr(zenoh.Reliability, topic.qos.reliability),
+        )
+        return publisher.put
+
+    def subscribe(self, key: str, arrived: Arrived) -> None:
+        """Have `arrived` called with every sample of other processes on `key`, which may have wildcards."""
+        self._session.declare_subscriber(key, _direct(arrived), allowed_origin=zenoh.Locality.REMOTE)
+
+    def announce(self, key: str) -> None:
+        """Show a liveliness token for as long as the session is open."""
+        self._open.enter_context(self._session.liveliness().declare_token(key))
+
+    def watch_tokens(self, key: str, arrived: Arrived) -> None:
+        """Have `arrived` called with every token on `key` that is there, comes or goes."""
+        self._session.liveliness().declare_subscriber(key, _direct(arrived), history=True)
+
+
+def _direct(arrived: Arrived) -> zenoh.handlers.Callback[zenoh.Sample]:
+    # Called in zenoh's own thread: a thread of Python's in between would stamp later, and keeps a process from ending.
+    return zenoh.handlers.Callback(lambda sample: arrived(Sample(sample)), indirect=False)

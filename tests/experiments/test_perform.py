@@ -1,0 +1,63 @@
+"""What every verb of `aucamp experiment` does with its experiment: folder, bar, result.json, figures, table."""
+
+import io
+import json
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+from typer.testing import CliRunner
+
+from agent.commands.experimenting import app
+from agent.experiments.choices import WATERS, Sensor
+from agent.experiments.perform import perform
+from agent.experiments.result import ExperimentResult
+from agent.kernel.config import ConfigError
+from hw.twin.optics.lens import PRESETS
+from hw.twin.optics.water import KD_PER_M
+
+VERBS = [command.name for command in app.registered_commands]
+
+
+class Found(ExperimentResult, frozen=True, kw_only=True):
+    schema: int = 1
+    value: float
+    shown: str
+
+
+def find(settings, progress):
+    progress(1, 1)
+    return Found(value=settings, shown="beside")
+
+
+def drawn(result):
+    for suffix in ("svg", "png"):
+        yield f"picture.{suffix}", Figure(figsize=(1, 1))
+
+
+def test_result_and_figures_are_in_the_folder_and_the_table_is_shown(tmp_path: Path) -> None:
+    console = Console(file=io.StringIO())
+    found = perform(find, 0.5, lambda result: result.shown, tmp_path / "new", console, "parts", drawn)
+    assert found == Found(value=0.5, shown="beside")
+    assert json.loads((tmp_path / "new" / "result.json").read_text()) == {"schema": 1, "value": 0.5}
+    assert list(json.loads((tmp_path / "new" / "result.json").read_text())) == ["schema", "value"]
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"result.json", "picture.svg", "picture.png"}
+    said = console.file.getvalue()
+    assert "parts" in said and "beside" in said and f"written to {tmp_path / 'new'}" in said.replace("\n", "")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_folder_with_a_result_is_left_alone(verb: str, tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("{}")
+    done = CliRunner().invoke(app, [verb, "--out", str(tmp_path)])
+    assert isinstance(done.exception, ConfigError)
+    assert "not empty; give --out a new folder" in str(done.exception)
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+    assert (tmp_path / "result.json").read_text() == "{}"
+
+
+def test_names_that_may_be_given_are_those_of_the_twin() -> None:
+    assert get_args(Sensor) == tuple(PRESETS)
+    assert tuple(KD_PER_M) == WATERS

@@ -1,0 +1,75 @@
+"""What a picture file holds as 8 bits, whatever it was written with; what is no picture is one line."""
+
+import cv2
+import numpy as np
+import pytest
+
+from agent.kernel.config import ConfigError
+from hw.picture_files import SUFFIXES, picture_files, read_picture
+
+COLOURS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+LEVELS = np.array([[0, 100, 128, 129, 257, 4095, 20000, 65535]], np.uint16)
+ROUNDED = [0, 0, 0, 1, 1, 16, 78, 255]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff"])
+def test_8_bits_are_as_they_were_written(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), COLOURS)
+    assert np.array_equal(read_picture(path), COLOURS) and np.array_equal(read_picture(path, stretch=True), COLOURS)
+
+
+def test_grey_becomes_three_equal_colours_and_colours_become_luminance(tmp_path):
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), COLOURS[:, :, 0])
+    assert np.array_equal(read_picture(path), np.repeat(COLOURS[:, :, :1], 3, axis=2))
+    assert np.array_equal(read_picture(path, grey=True), COLOURS[:, :, 0])
+    cv2.imwrite(str(path), COLOURS)
+    luminance = cv2.cvtColor(COLOURS, cv2.COLOR_BGR2GRAY)
+    assert np.abs(read_picture(path, grey=True).astype(int) - luminance).max() <= 1
+
+
+def test_an_alpha_plane_is_left_out(tmp_path):
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.dstack([COLOURS, COLOURS[:, :, 0]]))
+    assert np.array_equal(read_picture(path), COLOURS)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_16_bits_are_comparable_unless_they_are_stretched(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), LEVELS)
+    assert read_picture(path, grey=True)[0].tolist() == ROUNDED  # in every format alike
+    cv2.imwrite(str(path), LEVELS[:, :-2])  # 12 bits
+    assert read_picture(path, grey=True)[0].tolist() == ROUNDED[:-2]
+    assert read_picture(path, grey=True, stretch=True)[0].tolist() == [0, 6, 8, 8, 16, 255]
+
+
+def test_floating_point_is_white_at_one(tmp_path):
+    path = tmp_path / "a.tiff"
+    cv2.imwrite(str(path), np.array([[-0.5, 0.0, 0.5, 1.0, 2.0]], np.float32))
+    assert read_picture(path, grey=True)[0].tolist() == [0, 0, 128, 255, 255]
+    assert read_picture(path, grey=True, stretch=True)[0].tolist() == [0, 0, 64, 128, 255]
+    cv2.imwrite(str(path), np.array([[0.0, np.nan]], np.float32))
+    with pytest.raises(ConfigError, match=r"a\.tiff: holds values that are not finite"):
+        read_picture(path, grey=True)
+
+
+def test_what_cannot_be_read_is_one_line(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.png: no such file"):
+        read_picture(tmp_path / "none.png")
+    (tmp_path / "a.png").write_bytes(b"no picture")
+    with pytest.raises(ConfigError, match=r"a\.png: not an image that OpenCV can read"):
+        read_picture(tmp_path / "a.png")
+
+
+def test_the_pictures_of_a_folder_in_order(tmp_path):
+    with pytest.raises(ConfigError, match="none: no such folder"):
+        picture_files(tmp_path / "none")
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(ConfigError, match="no pictures in this folder"):
+        picture_files(tmp_path)
+    names = [f"{k}{suffix.upper() if k % 2 else suffix}" for k, suffix in enumerate(SUFFIXES)]
+    for name in reversed(names):
+        (tmp_path / name).touch()
+    assert [path.name for path in picture_files(tmp_path)] == names

@@ -1,0 +1,98 @@
+"""Who looks at a fleet: observers and routers see what they ask for, and no robot hears of them."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from agent.kernel import topics
+from agent.kernel.codec import decode
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Estimate, LogLine, State
+from agent.kernel.topics import STATE
+from agent.router import run_router
+from agent.transport import Observer, Transport
+from router_config.session import peer_config
+from tests.waiting import until
+
+Fleets = Callable[..., Fleet]
+Says = Callable[..., Estimate]
+Shows = Callable[..., State]
+
+
+def test_an_observer_sees_all_and_is_heard_by_nobody(make_fleet: Fleets, estimate: Says, state: Shows) -> None:
+    fleet = make_fleet({"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)})
+    line = LogLine(robot="r3", sent_ns=1, level="info", text="here")
+    with (
+        Observer(fleet, time.time_ns) as watch,
+        Transport(fleet, "r1", time.time_ns) as r1,
+        Transport(fleet, "r2", time.time_ns) as r2,
+        Transport(fleet, "r3", time.time_ns) as r3,
+    ):
+        seen = set()
+
+        def complete() -> bool:
+            r1.show(state("r1"))
+            r3.show(line)
+            r2.say(estimate("r2", "r3"))
+            for topic, chunks, payload, arrived_ns in watch.drain():
+                decode(payload, topic.message)
+                assert arrived_ns > 1
+                seen.add((topic.name, *chunks.values()))
+            return len(seen) == 3
+
+        until(complete)
+        assert seen == {("state", "test", "r1"), ("log", "test", "r3"), ("link", "test", "r2", "r3")}
+        assert r1.drain() == ((), ())
+
+
+def test_an_observer_hears_the_rows_it_asked_for(make_fleet: Fleets, estimate: Says, state: Shows) -> None:
+    fleet = make_fleet({"r1": ("r2",), "r2": ("r1",)})
+    with (
+        Transport(fleet, "r1", time.time_ns) as r1,
+        Transport(fleet, "r2", time.time_ns),
+        Observer(fleet, time.time_ns, rows=(STATE,)) as watch,
+    ):
+        seen = []
+
+        def enough() -> bool:
+            r1.say(estimate("r1", "r2"))
+            r1.show(state("r1"))
+            seen.extend(watch.drain())
+            return len(seen) > 5
+
+        until(enough)
+        assert {item.topic for item in seen} == {STATE}
+
+
+def test_a_router_shows_all_and_joins_nobody(make_fleet: Fleets, estimate: Says, state: Shows, free_port: int) -> None:
+    fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
+    stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port}"
+    router = threading.Thread(target=run_router, args=(fleet, stop, endpoint))
+    client = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"], timeout_ms: 10000}}}}')
+    with contextlib.ExitStack() as stack:
+        r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))
+        r2 = stack.enter_context(zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r2"))))
+        foreign = r2.declare_subscriber(topics.ALL.format(fleet="test"), zenoh.handlers.RingChannel(10))
+        router.start()
+        stack.callback(router.join, 10)
+        stack.callback(stop.set)
+        console = stack.enter_context(zenoh.open(client))
+        seen = console.declare_subscriber(topics.EVERY_FLEET, zenoh.handlers.RingChannel(100))
+        keys = set()
+
+        def both() -> bool:
+            r1.show(state("r1"))
+            r2.put(topics.key(STATE, fleet="test", robot="r2"), b"")
+            while sample := seen.try_recv():
+                keys.add(str(sample.key_expr))
+            return len(keys) == 2
+
+        until(both)
+        heard = foreign.try_recv()
+        while heard is not None:
+            assert "r1" not in str(heard.key_expr)  # r2 hears itself, and the router brought nothing from r1
+            heard = foreign.try_recv()
+    assert not router.is_alive()

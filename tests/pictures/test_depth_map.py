@@ -1,0 +1,112 @@
+"""`aucamp depth-map`: its map and its files, of a stack with known depths; what it refuses."""
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from agent.kernel.config import ConfigError
+from agent.kernel.ranging.focus import h
+from agent.kernel.toml_files import dump
+from agent.pictures.depth_map import depth_map, run
+from hw.camera.camera import CameraError
+from tests.pictures.planes import CALIBRATION, FOCUS, quiet
+
+
+def read_rows(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_two_planes_of_a_stack(planes, tmp_path):
+    seen = []
+    result = depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, lambda *now: seen.append(now))
+    assert result.lens_position.shape == (4, 6) and result.range_m is None
+    assert result.accepted[:3].all() and not result.accepted[3].any()  # plain grey has no distance
+    assert np.abs(result.lens_position[:3, :3] - 0.21).max() < 0.1 * 0.05  # a tenth of a step
+    assert np.abs(result.lens_position[:3, 3:] - 0.388).max() < 0.1 * 0.05
+    assert seen == [(n, 13) for n in range(1, 14)]
+
+
+def test_files(planes, tmp_path):
+    result = depth_map(f"stack:{planes}", tmp_path / "map.png", 40, tmp_path, None, quiet)
+    rows = read_rows(tmp_path / "map.csv")
+    assert list(rows[0]) == ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    assert len(rows) == 24
+    last = rows[11]
+    assert (last["row"], last["col"], last["x_px"], last["y_px"], last["accepted"]) == ("1", "5", "219.5", "59.5", "1")
+    assert float(last["focus"]) == pytest.approx(result.lens_position[1, 5], rel=1e-5)
+    picture = cv2.imread(str(tmp_path / "map.png"))
+    assert picture.shape[1] == 1200 and picture.std() > 20
+
+
+def test_ranges_in_the_files(planes, tmp_path):
+    focus = replace(FOCUS, b_m=0.1, rho0=0.0)
+    calibration = replace(CALIBRATION, focus=focus)
+    depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, calibration, quiet)
+    rows = read_rows(tmp_path / "map.csv")
+    assert float(rows[0]["range_m"]) == pytest.approx(0.05 + 0.1 / 0.21, rel=0.05)
+    assert rows[-1]["range_m"] == ""
+
+
+def test_the_verb_says_what_it_found(planes, tmp_path):
+    (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
+    said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
+    assert said.startswith("18 of 24 blocks") and "map.csv" in said
+
+
+def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
+    far = {}
+    for name, tilt_deg, sag in (("level", 0.0, 0.5), ("down", -30.0, 0.5), ("stiff", -30.0, 0.0)):
+        focus = replace(CALIBRATION.focus, sag=sag, sag_sigma=0.1)
+        (tmp_path / f"{name}.toml").write_text(dump(replace(CALIBRATION, focus=focus)))
+        run(str(planes), tmp_path / f"{name}.png", 40, tmp_path / f"{name}.toml", tilt_deg=tilt_deg)
+        with (tmp_path / f"{name}.csv").open() as file:
+            far[name] = [(float(row["focus"]), float(row["range_m"])) for row in csv.DictReader(file) if row["range_m"]]
+    assert far["stiff"] == far["level"]
+    focus = CALIBRATION.focus
+    for (lens_position, there), (_, level) in zip(far["down"], far["level"], strict=True):
+        assert there == pytest.approx(h(focus, lens_position + 0.25), rel=1e-3)  # it sank away from the sensor by 0.25
+        assert there != level
+
+
+def test_a_place_that_cannot_be_written_is_one_line(planes, tmp_path):
+    (tmp_path / "map.csv").mkdir()
+    with pytest.raises(ConfigError, match=r"map\.png: cannot be written"):
+        depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, quiet)
+
+
+def test_a_scene_without_texture_gives_a_map_without_distances(tmp_path):
+    rows = ["file,focus_position"]
+    for index in range(6):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((64, 64), 90, np.uint8))
+        rows.append(f"{index}.png,{index}")
+    (tmp_path / "positions.csv").write_text("\n".join(rows))
+    result = depth_map(str(tmp_path), tmp_path / "map.png", 16, tmp_path, None, quiet)
+    assert not result.accepted.any()
+    assert (tmp_path / "map.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("block", "out"), [(4, "m.png"), (500, "m.png"), (40, "m.jpg"), (40, "none/m.png")])
+def test_wrong_arguments_are_one_line_and_write_nothing(planes, tmp_path, block, out):
+    with pytest.raises(ConfigError) as caught:
+        depth_map(str(planes), tmp_path / out, block, tmp_path, None, quiet)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / out).exists()
+
+
+def test_sources_that_cannot_be_swept(planes, tmp_path):
+    with pytest.raises(ConfigError, match="nowhere: no such folder; give a folder of photographs"):
+        depth_map(str(tmp_path / "nowhere"), tmp_path / "m.png", 40, tmp_path, None, quiet)
+    with pytest.raises(CameraError, match="no such kind of camera"):
+        depth_map("rtsp://pool", tmp_path / "m.png", 40, tmp_path, None, quiet)
+    (planes / "positions.csv").write_text("file,focus_position\n" + "".join(f"{n:02}.png,{n}\n" for n in range(4)))
+    with pytest.raises(CameraError, match="4 lens positions; a depth map needs at least 5"):
+        depth_map(str(planes), tmp_path / "m.png", 40, tmp_path, None, quiet)
+    video = tmp_path / "v.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 64))
+    writer.write(np.zeros((64, 64, 3), np.uint8))
+    writer.release()
+    with pytest.raises(CameraError, match="cannot be set"):
+        depth_map(f"video:{video}", tmp_path / "m.png", 40, tmp_path, None, quiet)

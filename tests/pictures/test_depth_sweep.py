@@ -1,0 +1,45 @@
+"""One sweep of the focus: in which order, on which grid, and where its blocks are sharpest."""
+
+import cv2
+import numpy as np
+import pytest
+
+from agent.kernel.config import ConfigError
+from agent.perception.clarity.breathing import measure_growth
+from agent.pictures.depth_sweep import measure, sweep
+from hw.camera.files import open_stack
+from tests.pictures.planes import CALIBRATION, Breathing, Lens, quiet, two_planes
+
+
+def test_the_picture_is_sharp_everywhere(planes):
+    sharp = sweep(open_stack(planes), 40, quiet).sharp
+    for lens_position in (0.20, 0.40):  # each photograph is sharp on one side only
+        photograph = two_planes(lens_position, 0.21, 0.388, 10.0)
+        assert cv2.Laplacian(sharp, cv2.CV_64F).var() > 1.2 * cv2.Laplacian(photograph, cv2.CV_64F).var()
+
+
+def test_a_camera_is_swept_upwards_and_its_own_report_counts(tmp_path):
+    lens = Lens()
+    taken = sweep(lens, 40, quiet)
+    home, *visited = lens.visited
+    assert home == 0 and visited == sorted(visited) and len(visited) == 30 and visited[-1] == 1022
+    result = measure(taken, 40, CALIBRATION)
+    step = 1023 / 29
+    assert np.abs(result.lens_position[:3, :3] - 400.4).max() < 0.1 * step
+    assert np.abs(result.lens_position[:3, 3:] - 640.7).max() < 0.1 * step
+    assert result.range_m[:3, :3] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.01)
+    assert np.isnan(result.range_m[3]).all()
+
+
+def test_the_grid_grows_with_the_picture():
+    grown = sweep(Breathing(), 50, quiet)
+    assert grown.growth == pytest.approx(0.05, abs=0.004)
+    assert sweep(Breathing(), 50, quiet, 0.0).growth == 0.0
+    spread = [np.std(measure(sweep(Breathing(), 50, quiet, g), 50, None).lens_position) for g in (0.05, 0.0)]
+    assert spread[0] < 0.7 * spread[1]
+    with pytest.raises(ConfigError, match=r"growth 0\.5"):
+        sweep(Breathing(), 50, quiet, 0.5)
+
+
+def test_a_scene_without_texture_has_no_growth():
+    assert measure_growth([np.full((200, 200), 90, np.uint8)] * 8) is None

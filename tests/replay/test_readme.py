@@ -1,0 +1,30 @@
+"""The README of recordings: its list of files is that of the tree, and its example runs."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.places import GOLDEN, ROOT
+
+REPLAY = ROOT / "replay"
+TEXT = (REPLAY / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_file_is_listed_and_no_other() -> None:
+    listed = re.findall(r"`([\w/]+\.py)`", "".join(re.findall(r"^\| `.*?\| ", TEXT.split("## Files")[1], re.MULTILINE)))
+    there = [path.relative_to(REPLAY).as_posix() for path in REPLAY.rglob("*.py") if path.name != "__init__.py"]
+    assert sorted(listed) == sorted(there)
+
+
+def test_the_example_prints_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(GOLDEN / "three" / "r1.mcap", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (example,) = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    exec(example, {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 320
+    assert any(line.split(maxsplit=1)[1].startswith("State(") for line in lines)
