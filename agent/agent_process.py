@@ -6,14 +6,15 @@ On the way out the motors go off first, then the last state is shown, then links
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple
 
+from agent.clock.part_names import SERIAL, part_name
 from agent.console_log import ConsoleLog
+from agent.fleet_clock import fleet_clock
 from agent.kernel.config import ConfigError, Fleet, Robot
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet, load_robot
@@ -88,27 +89,23 @@ class AgentProcess:
         self._setup, self._stack, self._stop = setup, stack, stop
         self._size = setup.fleet.camera.width_px, setup.fleet.camera.height_px
         self._sockets = twin_dir(setup.fleet)
-        self._epoch_offset_ns = time.time_ns() - time.monotonic_ns()
-        self._incarnation = self.clock()
+        self._clock = fleet_clock(setup.fleet)
+        self._incarnation = self._clock.now_ns()
         self._agent = Agent(setup.fleet, setup.name, setup.calibration, self._incarnation)
-
-    def clock(self) -> int:
-        """Unix time in nanoseconds that never steps back: sampled once, then monotonic."""
-        return self._epoch_offset_ns + time.monotonic_ns()
 
     def open_links(self, out: Path, lossless: bool, views: bool) -> None:
         """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
         fleet, name, calibration = self._setup.fleet, self._setup.name, self._setup.calibration
         with ExitStack() as links:
-            link = links.enter_context(Transport(fleet, name, self.clock))
+            link = links.enter_context(Transport(fleet, name, self._clock.now_ns))
             facts = run_facts(fleet, name, self._incarnation)
             self.log = self._stack.enter_context(
                 black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
             )
             self._stack.push(links.pop_all())
-        self._box = BlackBoxWriter(self.log, self.clock, lossless)
+        self._box = BlackBoxWriter(self.log, self._clock.now_ns, lossless)
         self._network = self._stack.enter_context(ConsoleLog(link, tell))
-        self._stack.callback(say_goodbye, self._agent, self._network, self.clock)
+        self._stack.callback(say_goodbye, self._agent, self._network, self._clock)
 
     def open_eyes(self) -> None:
         """The camera's thread, and previews of what it sees."""
@@ -116,11 +113,12 @@ class AgentProcess:
         enhancer = self._open_enhancer() if fleet.camera.enhance else None
         self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer)
         self._eyes = Vision(
-            lambda: open_camera(self._setup.robot.camera, self._sockets, self._size),
+            lambda: open_camera(self._setup.robot.camera, self._sockets, self._size, self._clock),
             fleet,
             self._setup.calibration.camera,
             self._setup.detectors,
-            epoch_offset_ns=self._epoch_offset_ns,
+            self._clock,
+            name,
             on_frame=self._on_frame,
             enhancer=enhancer,
         )
@@ -130,7 +128,9 @@ class AgentProcess:
     def open_module(self, arm: bool) -> None:
         """The control module. Last, so that its motors are off before anything else ends."""
         port = open_port_path(self._setup.robot.serial, self._sockets)
-        self._module = self._stack.enter_context(Stm32(port, self.clock, tap=self._box.serial))
+        self._module = self._stack.enter_context(
+            Stm32(port, self._clock, tap=self._box.serial, part=part_name(self._setup.name, SERIAL))
+        )
         if arm:
             self._module.arm()
 
@@ -148,7 +148,7 @@ class AgentProcess:
             self._module,
             self._network,
             self._box.step,
-            self.clock,
+            self._clock,
             faults=faults,
             resume=self._module.arm if arm else lambda: None,
         )
@@ -169,11 +169,14 @@ class AgentProcess:
     def _on_frame(self, frame: Frame, sightings: Sequence[Sighting]) -> None:
         """Vision's thread: record, and show to whoever looks."""
         self._box.frame(frame.image, frame.roi, *sightings)
-        if not self._stop.is_set() and (image := self._preview.of(frame, sightings[0], self.clock())) is not None:
+        if (
+            not self._stop.is_set()
+            and (image := self._preview.of(frame, sightings[0], self._clock.now_ns())) is not None
+        ):
             self._network.show(image)
 
     def _log(self, level: Level, text: str) -> None:
-        line = LogLine(robot=self._setup.name, sent_ns=self.clock(), level=level, text=text[:MAX_TEXT])
+        line = LogLine(robot=self._setup.name, sent_ns=self._clock.now_ns(), level=level, text=text[:MAX_TEXT])
         self._network.show(line)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import queue
-import time
 from collections.abc import Callable
+from datetime import datetime
 from threading import Thread
 from types import TracebackType
 from typing import Protocol, Self
@@ -80,7 +80,7 @@ class ConsoleLog:
 
 def line(at_ns: int, robot: str, level: str, text: str) -> str:
     """One line, time of day first, as whoever stands at the tank reads it."""
-    return f"{time.strftime('%H:%M:%S', time.localtime(at_ns * 1e-9))} {robot} {level:7} {text}\n"
+    return f"{datetime.fromtimestamp(at_ns * 1e-9):%H:%M:%S} {robot} {level:7} {text}\n"
 
 
 def standing(state: State) -> str:

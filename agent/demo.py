@@ -7,7 +7,7 @@ until they have settled, stop everything, and only then look at the truth.
 from __future__ import annotations
 
 import json
-import time
+import math
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from agent.clock import machine
 from agent.console_log import hears
+from agent.fleet_clock import fleet_clock
 from agent.fleet_files import fleet_file, shipped_fleet
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import ConfigError, Fleet, Protocol
@@ -51,12 +53,14 @@ def demo(
     out: Path | None,
     console: Console,
     fleet_name: str = "tank",
+    speed: float = 1.0,
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
 
-    `fleet_name`: a fleet file, or the name of one that comes with the package.
+    `fleet_name`: a fleet file, or the name of one that comes with the package. `speed`: of the dive's clock against the
+    wall's, at most.
     """
-    started_s = time.monotonic()
+    started_s = machine.monotonic_s()
     with temporary_folder() as folder:
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, fleet_file(fleet_name))
         run = run_folder(out)
@@ -64,8 +68,8 @@ def demo(
         path.write_text(dump(fleet), encoding="utf-8")
         with crew(run / "logs") as processes:
             calibrate(fleet, path, processes, console)
-            histories, truth = dive(fleet, path, run, duration_s, processes, console)
-    summary = summarize(fleet, histories, truth, time.monotonic() - started_s)
+            histories, truth = dive(fleet, path, run, duration_s, speed, processes, console)
+    summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s)
     (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     for target in summary["targets"]:
         console.print(result_table(summary, target))
@@ -123,12 +127,12 @@ def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> No
 
 
 def dive(
-    fleet: Fleet, path: Path, run: Path, duration_s: float, processes: Crew, console: Console
+    fleet: Fleet, path: Path, run: Path, duration_s: float, speed: float, processes: Crew, console: Console
 ) -> tuple[Histories, dict[str, Any]]:
     """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
     folder = twin_dir(fleet)
     with with_spinner(console, "starting the twin"):
-        processes.start("twin", "twin", str(path))
+        processes.start("twin", "twin", str(path), "--speed", "max" if speed == math.inf else str(speed))
         wait_for("the twin", (folder / "ready").exists, processes, READY_S)
     twin_log = run / "logs" / "twin.log"
     console.print(twin_log.read_text(encoding="utf-8").strip())
@@ -138,13 +142,15 @@ def dive(
         processes.start(name, "agent", str(path), "--robot", name, "--out", str(run), "--arm")
     histories: Histories = {target: {name: History([]) for name in fleet.robot} for target in fleet.target}
     shown = [history for of_target in histories.values() for history in of_target.values()]
-    until_s = time.monotonic() + duration_s
+    clock = fleet_clock(fleet)
+    start_ns = clock.now_ns()
+    until_ns = start_ns + round(duration_s * 1e9)
     console.print(
         f"diving until the robots have settled, at most {duration_s:.0f} s; what they say is in {run / 'logs'}"
     )
     live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
-    with Observer(fleet, time.monotonic_ns, (STATE,)) as observer, live or nullcontext():
-        while time.monotonic() < until_s:
+    with Observer(fleet, clock.now_ns, (STATE,)) as observer, live or nullcontext():
+        while (now_ns := clock.now_ns()) < until_ns:
             for seen in observer.drain():
                 try:
                     state = decode(seen.payload, State)
@@ -152,11 +158,11 @@ def dive(
                 except (Refusal, KeyError):
                     continue  # a stranger's sample: the recorder has it
             if live is not None:
-                live.update(progress_table(histories, until_s - time.monotonic()))
+                live.update(progress_table(histories, (now_ns - start_ns) * 1e-9, duration_s, clock.rate()))
             if settled(shown, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
                 break
             processes.check()
-            time.sleep(0.1)
+            machine.sleep(0.1)
     if not console.is_terminal:
         console.print()  # a table that was drawn once, into a pipe, has no end of line
     processes.stop(*fleet.robot)
@@ -167,10 +173,10 @@ def dive(
     return histories, truth
 
 
-def progress_table(histories: Histories, left_s: float) -> Table:
+def progress_table(histories: Histories, dive_s: float, duration_s: float, rate: float) -> Table:
     """What each robot says of itself and of each target now, in 80 columns."""
     table = Table(
-        title=f"at most {left_s:.0f} s to go",
+        title=f"{dive_s:.0f} s into the dive, at {rate:.2f} times real time; at most {duration_s - dive_s:.0f} s to go",
         title_justify="left",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),

@@ -8,11 +8,11 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from agent.clock import machine
 from agent.failure import Failed
 from agent.kernel.fleet_rules import MAX_PORT
 from agent.parent_watch import ParentWatch, watched_by_us
@@ -78,10 +78,10 @@ class Crew:
         for child in children:
             if child.process.poll() is None:
                 child.process.send_signal(signal.SIGTERM)
-        deadline_s = time.monotonic() + STOP_S
+        deadline_s = machine.monotonic_s() + STOP_S
         for child in children:
             try:
-                child.process.wait(max(0.0, deadline_s - time.monotonic()))
+                child.process.wait(max(0.0, deadline_s - machine.monotonic_s()))
             except subprocess.TimeoutExpired:
                 child.process.kill()
                 child.process.wait()
@@ -111,12 +111,12 @@ def crew(logs: Path) -> Iterator[Crew]:
 
 def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: float) -> None:
     """Poll until ready. Raises Failed when a process ends meanwhile or time runs out."""
-    deadline_s = time.monotonic() + timeout_s
+    deadline_s = machine.monotonic_s() + timeout_s
     while not ready():
         processes.check()
-        if time.monotonic() > deadline_s:
+        if machine.monotonic_s() > deadline_s:
             raise Failed(f"{what} was not ready after {timeout_s:.0f} s")
-        time.sleep(0.05)
+        machine.sleep(0.05)
 
 
 def free_ports(count: int, first: int | None = None) -> list[int]:

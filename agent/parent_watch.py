@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Mapping
 from threading import Thread, main_thread
 from typing import NamedTuple
+
+from agent.clock import machine
 
 VARIABLE = "AUCAMP_PARENT_WATCH"  # of the child's environment: the number of the descriptor to read from
 GRACE_S = 4.0  # from SIGTERM to the end at once; as long as launch gives who is stopped in order
@@ -51,5 +52,5 @@ def _watch(given: int) -> None:
     except OSError:
         return  # not ours: a variable that somebody has handed on
     signal.pthread_kill(main_thread().ident or 0, signal.SIGTERM)  # to the main thread, so that it stops waiting
-    time.sleep(GRACE_S)
+    machine.sleep(GRACE_S)
     os._exit(128 + signal.SIGTERM)  # it hangs, or compiles

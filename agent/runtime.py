@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from threading import Event
 from typing import Protocol
 
 import msgspec
 
+from agent.clock.clock import Clock, Part
+from agent.clock.part_names import LOOP, part_name
 from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
@@ -17,7 +18,8 @@ from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, SweepPlan,
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
 
-STEP_S = 0.05  # 20 Hz: set-points reach the control module often enough to be its heartbeat
+STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
+SLACK_S = 0.025  # how late a step may come before a dive's clock waits for it
 
 Record = Callable[[int, int, bytes, bytes | None], None]  # step, now_ns, inputs, outputs; None: the step raised
 
@@ -47,14 +49,12 @@ class Runtime:
         module: ControlModule,
         network: Network,
         record: Record,
-        clock: Callable[[], int],
+        clock: Clock,
         *,
         faults: Callable[[], Mapping[str, str | None]] = dict,
         resume: Callable[[], None] = lambda: None,
     ) -> None:
-        """`clock` gives Unix time in nanoseconds that never steps back.
-
-        `faults`: what is wrong now with what the agent does not see, by kind; None: nothing. `resume` is called when
+        """`faults`: what is wrong now with what the agent does not see, by kind; None: nothing. `resume` is called when
         a robot rises for no other reason than our silence.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
@@ -63,13 +63,17 @@ class Runtime:
         self._told: dict[str, str | None] = {}  # faults, as they were last told
 
     def run(self, stop: Event) -> None:
-        """Step at 20 Hz until `stop` is set."""
-        number, due_s = 0, time.monotonic()
-        while not stop.is_set():
-            self.step(number)
-            number += 1
-            due_s = max(due_s + STEP_S, time.monotonic() - STEP_S)  # after a stall: no burst of late steps
-            stop.wait(max(0.0, due_s - time.monotonic()))
+        """Step at 20 Hz of the clock until `stop` is set."""
+        part = Part(self._clock, part_name(self._name, LOOP), SLACK_S)
+        number, due_ns = 0, self._clock.now_ns()
+        try:
+            while not stop.is_set():
+                self.step(number)
+                number += 1
+                due_ns = max(due_ns + STEP_NS, self._clock.now_ns() - STEP_NS)  # after a stall: no burst of late steps
+                part.wait(stop, due_ns)
+        finally:
+            part.leave()
 
     def step(self, number: int) -> None:
         """Once around the loop."""
@@ -79,7 +83,7 @@ class Runtime:
         heard, refused = self._network.drain()
         sightings = tuple(self._eyes.drain())
         inputs = Inputs(telemetry=tuple(telemetry), sightings=sightings, heard=heard, refused=refused)
-        now_ns = self._clock()
+        now_ns = self._clock.now_ns()
         try:
             outputs = self._agent.step(inputs, now_ns)
         except Exception:
@@ -113,11 +117,11 @@ class Runtime:
         self._network.show(LogLine(robot=self._name, sent_ns=now_ns, level=level, text=text[:MAX_TEXT]))
 
 
-def say_goodbye(agent: Agent, network: Network, clock: Callable[[], int]) -> None:
+def say_goodbye(agent: Agent, network: Network, clock: Clock) -> None:
     """Show the last state of each target: it tells a planned end from a crash."""
     for target in agent.targets.values():
         if (state := target.last_state) is not None:
-            network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock()))
+            network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock.now_ns()))
 
 
 def surfacing_for_silence(telemetry: Telemetry) -> bool:

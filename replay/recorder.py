@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
+from agent.clock import machine
+from agent.clock.clock import Clock
 from agent.kernel import topics
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import ConfigError, Fleet
@@ -41,6 +42,7 @@ def record(
     fleet: Fleet,
     out: Path,
     stop: threading.Event,
+    clock: Clock,
     warn: Callable[[str], None] = logger.warning,
     views: bool = True,
     limits: Limits = Limits(),  # noqa: B008 - a NamedTuple cannot change
@@ -48,17 +50,12 @@ def record(
     """Record into `out` until `stop` is set; returns messages per topic, and what was not recorded by reason.
 
     Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap.
-    Log times are Unix time that never steps back: sampled once, then monotonic. `warn` takes one line for a person,
+    Log times are the clock's. `warn` takes one line for a person,
     `views` adds channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
     has become full, and if no session can be opened.
     """
-    offset_ns = time.time_ns() - time.monotonic_ns()
-
-    def clock() -> int:
-        return offset_ns + time.monotonic_ns()
-
-    started_ns = clock()
-    arrivals = Arrivals(clock)
+    started_ns = clock.now_ns()
+    arrivals = Arrivals(clock.now_ns)
     warned = False
     torn = torn_files(out)
     if torn and not out.exists():
@@ -68,12 +65,12 @@ def record(
         out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=ViewerChannels(fleet) if views else None
     )
     with log, recovering(torn, warn), receiving(fleet, arrivals, "recorder"):
-        while not stop.wait(PERIOD_S):
+        while not machine.wait(stop, PERIOD_S):
             for entry in arrivals.drain():
                 log.put(entry)
             if log.failed:
                 raise ConfigError(f"{out}: recording stopped: {log.failed}")
-            if not warned and not any(arrivals.counts.values()) and clock() - started_ns > SILENCE_S * 1e9:
+            if not warned and not any(arrivals.counts.values()) and clock.now_ns() - started_ns > SILENCE_S * 1e9:
                 warned = True
                 warn(f"nothing heard from fleet '{fleet.fleet}' in {SILENCE_S:.0f} s: no robot up, or another fleet")
         for entry in arrivals.drain():

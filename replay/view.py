@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
+from agent.clock import machine
+from agent.clock.clock import Clock
 from agent.kernel.config import ConfigError, Fleet
 from replay.files.backlog import Entry
 from replay.recorder import PERIOD_S, Arrivals, receiving
@@ -22,7 +23,9 @@ HOST = "127.0.0.1"  # whoever can reach the port sees everything: other hosts co
 PORT = 8765  # Foxglove's own
 
 
-def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[str], None] = lambda line: None) -> None:
+def view(
+    fleet: Fleet, stop: threading.Event, clock: Clock, port: int = PORT, say: Callable[[str], None] = lambda line: None
+) -> None:
     """Serve until `stop` is set. Raises ConfigError without the extra `view`, or if the port is taken.
 
     `say` gets one line: where to look.
@@ -31,7 +34,7 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
         import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
     except ImportError:
         raise ConfigError("the live view needs the extra `view`: pip install 'aucamp[view]'") from None
-    arrivals, derive = Arrivals(time.time_ns), ViewerChannels(fleet)
+    arrivals, derive = Arrivals(clock.now_ns), ViewerChannels(fleet)
     context = foxglove.Context()
     channels: dict[str, Any] = {}
 
@@ -50,7 +53,7 @@ def view(fleet: Fleet, stop: threading.Event, port: int = PORT, say: Callable[[s
             raise ConfigError(f"port {port} of {HOST}: {error}; choose another with --port") from None
         try:
             say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
-            while not stop.wait(PERIOD_S):
+            while not machine.wait(stop, PERIOD_S):
                 for entry in arrivals.drain():
                     for derived in derive(entry):
                         show(derived)

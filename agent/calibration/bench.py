@@ -6,13 +6,14 @@ module, its motors off.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import msgspec
 
 from agent.calibration.procedure import Place
+from agent.clock import machine
+from agent.clock.clock import SystemClock
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Vector
 from agent.kernel.step_io import SetPoint
@@ -54,17 +55,18 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
     with ExitStack() as stack:
         camera = open_camera(robot.camera, twin_dir(fleet), size(fleet))
         stack.callback(camera.close)
-        module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), time.monotonic_ns))
+        clock = SystemClock()
+        module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock))
         asked: Vector | None = None
 
         def place(board_m: Vector | None, servos_us: tuple[int, int]) -> None:
             nonlocal asked
-            module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), time.monotonic_ns())
+            module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), clock.now_ns())
             if board_m is not None and board_m != asked:
                 x, y, z = board_m
                 input(f"board {x:.3f} m ahead of the gimbal's pivot, {y:+.3f} m left, {z:+.3f} m up; then press Enter ")
             asked = board_m
-            time.sleep(SERVO_S)
+            machine.sleep(SERVO_S)
 
         yield camera, place
 

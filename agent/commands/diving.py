@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.commands.options import FleetFile, Port, RobotName, complain, terminal
+from agent.commands.options import FleetFile, Port, RobotName, Speed, complain, terminal
 from agent.kernel.config import Protocol
 from agent.kernel.fleet_reader import load_fleet
 
@@ -20,17 +20,18 @@ def demo(
     protocol: Annotated[Protocol, typer.Option(help="How robots agree.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
-    duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds, calibration not counted.")] = 120.0,
+    duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds of the dive.")] = 120.0,
     enhance: Annotated[bool, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help="A fleet that ships (tank, two_balls), or a fleet file.")] = "tank",
+    speed: Speed = 1.0,
 ) -> None:
     """Robots find a ball in the twin's tank within two minutes; a table at the end, recordings and a report."""
     from agent.demo import demo as dive
     from agent.pictures.recorded_depth import sweep_depth
     from replay.report.report import report
 
-    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet)
+    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed)
     report(run, depth=sweep_depth)
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
@@ -56,11 +57,12 @@ def twin(
     bench: Annotated[
         str | None, typer.Option(metavar="ROBOT", help="Clamp this robot on the calibration bench instead.")
     ] = None,
+    speed: Speed = 1.0,
 ) -> None:
-    """The tank twin, until Ctrl-C: serial ports and cameras for every robot whose devices are `twin:`."""
+    """The tank twin, until Ctrl-C: serial ports and cameras for every robot, and the clock that all follow."""
     from hw.twin.__main__ import run
 
-    raise typer.Exit(run(fleet, bench=bench))
+    raise typer.Exit(run(fleet, bench=bench, speed=speed))
 
 
 @app.command(epilog="Example: aucamp record fleet.toml --out fleet.mcap")
@@ -70,13 +72,14 @@ def record(
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
     """Record all traffic of a fleet until Ctrl-C or SIGTERM. The robots do not notice."""
+    from agent.fleet_clock import fleet_clock
     from agent.stop_signal import until_signal
     from replay.recorder import record as run
 
     with until_signal() as stop:
         robots = load_fleet(fleet)
         complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
-        counts = run(robots, out, stop, views=view)
+        counts = run(robots, out, stop, fleet_clock(robots), views=view)
     terminal().print(", ".join(f"{name} {count}" for name, count in counts.items()))
 
 
@@ -96,8 +99,10 @@ def view(
     port: Port = 8765,
 ) -> None:
     """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C."""
+    from agent.fleet_clock import fleet_clock
     from agent.stop_signal import until_signal
     from replay.view import view as serve
 
+    robots = load_fleet(fleet)
     with until_signal() as stop:
-        serve(load_fleet(fleet), stop, port, typer.echo)
+        serve(robots, stop, fleet_clock(robots), port, typer.echo)

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.clock.clock import StandingClock
 from agent.experiments.choices import DEFAULT_SENSOR
 from agent.experiments.posed_robot import PosedRobot, rotation_of
 from agent.experiments.result import Row
@@ -85,7 +86,7 @@ def ball_measurements(
     x, y = (n if rng.random() < 0.5 else side - n for n, side in zip(near, fleet.tank.size_m[:2], strict=True))
     ball_m = (x, y, radius_m)
     robot.submerge(WATERS[seed % len(WATERS)], Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3))
-    vision = Vision(_no_camera, fleet, known.camera, load_detectors(fleet, known.camera), epoch_offset_ns=0)
+    vision = Vision(_no_camera, fleet, known.camera, load_detectors(fleet, known.camera), StandingClock())
     for _ in range(count):
         reach_m = float(rng.uniform(*RANGE_M)) if distance_m is None else distance_m
         placement = draw_placement(fleet, ball_m, reach_m, rng)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.clock.clock import StandingClock
 from agent.kernel.config import Fleet
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Sighting
@@ -23,7 +24,7 @@ def rerun_vision(fleet: Fleet, camera: CameraFit) -> See:
 
     What the devices said, time, number and lens position, is taken from then; what the image says is new.
     """
-    vision = Vision(_no_camera, fleet, camera, load_detectors(fleet, camera), epoch_offset_ns=0)
+    vision = Vision(_no_camera, fleet, camera, load_detectors(fleet, camera), StandingClock())
 
     def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, first: Sighting | None) -> Sighting:
         frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))

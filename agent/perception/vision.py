@@ -7,7 +7,6 @@ an agent that stands still for a minute finds the newest seconds, not the whole 
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -15,6 +14,9 @@ from threading import Condition, Thread
 
 import cv2
 
+from agent.clock import machine
+from agent.clock.clock import Clock, Part
+from agent.clock.part_names import CAMERA, part_name
 from agent.kernel.config import Fleet
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Sighting, SweepPlan
@@ -28,15 +30,16 @@ IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or
 HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
+SLACK_S = 0.025  # how long a frame may be looked at before a dive's clock waits
 QUEUE = 256  # sightings nobody has fetched: 8 s of frames at 30 per second
 
 
 class Vision:
     """Frames in, Sightings out. Start it once, close it once; the other methods may be called from any thread.
 
-    `open_camera` raises CameraError while there is no camera. `detectors` has one for each target. `epoch_offset_ns` is
-    added to the monotonic time of a frame. `on_frame(frame, sightings)` runs on this thread after each frame; it must
-    not block. `enhancer`: for frames where the fleet file asks for it; by default with the best way that is installed.
+    `open_camera` raises CameraError while there is no camera. `detectors` has one for each target. The `robot`'s clock
+    waits for the thread. `on_frame(frame, sightings)` runs on it after each frame and must not block. `enhancer`: for
+    frames where the fleet file asks for it; by default with the best way that is installed.
     """
 
     def __init__(
@@ -45,7 +48,8 @@ class Vision:
         fleet: Fleet,
         camera: CameraFit,
         detectors: Mapping[str, Detector],
-        epoch_offset_ns: int,
+        clock: Clock,
+        robot: str = "",
         on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
         enhancer: OnDemandEnhancer | None = None,
     ) -> None:
@@ -53,7 +57,8 @@ class Vision:
         self._settings = fleet.camera
         self._detectors = detectors
         self._whole = camera.width_px, camera.height_px
-        self._epoch_offset_ns = epoch_offset_ns
+        self._clock, self._robot = clock, robot
+        self._part: Part | None = None  # while it waits between frames
         self._on_frame = on_frame
         self._enhancer = enhancer or OnDemandEnhancer()
         self._changed = Condition()  # guards the next three
@@ -78,7 +83,7 @@ class Vision:
             raise ValueError(f"sweep {plan.sweep} visits no lens position")
         with self._changed:
             self._plan = plan
-            self._changed.notify()
+            self._wake()
 
     def drain(self) -> list[Sighting]:
         """All Sightings since the last call, oldest first."""
@@ -91,11 +96,24 @@ class Vision:
         """Stop and join; waits at most a second for a frame that is under way."""
         with self._changed:
             self._closing = True
-            self._changed.notify()
+            self._wake()
         if self._thread.is_alive():
             self._thread.join(1.0)
 
+    def _wake(self) -> None:
+        """News for the thread; the caller holds the lock."""
+        if self._part is not None:
+            self._part.resume()
+        self._changed.notify()
+
     def _run(self) -> None:
+        part = Part(self._clock, part_name(self._robot, CAMERA), SLACK_S)
+        try:
+            self._see(part)
+        finally:
+            part.leave()
+
+    def _see(self, part: Part) -> None:
         if self._settings.enhance:
             one_thread()
         cv2.setNumThreads(1)  # two milliseconds a frame; several agents share a few cores
@@ -106,32 +124,32 @@ class Vision:
                 try:
                     self._lens_position = None
                     while not self._closing:
-                        self._work(camera)
+                        self._work(camera, part)
                         self.fault, pause_s = None, RETRY_S[0]
                 finally:
                     camera.close()
             except CameraError as error:
                 self.errors += 1
                 self.fault = str(error)
-                self._wait(pause_s, until_plan=False)
+                self._wait(part, pause_s, until_plan=False)
                 pause_s = min(2.0 * pause_s, RETRY_S[1])
 
-    def _work(self, camera: Camera) -> None:
+    def _work(self, camera: Camera, part: Part) -> None:
         """One plan, or one idle frame."""
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
             self._look(camera, tuple(self._detectors))
-            self._wait(IDLE_PERIOD_S, until_plan=True)
+            self._wait(part, IDLE_PERIOD_S, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
         else:
-            self._sweep(camera, plan)
+            self._sweep(camera, plan, part)
 
-    def _sweep(self, camera: Camera, plan: SweepPlan) -> None:
+    def _sweep(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))
         self._lens_position = camera.set_focus(plan.focus[0])
-        self._wait(HOMING_S, until_plan=True)
+        self._wait(part, HOMING_S, until_plan=True)
         first: Sighting | None = None
         for index, lens_position in enumerate(plan.focus[1:], start=1):
             if self._closing or self._plan is not None:
@@ -155,7 +173,7 @@ class Vision:
         searched for all of them: who comes into view is noticed, whoever is being measured.
         """
         last = self._last.get(targets[0])
-        part = sweep and not (self._settings.enhance and self._enhancer.wants_whole(time.monotonic_ns()))
+        part = sweep and not (self._settings.enhance and self._enhancer.wants_whole(machine.monotonic_ns()))
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
@@ -182,7 +200,7 @@ class Vision:
         found = self._enhancer.look(find, frame, self._whole) if enhance else find(frame.image)
         clarity, area_px = UNSEEN if found is None else target_clarity(frame, found, first)
         return Sighting(
-            t_ns=frame.t_ns + self._epoch_offset_ns,
+            t_ns=frame.t_ns + self._clock.camera_offset_ns,
             frame=frame.seq,
             sweep=sweep,
             index=index,
@@ -197,15 +215,15 @@ class Vision:
             size_px=found.size_px if found else None,
         )
 
-    def _wait(self, seconds: float, until_plan: bool) -> None:
+    def _wait(self, part: Part, seconds: float, until_plan: bool) -> None:
         """Sleep; cut short by close(), and by a plan if wanted."""
-        deadline = time.monotonic() + seconds
+        until_ns = self._clock.now_ns() + round(seconds * 1e9)
         with self._changed:
+            self._part = part
             while not self._closing and not (until_plan and self._plan is not None):
-                left = deadline - time.monotonic()
-                if left <= 0.0:
-                    return
-                self._changed.wait(left)
+                if not part.wait_changed(self._changed, until_ns):
+                    break
+            self._part = None
 
 
 def target_clarity(frame: Frame, found: Found, first: Sighting | None) -> Clarity:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from agent.clock import machine
 from agent.kernel.config import ConfigError
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 from hw.picture_files import read_picture
@@ -63,7 +63,7 @@ class StackCamera:
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
         if self._image is None:
             self._image = self._photograph()
-        frame = _frame(time.monotonic_ns(), self._seq, self._image, roi)
+        frame = _frame(machine.monotonic_ns(), self._seq, self._image, roi)
         self._seq += 1
         return frame
 

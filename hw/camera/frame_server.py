@@ -7,12 +7,12 @@ import select
 import socket
 import stat
 import threading
-import time
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from agent.clock.clock import SystemClock
 from hw.camera.camera import CameraError, FocusRange, Frame, Roi
 from hw.camera.frame_socket import (
     BUSY,
@@ -58,6 +58,7 @@ class FrameServer:
     def __init__(self, path: Path, source: FrameSource) -> None:
         self.path = path
         self._source = source
+        self._clock = SystemClock()  # a client that hangs is no event of a dive
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
         self._thread: threading.Thread | None = None
@@ -112,7 +113,8 @@ class FrameServer:
         """Serve one request; False if the client is gone or has to go."""
         header = bytearray(REQUEST_SIZE)
         try:
-            receive_into(client, memoryview(header), time.monotonic() + STALL_S)
+            until_ns = self._clock.now_ns() + round(STALL_S * 1e9)
+            receive_into(client, memoryview(header), self._clock, until_ns)
             reply, payload = self._reply(bytes(header))
             _send(client, reply, payload)
         except (EOFError, OSError):

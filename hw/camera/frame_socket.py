@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import socket
 import struct
-import time
 import zlib
 from typing import NamedTuple
 
+from agent.clock.clock import Clock
 from hw.camera.camera import Roi
 
 MAGIC = b"AUC1"
@@ -80,14 +80,17 @@ def parse_reply(header: bytes) -> Reply:
     return Reply(status, number, seq, t_ns, Roi(x, y, width, height), nbytes)
 
 
-def receive_into(connection: socket.socket, buffer: memoryview, deadline_s: float) -> None:
-    """Fill `buffer`. Raises EOFError if the other side hangs up, TimeoutError after time.monotonic() `deadline_s`."""
+def receive_into(connection: socket.socket, buffer: memoryview, clock: Clock, until_ns: int) -> None:
+    """Fill `buffer`. Raises EOFError if the other side hangs up, TimeoutError when it is until_ns by the clock."""
     while buffer:
-        left_s = deadline_s - time.monotonic()
+        left_s = clock.wall_s(until_ns)
         if left_s <= 0:
             raise TimeoutError
         connection.settimeout(left_s)
-        count = connection.recv_into(buffer)
+        try:
+            count = connection.recv_into(buffer)
+        except TimeoutError:
+            continue  # the clock may have stood meanwhile
         if count == 0:
             raise EOFError
         buffer = buffer[count:]

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from agent.clock.clock import Clock, SystemClock
 from hw.camera.camera import Camera, CameraError
 
 SCHEMES = {"twin": "ROBOT", "stack": "DIR", "video": "FILE", "v4l2": "/dev/video0 or NAME"}  # scheme -> what follows it
 
 
-def open_camera(url: str, twin_dir: Path, size: tuple[int, int] | None) -> Camera:
+def open_camera(url: str, twin_dir: Path, size: tuple[int, int] | None, clock: Clock | None = None) -> Camera:
     """Open what `url` names: SCHEME:PLACE, see SCHEMES. The caller closes it.
 
-    size: (width, height) that the calibration is for, in pixels; None takes what comes.
+    size: (width, height) that the calibration is for, in pixels; None takes what comes. clock: by which a camera of
+    the twin is waited for, the system's if not given.
     Raises CameraError for a wrong address or another size, CameraGone if nothing answers there now.
     """
     scheme, place = known_scheme(url)
-    camera = _open(scheme, place, twin_dir, size)
+    camera = _open(scheme, place, twin_dir, size, clock or SystemClock())
     if size is not None and camera.size != size:
         camera.close()
         raise CameraError(
@@ -35,12 +37,12 @@ def known_scheme(url: str) -> tuple[str, str]:
     return scheme, place
 
 
-def _open(scheme: str, place: str, twin_dir: Path, size: tuple[int, int] | None) -> Camera:
+def _open(scheme: str, place: str, twin_dir: Path, size: tuple[int, int] | None, clock: Clock) -> Camera:
     # Imported when asked for: nobody needs the libraries of a camera that is not there.
     if scheme == "twin":
         from hw.camera.twin import open_twin
 
-        return open_twin(Path(place) if "/" in place else twin_dir / f"{place}.camera")
+        return open_twin(Path(place) if "/" in place else twin_dir / f"{place}.camera", clock)
     if scheme == "v4l2":
         from hw.camera.v4l2 import open_v4l2
 

@@ -6,18 +6,19 @@ import contextlib
 import itertools
 import socket
 import struct
-import time
 from pathlib import Path
 
 import numpy as np
 
+from agent.clock.clock import Clock, SystemClock
 from hw.camera import frame_socket
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
 from hw.camera.frame_socket import FULL, INFO, OK, READ, SET_FOCUS, Reply, Request
 
 
-def open_twin(path: Path) -> TwinCamera:
-    """Connect to the camera socket at `path`. Raises CameraGone if nobody serves it, CameraError if it is in use."""
+def open_twin(path: Path, clock: Clock | None = None) -> TwinCamera:
+    """Connect to the camera socket at `path`; frames are waited for by `clock`, the system's if not given.
+    Raises CameraGone if nobody serves it, CameraError if it is in use."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     connection.settimeout(PATIENCE_S)
     try:
@@ -26,7 +27,7 @@ def open_twin(path: Path) -> TwinCamera:
         connection.close()
         reason = error.strerror or error
         raise CameraGone(f"{path}: no twin serves a camera here ({reason}); start it with: aucamp twin FLEET") from None
-    camera = TwinCamera(connection, path)
+    camera = TwinCamera(connection, path, clock or SystemClock())
     try:
         camera.ask_info()
     except CameraError:
@@ -38,11 +39,12 @@ def open_twin(path: Path) -> TwinCamera:
 class TwinCamera:
     """One connection, closed after CameraGone: what was late must not be taken for the next answer."""
 
-    def __init__(self, connection: socket.socket, path: Path) -> None:
+    def __init__(self, connection: socket.socket, path: Path, clock: Clock) -> None:
         self.size = (0, 0)
         self._focus_range = FocusRange(0, 0, 1)
         self._connection = connection
         self._path = path
+        self._clock = clock
         self._ids = itertools.count(1)
 
     def ask_info(self) -> None:
@@ -78,14 +80,14 @@ class TwinCamera:
 
     def _ask(self, request: Request, timeout_s: float) -> tuple[Reply, bytearray]:
         """One request, one reply. Raises CameraGone when the stream is of no more use."""
-        deadline_s = time.monotonic() + timeout_s
+        until_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         try:
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # why we were refused is still to be read
                 self._connection.settimeout(timeout_s)
                 self._connection.sendall(frame_socket.pack_request(request))
-            header = self._receive(frame_socket.REPLY_SIZE, deadline_s)
+            header = self._receive(frame_socket.REPLY_SIZE, until_ns)
             reply = frame_socket.parse_reply(bytes(header))
-            payload = self._receive(reply.nbytes, deadline_s)
+            payload = self._receive(reply.nbytes, until_ns)
         except TimeoutError:
             raise self._gone(f"no answer within {timeout_s} s") from None
         except (EOFError, OSError):
@@ -100,9 +102,9 @@ class TwinCamera:
             raise self._gone(f"answered request {reply.id} instead of {request.id}")
         return reply, payload
 
-    def _receive(self, count: int, deadline_s: float) -> bytearray:
+    def _receive(self, count: int, until_ns: int) -> bytearray:
         buffer = bytearray(count)
-        frame_socket.receive_into(self._connection, memoryview(buffer), deadline_s)
+        frame_socket.receive_into(self._connection, memoryview(buffer), self._clock, until_ns)
         return buffer
 
     def _gone(self, why: str) -> CameraGone:

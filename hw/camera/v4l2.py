@@ -7,9 +7,9 @@ tells the range of its focus.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 
+from agent.clock import machine
 from hw.camera import v4l2_calls as v4l2
 from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable, nearest
 from hw.camera.v4l2_calls import Device
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 
 def open_v4l2(
-    place: str, size: tuple[int, int] | None, system: System = LINUX, clock_ns: Callable[[], int] = time.monotonic_ns
+    place: str, size: tuple[int, int] | None, system: System = LINUX, clock_ns: Callable[[], int] = machine.monotonic_ns
 ) -> V4l2Camera:
     """Open the camera at a path, or of a name or port; let its exposure settle and lock it.
 

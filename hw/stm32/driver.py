@@ -15,6 +15,8 @@ from typing import Literal
 
 import serial
 
+from agent.clock import machine
+from agent.clock.clock import Clock, Part, wait
 from agent.kernel.config import ConfigError
 from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
@@ -24,11 +26,13 @@ from hw.stm32.protocol import Counters, HostProtocol
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
-TURN_S = 0.05  # the thread looks at least so often whether something is to be said again
+TURN_NS = 50_000_000  # the thread looks at least so often whether something is to be said again
 MAX_WAITING = 1024  # bytes not yet taken by the port: beyond it a set-point is stale before it leaves
 Mode = Literal["hold", "stabilise", "surface", "bench"]
 Tap = Callable[[bool, bytes], None]  # (whether from the board, bytes), called in the driver's thread
 MODES: tuple[Mode, ...] = ("hold", "stabilise", "surface", "bench")  # in the order of wire.HOLD ...
+SLACK_S = 0.025  # how long an order may lie here before a dive's clock waits
+SLOWEST = 0.2  # a dive's clock may be slower, but whoever ends does not wait for it
 LAST_ORDER_S = 0.3  # how long close() waits for the board to say that the motors are off
 
 
@@ -65,10 +69,11 @@ class Stm32:
     As a context manager it starts on entry and closes, motors first, on the way out, exception or not.
     """
 
-    def __init__(self, port: str, clock: Callable[[], int], baud: int = BAUD, tap: Tap | None = None) -> None:
-        """`clock` gives the nanoseconds that telemetry is stamped with; `tap` sees the bytes of both directions."""
+    def __init__(self, port: str, clock: Clock, baud: int = BAUD, tap: Tap | None = None, part: str = "") -> None:
+        """`clock` stamps telemetry and waits for the thread as `part`; `tap` sees the bytes of both directions."""
         self.port = port
-        self._clock = clock
+        self._clock, self._name = clock, part
+        self._part: Part | None = None
         self._tap = tap
         self._baud = baud
         self._protocol = HostProtocol(0)
@@ -187,7 +192,7 @@ class Stm32:
             connected = self._connected
         if connected:
             self._stop(wire.DISARM)
-            self._silent.wait(LAST_ORDER_S)
+            machine.wait(self._silent, LAST_ORDER_S / min(max(self._clock.rate(), SLOWEST), 1.0))
         self._closing.set()
         self._wake()
         self._thread.join(2.0)
@@ -222,40 +227,52 @@ class Stm32:
 
     def _wake(self) -> None:
         with self._lock, contextlib.suppress(BlockingIOError):  # it is full of wake-ups already
+            if self._part is not None:
+                self._part.resume()
             if self._wake_write >= 0:
                 os.write(self._wake_write, b"\0")
 
     # --- the thread -----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        part = Part(self._clock, self._name, SLACK_S)
+        try:
+            self._keep_open(part)
+        finally:
+            with self._lock:
+                self._part = None
+            part.leave()
+
+    def _keep_open(self, part: Part) -> None:
         pause_s = BACK_OFF_S[0]
         while not self._closing.is_set():
             try:
                 # exclusive is a lock on the file: two agents on one board would fight over it
                 with serial.Serial(self.port, self._baud, exclusive=True) as port:
                     pause_s = BACK_OFF_S[0]
-                    self._serve(port.fileno())
+                    self._serve(port.fileno(), part)
             except OSError as error:
                 self._lost(error)
-                self._closing.wait(pause_s)
+                part.rest()
+                wait(self._clock, self._closing, pause_s)
                 pause_s = min(2 * pause_s, BACK_OFF_S[1])
 
     def _lost(self, error: OSError) -> None:
         with self._lock:
-            self._connected = False
+            self._connected, self._part = False, None
             self._protocol.hung_up()
             self._protocol.say("warning", f"{self.port}: {reason(error)}")
 
-    def _serve(self, fd: int) -> None:
+    def _serve(self, fd: int, part: Part) -> None:
         """Carry bytes both ways until close(). Raises OSError when the port goes away."""
         os.set_blocking(fd, False)
         with self._lock:
             self._protocol.connected()
             self._waiting.clear()
-            self._connected = True
+            self._connected, self._part = True, part
         while not self._closing.is_set():
             with self._lock:
-                self._waiting += self._protocol.due(self._clock())
+                self._waiting += self._protocol.due(self._clock.now_ns())
                 if self._waiting:
                     with contextlib.suppress(BlockingIOError):
                         sent = self._waiting[: os.write(fd, self._waiting)]
@@ -265,7 +282,9 @@ class Stm32:
                 if self._protocol.is_answered():
                     self._silent.set()
                 writable = [fd] if self._waiting else []
-            readable, _, _ = select.select([fd, self._wake_read], writable, [], TURN_S)
+                part.rest()
+            turn_s = self._clock.wall_s(self._clock.now_ns() + TURN_NS)
+            readable, _, _ = select.select([fd, self._wake_read], writable, [], turn_s)
             if self._wake_read in readable:
                 os.read(self._wake_read, 4096)
             if fd in readable:
@@ -275,4 +294,4 @@ class Stm32:
                 if self._tap is not None:
                     self._tap(True, chunk)
                 with self._lock:
-                    self._protocol.receive(chunk, self._clock())
+                    self._protocol.receive(chunk, self._clock.now_ns())

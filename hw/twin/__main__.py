@@ -7,12 +7,14 @@ import json
 import signal
 import sys
 import threading
-import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
+from agent.clock.keeper import Keeper, how_it_went
+from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.fleet_reader import load_fleet, load_robot
 from hw.camera.camera import CameraError
@@ -21,20 +23,22 @@ from hw.twin.bench import Bench
 from hw.twin.bench_socket import serve
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
-from hw.twin.devices.twin_folder import locked, twin_dir
+from hw.twin.devices.twin_folder import clock_path, locked, twin_dir
 from hw.twin.dive import Dive
 from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.pace import run_at_wall_clock
+from hw.twin.pace import run_by_clock
 from hw.twin.physics.rotation import euler_rad
+from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Scene, generator, load_scene
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def run(fleet_path: Path, *, bench: str | None = None) -> int:
+def run(fleet_path: Path, *, bench: str | None = None, speed: float = 1.0) -> int:
     """Serve every robot of the fleet that has a `twin:` port or camera until SIGINT or SIGTERM; main thread only.
 
+    `speed`: of the dive's clock against the wall's, at most; inf: as fast as the machine allows.
     Returns 0 after a signal and 2, with one line on stderr, for anything that the user can put right.
     """
     stop = threading.Event()
@@ -48,7 +52,7 @@ def run(fleet_path: Path, *, bench: str | None = None) -> int:
             folder = stack.enter_context(locked(twin_dir(fleet)))
             try:
                 if bench is None:
-                    _dive(fleet, fleet_path, folder, stop, stack)
+                    _dive(fleet, fleet_path, folder, stop, stack, speed)
                 else:
                     _calibrate(fleet, bench, folder, stop, stack)
             finally:
@@ -65,7 +69,7 @@ def run(fleet_path: Path, *, bench: str | None = None) -> int:
     return 0
 
 
-def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
+def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, stack: ExitStack, speed: float) -> None:
     robots = [name for name, r in fleet.robot.items() if "twin:" in (r.serial[:5], r.camera[:5])]
     if not robots:
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
@@ -73,32 +77,36 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     targets_m = _targets_m(fleet, scene, fleet_path)
     optics = [_optics(fleet, scene, name) for name in robots]
     Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
-    dive = Dive(fleet, robots, time.monotonic_ns(), waves=scene.waves, faults=scene.event)
+    clock = RunClock(clock_path(fleet))
+    dive = Dive(fleet, robots, clock.now_ns(), waves=scene.waves, faults=scene.event)
     runs = interpreter()
     sys.stdout.write(f"twin: {', '.join(robots)} in scene {scene.name}, firmware under {runs}, files in {folder}\n")
     dive.boards = [
         Board(name, folder, tare_pa, interpreter=runs) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)
     ]
+    keeper = Keeper(clock_path(fleet), robots, dive.now_ns, speed, TICK_NS)
     servers: list[FrameServer] = []
     for i, (name, (lens, vcm, painter)) in enumerate(zip(robots, optics, strict=True)):
-        clock = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))
-        camera = DiveCamera(i, dive.history, lens, vcm, painter, fleet.body.camera_m, clock)
+        shutter = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))
+        rendering = partial(keeper.frame, name)
+        at_m = fleet.body.camera_m
+        camera = DiveCamera(i, dive.history, lens, vcm, painter, at_m, shutter, keeper.now_ns, rendering)
         servers.append(FrameServer(folder / f"{name}.camera", camera))
     devices: list[Board | FrameServer] = [*dive.boards, *servers]
     stack.callback(_close_together, devices)
     stack.callback(dive.history.close)  # before that: cameras that wait for a frame give up
+    stack.callback(keeper.close)
     for device in devices:
         device.start()
     _write_truth(folder / "truth.json", fleet, targets_m, dive)
     _be_ready(folder, stop)
-    overruns = run_at_wall_clock(dive, stop)
-    if overruns:
-        sys.stderr.write(f"twin: {overruns} of {dive.ticks} ticks came over 0.1 s late; this machine is too busy\n")
+    run_by_clock(dive, keeper, stop)
+    sys.stderr.write(f"twin: {how_it_went(keeper.story())}\n")
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
     empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing stands before the chessboard
-    bench = Bench(fleet, robot, *_optics(fleet, empty, robot), time.monotonic_ns())
+    bench = Bench(fleet, robot, *_optics(fleet, empty, robot), RunClock(clock_path(fleet)).now_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)
     stack.callback(server.close)
@@ -171,8 +179,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m hw.twin", description=__doc__)
     parser.add_argument("fleet", type=Path, metavar="FLEET", help="fleet.toml")
     parser.add_argument("--bench", metavar="ROBOT", help="serve this robot's camera in front of a calibration board")
+    parser.add_argument("--speed", type=float, default=1.0, help="of the dive's clock, at most; inf: no limit")
     arguments = parser.parse_args()
-    return run(arguments.fleet, bench=arguments.bench)
+    return run(arguments.fleet, bench=arguments.bench, speed=arguments.speed)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from typing import assert_never
 
 import numpy as np
 
+from agent.clock import machine
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import Vector
 from hw.twin.devices.board import Board
@@ -78,6 +79,7 @@ class Dive:
         self.sensor_faults = SensorFaults(len(robots))
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
         self.boards: list[Board] = []
+        self.answered_s = [0.0] * len(robots)  # how long, on the wall, the last tick waited for each firmware
         self.history = History(len(robots), start_ns)
         self.ticks = 0
         self._start_ns = start_ns
@@ -104,7 +106,9 @@ class Dive:
         The 10 ms that an answer acts in begin at the tick it answers, in lock-step as at the wall clock.
         """
         for i, board in enumerate(self.boards):
+            asked_s = machine.monotonic_s()
             act = board.act(patience_s)
+            self.answered_s[i] = machine.monotonic_s() - asked_s
             if act is not None:
                 self._actuate(i, act)
             elif not board.driving:

@@ -1,29 +1,44 @@
-"""How fast a dive goes: with the wall clock, for agents, or as fast as every firmware answers, for experiments."""
+"""How fast a dive goes: by a clock that its agents follow, or as fast as every firmware answers, for experiments."""
 
 from __future__ import annotations
 
 import threading
-import time
 
-from hw.twin.devices.board import PATIENCE_S
+from agent.clock.clock import REST_NS
+from agent.clock.keeper import Keeper
+from agent.clock.part_names import SERIAL, part_name
+from hw.twin.devices.board import PATIENCE_S, Board
 from hw.twin.dive import Dive
 from hw.twin.physics.tank import TICK_NS
 
 LOCK_STEP_S = 5.0  # in virtual time a firmware that is silent for longer is taken for dead
-LATE_S = 0.1  # a tick that is later is an overrun: the machine cannot keep up
+UNREAD_NS = 25_000_000  # how long bytes may lie at the agent's end of a cable before time waits for who reads them
 
 
-def run_at_wall_clock(dive: Dive, stop: threading.Event) -> int:
-    """Tick with CLOCK_MONOTONIC until stopped; returns the overruns. No step is ever left out: time is caught up."""
-    overruns = 0
+def run_by_clock(dive: Dive, keeper: Keeper, stop: threading.Event) -> None:
+    """Tick as the keeper lets time go, until stopped."""
+    for board in dive.boards:
+        name = part_name(board.robot, SERIAL)
+        keeper.limits[name] = PortLimit(name, board, dive, keeper)
     while not stop.is_set():
-        ahead_s = (dive.now_ns + TICK_NS - time.monotonic_ns()) * 1e-9
-        if ahead_s > 0:
-            time.sleep(ahead_s)
-        elif ahead_s < -LATE_S:
-            overruns += 1
+        keeper.advance(dive.now_ns + TICK_NS, stop)
         dive.tick(PATIENCE_S)
-    return overruns
+        keeper.busy_s = {f"{board.robot}.firmware": s for board, s in zip(dive.boards, dive.answered_s, strict=True)}
+
+
+class PortLimit:
+    """How far time may go before an agent has taken what lies at its end of the cable; anywhere if nobody is there."""
+
+    def __init__(self, part: str, board: Board, dive: Dive, keeper: Keeper) -> None:
+        self._part, self._board, self._dive, self._keeper = part, board, dive, keeper
+        self._empty_ns = dive.now_ns
+
+    def __call__(self) -> int:
+        if not self._keeper.takes_part(self._part):
+            return REST_NS
+        if not self._board.unread():
+            self._empty_ns = self._dive.now_ns
+        return self._empty_ns + UNREAD_NS
 
 
 def run_in_lock_step(dive: Dive, ticks: int) -> None:

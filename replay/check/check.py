@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from agent.clock import machine
 from replay.check.black_box import BlackBox, open_boxes
 from replay.check.compare import Ignored, load_ignored
 from replay.check.links import Correspondence, Link
@@ -80,12 +80,12 @@ def check(paths: Sequence[Path], ignore: Path | None = None, console: Console | 
     no recording.
     """
     rows = load_ignored(ignore) if ignore else ()
-    started_s = time.monotonic()
+    started_s = machine.monotonic_s()
     boxes = open_boxes(paths)
     correspondences = {run: Correspondence() for run in sorted({box.path.parent for box in boxes})}
     results = _reexecute_all(boxes, rows, correspondences, console)
     found = {run: correspondence.links() for run, correspondence in correspondences.items()}
-    wall_s = time.monotonic() - started_s
+    wall_s = machine.monotonic_s() - started_s
     used: Counter[str] = Counter()
     for each in results:
         used.update(each.ignored)

@@ -7,12 +7,12 @@ TOLERANCE, and the verdict says so.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from hashlib import sha256
 from typing import Any, Literal, NamedTuple
 
+from agent.clock import machine
 from agent.kernel.codec import Refusal, decode, encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import Estimate
@@ -96,7 +96,7 @@ def reexecute(
     tally = Tally(box.robot, ignored, tolerance)
     digest = sha256()
     start_ns = now_ns = 0
-    reported_s = time.monotonic()
+    reported_s = machine.monotonic_s()
     taken = reported = 0
     for step in box.steps():
         start_ns, now_ns, taken = start_ns or step.now_ns, step.now_ns, taken + 1
@@ -110,9 +110,9 @@ def reexecute(
             break
         digest.update(outputs)
         tally.compare(step, outputs)
-        if time.monotonic() - reported_s > 0.1:
+        if machine.monotonic_s() - reported_s > 0.1:
             progress(taken - reported)
-            reported, reported_s = taken, time.monotonic()
+            reported, reported_s = taken, machine.monotonic_s()
     progress(taken - reported)
     notes = (*environment_notes(box), *range_notes(box, taken, tally))
     verdict: Verdict = "cannot check" if tally.compared == 0 and tally.first is None else tally.verdict

@@ -11,7 +11,6 @@ import json
 import logging
 import shutil
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from hashlib import sha256
@@ -21,6 +20,7 @@ from typing import NamedTuple, Self
 
 import msgpack
 
+from agent.clock import machine
 from replay.files.backlog import Backlog, Drop, Entry
 from replay.files.channels import DROPS, entry_on
 from replay.files.info import ChannelInfo, Info, info
@@ -119,7 +119,7 @@ class LogWriter:
 
     def _write_all(self) -> None:
         self._begin_part()
-        synced_s = time.monotonic()
+        synced_s = machine.monotonic_s()
         while True:
             last = self._cause is not None  # looked at before the queue: what was queued before close is written
             if (full := self._floor_reached()) is not None:
@@ -130,9 +130,9 @@ class LogWriter:
             self._part.flush()
             if last:
                 return self._end_part(self._cause or "")
-            if time.monotonic() - synced_s > SYNC_S:
+            if machine.monotonic_s() - synced_s > SYNC_S:
                 self._part.sync()
-                synced_s = time.monotonic()
+                synced_s = machine.monotonic_s()
             self._wake.wait(WRITE_S)
             self._wake.clear()
 
@@ -163,7 +163,7 @@ class LogWriter:
     # --- parts ------------------------------------------------------------------------------------------------
 
     def _begin_part(self) -> None:
-        self._began_s = time.monotonic()
+        self._began_s = machine.monotonic_s()
         self._part.start({**self._run, "part": self._number}, self._attachments)
         self._note_clock("start")
 
@@ -181,10 +181,10 @@ class LogWriter:
 
     def _note_clock(self, when: str) -> None:
         """Both clocks at one moment: their difference over a run is how far the computer's clock was corrected."""
-        self._part.note(f"aucamp.clock.{when}", {"unix_ns": time.time_ns(), "monotonic_ns": time.monotonic_ns()})
+        self._part.note(f"aucamp.clock.{when}", {"unix_ns": machine.unix_ns(), "monotonic_ns": machine.monotonic_ns()})
 
     def _part_is_full(self) -> bool:
-        age_s = time.monotonic() - self._began_s
+        age_s = machine.monotonic_s() - self._began_s
         return self._part.bytes >= self._limits.part_bytes or age_s >= self._limits.part_s
 
     def _floor_reached(self) -> str | None:

@@ -14,7 +14,6 @@ a gain that depends on the whole picture changes from one lens position to the n
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable
 from functools import cache
 from importlib import resources
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.clock import machine
 from agent.kernel.config import ConfigError
 from agent.perception.enhancement import fast_enhance
 from agent.perception.enhancement.grey_world import Image, classic
@@ -113,7 +113,7 @@ def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
 
 
 def choose(
-    net: LU2Net, budget_ms: float, shape: tuple[int, int] = TRIAL_SIZE, clock: Callable[[], float] = time.perf_counter
+    net: LU2Net, budget_ms: float, shape: tuple[int, int] = TRIAL_SIZE, clock: Callable[[], float] = machine.stopwatch_s
 ) -> Enhancer:
     """The most faithful way whose median on a frame of `shape` keeps the budget; `clock` in seconds."""
     frame = np.random.Generator(np.random.PCG64(0)).integers(0, 256, (*shape, 3), dtype=np.uint8)

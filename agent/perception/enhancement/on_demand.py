@@ -14,10 +14,10 @@ Previews come from here as well: their estimates serve vision, and vision's serv
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
+from agent.clock import machine
 from agent.perception.enhancement import fast_enhance
 from agent.perception.enhancement.enhance import Enhancer, default
 from agent.perception.enhancement.fast_enhance import Colours
@@ -50,7 +50,7 @@ def raw_else_enhanced(find: Callable[[Image], T | None], image: Image, enhanced:
 class OnDemandEnhancer:
     """One camera's frames, enhanced; one thread uses it at a time. `way`: the machine's best if none is given."""
 
-    def __init__(self, way: Enhancer | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(self, way: Enhancer | None = None, clock: Callable[[], float] = machine.stopwatch_s) -> None:
         self._way = way
         self._clock = clock  # seconds
         self._colours: Colours | None = None

@@ -10,11 +10,11 @@ import json
 import shutil
 import struct
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from agent.clock import machine
 from hw.firmware.bus import TICK
 from hw.firmware.wire import BY_WATCHDOG, POWER_ON
 from hw.twin.devices.boot import Act, Boot, boot
@@ -32,8 +32,7 @@ def interpreter() -> str:
 BATTERY_MV, CURRENT_10MA = 14_800, 150  # a four-cell pack, nothing running but the electronics
 ALL_SENSORS = 0b1111
 
-# A control module that is busy answers within 1 ms; the pace of the water waits no longer for one that is late.
-PATIENCE_S = 0.002
+PATIENCE_S = 2.0  # of the wall: time stands while a firmware is busy, and goes on without one that hangs
 WATCHDOG_US = 500_000  # as hal_stm32 sets the chip's independent watchdog; it begins with the first answer
 RESTART_US = 1_000_000  # a firmware that ends at once is started once a second
 
@@ -122,6 +121,10 @@ class Board:
         self._cable.send(self._boot.read_uart())
         return act
 
+    def unread(self) -> int:
+        """Bytes on the cable that the agent has not taken."""
+        return self._cable.unread()
+
     def unplug(self, for_us: int) -> None:
         """Pull the serial cable; the firmware runs on and hears nothing."""
         self._cable.unplug()
@@ -170,7 +173,7 @@ class Board:
         """Silent for half a second of its clock, and of ours: a twin that catches up lets a firmware no time."""
         if running.answered_us < 0 or self._clock_us - self._booted_us - running.answered_us < WATCHDOG_US:
             return False
-        return running.stopped or time.monotonic() - running.answered_s >= WATCHDOG_US * 1e-6
+        return running.stopped or machine.monotonic_s() - running.answered_s >= WATCHDOG_US * 1e-6
 
     def _power_up(self, cause: int) -> None:
         if self._boot is not None:

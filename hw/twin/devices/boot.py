@@ -9,11 +9,11 @@ import signal
 import socket
 import struct
 import subprocess
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from agent.clock import machine
 from hw.firmware.bus import ACT, ACT_SIZE
 
 RESET_CAUSE = "AUCAMP_RESET_CAUSE"  # the environment variable that stands for the chip's register; hal_unix reads it
@@ -42,7 +42,7 @@ class Boot:
         self.late = False  # it has not answered the last tick that it was waited for
         self.asked_us = -1  # clock of the last tick sent, of the last one answered
         self.answered_us = -1
-        self.answered_s = time.monotonic()
+        self.answered_s = machine.monotonic_s()
         self._process, self._bus, self._uart = process, bus, uart
         self._rest = b""
 
@@ -64,12 +64,12 @@ class Boot:
         One that missed a tick is not waited for until it has caught up.
         """
         newest: bytes | None = None
-        deadline_s = time.monotonic() + (0.0 if self.late or self.stopped else patience_s)
+        deadline_s = machine.monotonic_s() + (0.0 if self.late or self.stopped else patience_s)
         while not self.ended:
             try:
                 chunk = self._bus.recv(64 * ACT_SIZE)
             except BlockingIOError:
-                left_s = deadline_s - time.monotonic()
+                left_s = deadline_s - machine.monotonic_s()
                 if self.answered_us >= self.asked_us or left_s <= 0:
                     break
                 select.select([self._bus], [], [], left_s)
@@ -84,7 +84,7 @@ class Boot:
             self._rest = data[whole:]
             if whole:
                 newest = data[whole - ACT_SIZE : whole]
-                self.answered_us, self.answered_s = int.from_bytes(newest[:8], "little"), time.monotonic()
+                self.answered_us, self.answered_s = int.from_bytes(newest[:8], "little"), machine.monotonic_s()
         self.late = self.answered_us < self.asked_us
         if newest is None:
             return None

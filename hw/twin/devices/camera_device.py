@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 FRAME_NS = 1_000_000_000 // 30
 EXPOSURE_NS = 10_000_000
+DELIVERY_NS = FRAME_NS  # from the opening of the shutter: exposed, read out and sent while the next one is exposed
+LATER_NS = FRAME_NS  # what a machine that is slow to render may add, before time waits for it
 
 
 class FrameClock(NamedTuple):
@@ -34,6 +36,12 @@ class FrameClock(NamedTuple):
 
     def opens_ns(self, seq: int) -> int:
         return self.start_ns + seq * FRAME_NS
+
+
+@contextmanager
+def unhurried(delivered_ns: int, latest_ns: int) -> Iterator[None]:
+    """A frame is there as soon as it is rendered: for benches and tests that have their own time."""
+    yield
 
 
 def look(pose: RobotPose, camera_m: Vector) -> tuple[Eye, float]:
@@ -61,12 +69,16 @@ class DiveCamera:
         painter: Painter,
         camera_m: Vector,
         clock: FrameClock,
-        now_ns: Callable[[], int] = time.monotonic_ns,
+        now_ns: Callable[[], int],
+        rendering: Callable[[int, int], AbstractContextManager[None]] = unhurried,
     ) -> None:
+        """`now_ns`: the dive's clock. `rendering(delivered_ns, latest_ns)` is around the making of a frame: it ends
+        when it is delivered_ns, and it may keep time from going beyond latest_ns before that."""
         self.size = (lens.width, lens.height)
         self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
         self._me, self._history, self._camera_m = me, history, camera_m
-        self._vcm, self._painter, self._clock, self._now_ns = vcm, painter, clock, now_ns
+        self._vcm, self._painter, self._clock = vcm, painter, clock
+        self._now_ns, self._rendering = now_ns, rendering
         self._focused_ns = 0
 
     def set_focus(self, lens_position: int) -> int:
@@ -76,8 +88,12 @@ class DiveCamera:
     def read(self, roi: Roi | None, settle_s: float) -> Frame:
         seq = self._clock.next(max(self._now_ns(), self._focused_ns + round(settle_s * 1e9)))
         opens_ns = self._clock.opens_ns(seq)
-        self._history.wait(opens_ns + EXPOSURE_NS)
-        middle_ns = opens_ns + EXPOSURE_NS // 2
+        delivered_ns = opens_ns + DELIVERY_NS
+        with self._rendering(delivered_ns, delivered_ns + LATER_NS):
+            self._history.wait(opens_ns + EXPOSURE_NS)
+            return self._frame(seq, opens_ns + EXPOSURE_NS // 2, roi)
+
+    def _frame(self, seq: int, middle_ns: int, roi: Roi | None) -> Frame:
         poses = self._history.at(middle_ns)
         eye, elevation_rad = look(poses[self._me], self._camera_m)
         hulls = tuple(Hull(p.position_m, p.rotation) for i, p in enumerate(poses) if i != self._me)

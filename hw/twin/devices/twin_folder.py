@@ -24,6 +24,11 @@ def twin_dir(fleet: Fleet) -> Path:
     return Path(tempfile.gettempdir()) / f"aucamp-{os.getuid()}" / fleet.fleet
 
 
+def clock_path(fleet: Fleet) -> Path:
+    """The clock of a fleet's dive. It stays when the twin ends, for those who outlive it and for the next twin."""
+    return twin_dir(fleet) / "clock"
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[Path]:
     """Hold the folder for one twin: emptied of an earlier run's files at the start and of this run's at the end.

@@ -7,7 +7,10 @@ master closes, the agent's end hangs up as a USB adapter does.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import sys
+import termios
 import tty
 from pathlib import Path
 
@@ -50,6 +53,13 @@ class Cable:
             with contextlib.suppress(BlockingIOError):
                 return os.read(self._master, CHUNK)
         return b""
+
+    def unread(self) -> int:
+        """Bytes that the agent's end has not been read of."""
+        if not self.plugged:
+            return 0
+        answer = fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4))
+        return int.from_bytes(answer, sys.byteorder)
 
     def send(self, data: bytes) -> None:
         """Write to the agent; what its buffer does not take is lost, as on a wire that nobody listens to."""

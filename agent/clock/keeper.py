@@ -1,0 +1,167 @@
+"""The twin's side of a dive's clock: how fast time goes, and whom it waits for.
+
+As in conservative parallel simulation (Chandy and Misra 1979) time goes on once nobody who takes part is further behind
+than the slack that he asked for. So a slow part slows the dive, and nothing in it comes late. Who makes no progress for
+STALLED_S of the wall is not waited for until he does: from then on he is the fault that he would be at sea.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple
+
+from agent.clock import machine, mapped
+from agent.clock.mapped import Line
+from agent.clock.part_names import CAMERA, LOOP, PARTS, part_name
+from agent.clock.rate import Rate
+
+STALLED_S = 2.0
+POLL_S = 0.0003  # between two looks at those who are waited for
+LONGEST_GAP_S = 0.05  # what a look counts at most: who was stopped himself does not hold it against others
+CATCH_UP_NS = 5_000_000  # by less the twin may be late without time being lost
+TWIN = "twin"
+NAMED = 3  # how many of those that were waited for a person is told of
+
+
+class Story(NamedTuple):
+    """How the clock went."""
+
+    dive_s: float
+    wall_s: float
+    slowest: float  # rate over a second
+    fastest: float
+    waited_s: dict[str, float]  # for whom, on the wall; the longest first
+
+
+class Keeper:
+    """The clock of one dive. `advance` and `close` are the twin's main thread's, the rest anybody's in the twin."""
+
+    def __init__(self, path: Path, robots: Sequence[str], start_ns: int, speed: float, tick_ns: int) -> None:
+        """Time goes in steps of tick_ns, at most `speed` (inf: as fast as all can) times as fast as on the wall."""
+        self.robots, self._tick_ns = tuple(robots), tick_ns
+        self._names = [part_name(robot, part) for robot in robots for part in PARTS]
+        wall_ns = machine.monotonic_ns()
+        self._line = Line(start_ns, wall_ns, min(speed, 1.0), start_ns + tick_ns)
+        self._file = mapped.create(path, self._names, start_ns, self._line)
+        self._rate = Rate(speed, start_ns, wall_ns)
+        self._start_ns = start_ns
+        self.busy_s: dict[str, float] = {}  # what the twin itself waited for in the last tick
+        self.limits: dict[str, Callable[[], int]] = {}  # of parts within the twin: how far time may go
+        self._frames: dict[str, int] = {}  # being rendered, by part: how far time may go meanwhile
+        self._stalled_s: defaultdict[str, float] = defaultdict(float)
+        self._given_up: dict[str, int] = {}  # how far they had come when they stopped
+        self._waited_s: defaultdict[str, float] = defaultdict(float)
+        self._closed = Event()
+
+    def now_ns(self) -> int:
+        line = self._line
+        return min(line.at(machine.monotonic_ns()), line.horizon_ns)
+
+    def advance(self, to_ns: int, stop: Event) -> None:
+        """Return when it is to_ns, a tick after the last, and let everybody go on for another tick."""
+        self._pace(to_ns, stop)
+        self._hold(to_ns + self._tick_ns, stop)
+        self._publish(to_ns)
+
+    @contextmanager
+    def frame(self, robot: str, delivered_ns: int, latest_ns: int) -> Iterator[None]:
+        """Around the rendering of a frame, which whoever asked for it shall have at delivered_ns."""
+        part = part_name(robot, CAMERA)
+        self._frames[part] = latest_ns
+        self._file.reach(self._file.rows[part], delivered_ns)  # he waits for it, and is not waited for
+        try:
+            yield
+            while (ahead_ns := delivered_ns - self.now_ns()) > 0 and not self._closed.is_set():
+                machine.sleep(min(max(ahead_ns * 1e-9 / self._line.rate, POLL_S), LONGEST_GAP_S))
+        finally:
+            self._frames.pop(part, None)
+
+    def takes_part(self, part: str) -> bool:
+        """Whether somebody has joined as this part."""
+        return self._file.row(self._file.rows[part]).active
+
+    def story(self) -> Story:
+        dive_s = (self._line.base_ns - self._start_ns) * 1e-9
+        longest_first = dict(sorted(self._waited_s.items(), key=lambda item: -item[1]))
+        return Story(dive_s, self._rate.wall_s, self._rate.slowest, self._rate.fastest, longest_first)
+
+    def close(self) -> None:
+        """Time stands; who follows goes on by himself once our process ends."""
+        self._closed.set()
+
+    def _pace(self, to_ns: int, stop: Event) -> None:
+        line = self._line
+        behind_ns = line.at(machine.monotonic_ns()) - to_ns
+        if behind_ns > CATCH_UP_NS:
+            self._own_fault(min(behind_ns * 1e-9 / line.rate, LONGEST_GAP_S))
+        while (ahead_ns := to_ns - line.at(machine.monotonic_ns())) > 0 and not stop.is_set():
+            machine.sleep(min(ahead_ns * 1e-9 / line.rate, LONGEST_GAP_S))
+
+    def _own_fault(self, late_s: float) -> None:
+        """The last tick took so much longer than time would have allowed."""
+        for name, busy_s in self.busy_s.items():
+            self._waited_s[name] += min(busy_s, late_s)
+            late_s -= min(busy_s, late_s)
+        self._waited_s[TWIN] += late_s
+
+    def _hold(self, horizon_ns: int, stop: Event) -> None:
+        """Wait until nobody is too far behind for this horizon."""
+        looked_s = machine.monotonic_s()
+        while (behind := self._behind(horizon_ns)) and not stop.is_set():
+            machine.sleep(POLL_S)
+            now_s = machine.monotonic_s()
+            waited_s, looked_s = min(now_s - looked_s, LONGEST_GAP_S), now_s
+            self._waited_s[behind[0]] += waited_s
+            for part in behind:
+                self._stalled_s[part] += waited_s
+        self._stalled_s.clear()
+
+    def _behind(self, horizon_ns: int) -> list[str]:
+        """The parts that are waited for."""
+        behind = [name for name, latest_ns in list(self._frames.items()) if latest_ns < horizon_ns]
+        for name, limit in self.limits.items():
+            limit_ns = limit()
+            if limit_ns < horizon_ns and not self._is_given_up(name, limit_ns):
+                behind.append(name)
+        for index, name in enumerate(self._names):
+            row = self._file.row(index)
+            if not row.active or row.reached_ns + row.slack_ns >= horizon_ns:
+                continue
+            if not self._file.is_alive(index):
+                self._file.leave(index)
+            elif not self._is_given_up(name, row.reached_ns):
+                behind.append(name)
+        return behind
+
+    def _is_given_up(self, name: str, reached_ns: int) -> bool:
+        """Whether this part stalls: until it has moved, nobody waits for it."""
+        if self._stalled_s[name] >= STALLED_S:
+            self._given_up[name] = reached_ns
+        if self._given_up.get(name) == reached_ns:
+            return True
+        self._given_up.pop(name, None)
+        return False
+
+    def _publish(self, now_ns: int) -> None:
+        wall_ns = machine.monotonic_ns()
+        before = self._line
+        due_ns = before.wall_ns + round((now_ns - before.base_ns) / before.rate)
+        complete = all(self.takes_part(part_name(robot, LOOP)) for robot in self.robots)
+        rate = self._rate.step(now_ns, wall_ns, complete)
+        base_wall_ns = max(due_ns, wall_ns - CATCH_UP_NS)
+        self._line = Line(now_ns, base_wall_ns, rate, now_ns + self._tick_ns, self._rate.achieved)
+        self._file.publish(self._line)
+
+
+def how_it_went(story: Story) -> str:
+    """A line for a person: how fast the clock went, and what held it up."""
+    mean = story.dive_s / max(story.wall_s, 1e-9)
+    text = f"{story.dive_s:.1f} s of dive in {story.wall_s:.1f} s, {mean:.2f} times real time"
+    if story.slowest < story.fastest:
+        text += f" ({story.slowest:.2f} to {story.fastest:.2f})"
+    held = [f"{name} {100 * s / max(story.wall_s, 1e-9):.0f} %" for name, s in list(story.waited_s.items())[:NAMED]]
+    return f"{text}; waited for {', '.join(held)}" if held else text
