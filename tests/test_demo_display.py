@@ -33,10 +33,11 @@ def shown(table) -> str:
 
 
 def test_progress_of_five_robots_shows_estimate_neighbours_and_faults() -> None:
-    text = shown(progress_table({"ball": {"r1": History([STATE]), "r2": History([])}}, 50.0))
+    text = shown(progress_table({"ball": {"r1": History([STATE]), "r2": History([])}}, 23.0, 73.0, 1.5))
     assert max(map(len, text.splitlines())) <= 80
     for word in ("sees", "146", "1059.6 559.0 70.0", "1.9", *["r2", "r3", "r4", "r5"], "frames", "telemetry"):
         assert word in text, word
+    assert "23 s into the dive, at 1.50 times real time; at most 50 s to go" in text
     assert text.count("…") == 1  # r2 has said nothing yet; no cell is cut
 
 

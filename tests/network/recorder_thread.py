@@ -8,6 +8,7 @@ from typing import Any
 
 import zenoh
 
+from agent.clock.clock import SystemClock
 from agent.kernel import topics
 from agent.kernel.config import Fleet
 from replay.files.log import Record, read
@@ -26,7 +27,7 @@ class RecorderThread:
         self._active = out.with_name(f"{out.name}.active")
         self._stop = threading.Event()
         self._pool = ThreadPoolExecutor(1)
-        self._counts = self._pool.submit(record, fleet, out, self._stop, self.warnings.append, **options)
+        self._counts = self._pool.submit(record, fleet, out, self._stop, SystemClock(), self.warnings.append, **options)
 
     def recorded(self, channels: str) -> list[Record]:
         """Messages on channels with this in their name, as far as they have been written."""

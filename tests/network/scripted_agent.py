@@ -7,11 +7,11 @@ Usage: python -m tests.network.scripted_agent FLEET ROBOT OUT [CLOCK_AHEAD_S]
 import math
 import random
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
 from agent.agent_process import run_facts
+from agent.clock.clock import SystemClock
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.ranging.calibration import Calibration
@@ -118,21 +118,18 @@ class Motors:
 
 def main(fleet_path: Path, name: str, out: Path, ahead_s: float = 0.0) -> None:
     fleet = load_fleet(fleet_path)
-    offset_ns = time.time_ns() - time.monotonic_ns() + round(ahead_s * 1e9)
-
-    def clock() -> int:
-        return offset_ns + time.monotonic_ns()
-
-    incarnation = clock()
+    clock = SystemClock()
+    clock.camera_offset_ns += round(ahead_s * 1e9)
+    incarnation = clock.now_ns()
     agent = Agent(fleet, name, CALIBRATION, incarnation)
-    script = Script(fleet, name, clock)
+    script = Script(fleet, name, clock.now_ns)
     attachments = {"fleet.toml": dump(fleet), "calibration.toml": dump(CALIBRATION)}
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, incarnation), attachments))
-        network = stack.enter_context(Transport(fleet, name, clock))
+        network = stack.enter_context(Transport(fleet, name, clock.now_ns))
         stack.callback(say_goodbye, agent, network, clock)
-        box = BlackBoxWriter(log, clock)
+        box = BlackBoxWriter(log, clock.now_ns)
         Runtime(name, agent, script, Motors(script), network, box.step, clock).run(stop)
 
 

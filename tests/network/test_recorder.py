@@ -194,10 +194,11 @@ def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
 RECORD = """
 import pathlib, signal, sys, threading
 from agent.kernel.fleet_reader import load_fleet
+from agent.clock.clock import SystemClock
 from replay.recorder import record
 stop = threading.Event()
 signal.signal(signal.SIGTERM, lambda *_: stop.set())
-print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), stop))
+print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), stop, SystemClock()))
 """
 
 

@@ -16,6 +16,7 @@ import pytest
 from msgspec.structs import replace
 
 import replay.view
+from agent.clock.clock import SystemClock
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import MAX_JPEG, Image, State
 from agent.transport import Transport
@@ -120,5 +121,5 @@ def test_a_port_that_is_taken_is_one_line(make_fleet: Callable[..., Fleet]) -> N
         other.bind(("127.0.0.1", 0))
         other.listen()
         with pytest.raises(ConfigError, match="choose another with --port"):
-            view(make_fleet({"r1": ()}), threading.Event(), other.getsockname()[1])
+            view(make_fleet({"r1": ()}), threading.Event(), SystemClock(), other.getsockname()[1])
     assert replay.view.HOST == "127.0.0.1"

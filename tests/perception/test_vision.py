@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from agent.clock.clock import SystemClock
 from agent.kernel.config import Camera as CameraSettings
 from agent.kernel.config import Fleet, Pose, Robot, Target
 from agent.kernel.ranging.focus import Peak, fit_peak
@@ -94,7 +95,7 @@ def worker(monkeypatch):
             robot={"r1": robot},
             camera=CameraSettings(settle_s=settle_s),
         )
-        out = Vision(open_camera, fleet, CAMERA, load_detectors(fleet, CAMERA), 5_000, on_frame)
+        out = Vision(open_camera, fleet, CAMERA, load_detectors(fleet, CAMERA), SystemClock(), on_frame=on_frame)
         started.append(out)
         out.start()
         return out
@@ -109,7 +110,9 @@ def test_between_plans_every_frame_is_a_sighting(worker, images):
     camera = ScriptedCamera(images=images)
     seen = collect(worker(camera), lambda s: len(s) >= 3)
     assert [s.frame for s in seen[:3]] == [1, 2, 3]
-    assert [s.t_ns for s in seen[:3]] == [1_005_000, 2_005_000, 3_005_000]
+    offset_ns = seen[0].t_ns - 1_000_000  # from the stamps of a camera to the time of day
+    assert [s.t_ns - offset_ns for s in seen[:3]] == [1_000_000, 2_000_000, 3_000_000]
+    assert offset_ns == pytest.approx(time.time_ns() - time.monotonic_ns(), abs=1e9)
     assert all(s.found and s.sweep == 0 and s.index == -1 and s.focus is None for s in seen)
     assert not [call for call in camera.calls if call[0] == "focus"]
 

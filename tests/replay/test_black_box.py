@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.clock.clock import SystemClock
 from agent.kernel.codec import decode, encode
 from agent.kernel.messages import LogLine, State
 from agent.kernel.step_io import Inputs, Outputs, SetPoint
@@ -46,12 +47,11 @@ class Breaks:
 
 
 def test_the_inputs_that_broke_a_step_are_recorded(tmp_path: Path) -> None:
-    now = iter(range(START_NS, START_NS + 100))
     log = black_box_log(tmp_path, FLEET, "r1", CALIBRATION, {"kind": "black box"}, views=True)
     still = Still()
     with pytest.raises(ZeroDivisionError), log:
         box = BlackBoxWriter(log, lambda: START_NS)
-        Runtime("r1", Breaks(), StillCamera(), still, still, box.step, lambda: next(now)).run(threading.Event())
+        Runtime("r1", Breaks(), StillCamera(), still, still, box.step, SystemClock()).run(threading.Event())
     records = [record for record in read(log.path) if record.channel in (STEP_IN.name, STEP_OUT.name)]
     assert [(record.channel, record.sequence) for record in records] == [
         (STEP_IN.name, 0),

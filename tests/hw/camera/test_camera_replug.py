@@ -1,5 +1,6 @@
 """A camera is pulled out and comes back as another node: the vision worker goes on by itself."""
 
+from agent.clock.clock import SystemClock
 from agent.fleet_files import shipped_fleet
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.ranging.calibration import CameraFit
@@ -17,7 +18,7 @@ CAMERA = CameraFit(width_px=96, height_px=64, f_px=150.0, cx_px=47.5, cy_px=31.5
 def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
     computer = FakeComputer()
     fleet = load_fleet(shipped_fleet())
-    vision = Vision(computer.open, fleet, CAMERA, load_detectors(fleet, CAMERA), epoch_offset_ns=0)
+    vision = Vision(computer.open, fleet, CAMERA, load_detectors(fleet, CAMERA), SystemClock())
     vision.start()
     try:
         vision.plan(SweepPlan(sweep=1, focus=(0, 5, 10)))

@@ -179,12 +179,13 @@ def test_emergency_stop_lasts_until_the_power_was_off(hovering):
 
 HOST = """
 import sys, time
+from agent.clock.clock import SystemClock
 from agent.kernel.step_io import SetPoint
 from hw.stm32.driver import Stm32
-with Stm32(sys.argv[1], time.monotonic_ns) as board:
+with Stm32(sys.argv[1], SystemClock()) as board:
     board.arm()
     while True:
-        board.send(SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5), time.monotonic_ns())
+        board.send(SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5), time.time_ns())
         telemetry, _ = board.drain()
         if telemetry and telemetry[-1].armed:
             print("armed", flush=True)

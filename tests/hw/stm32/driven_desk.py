@@ -19,7 +19,7 @@ def drive(desk: Desk, driver: Stm32, done: Callable[[], bool], ticks: int = 1200
     telemetry = []
     for i in range(ticks):
         if send and i % 5 == 0:
-            driver.send(HOVER, time.monotonic_ns())
+            driver.send(HOVER, time.time_ns())
         desk.tick()
         got, lines = driver.drain()
         telemetry += got

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
+from agent.clock.clock import SystemClock
 from agent.kernel.config import ConfigError
 from hw.firmware import failsafe, wire
 from hw.stm32.driver import Stm32, open_port_path
@@ -31,7 +32,7 @@ def port(desk, tmp_path):
 
 @pytest.fixture
 def driver(port):
-    with Stm32(str(port.path), time.monotonic_ns) as driver:
+    with Stm32(str(port.path), SystemClock()) as driver:
         yield driver
 
 
@@ -56,7 +57,7 @@ def test_arms_after_waiting_for_the_escs(desk, driver):
 
 
 def test_close_turns_the_motors_off_first(desk, port):
-    with pytest.raises(KeyboardInterrupt), Stm32(str(port.path), time.monotonic_ns) as driver:
+    with pytest.raises(KeyboardInterrupt), Stm32(str(port.path), SystemClock()) as driver:
         driver.arm()
         drive(desk, driver, lambda: bool(desk.tick()[-1]))
         stop = threading.Event()
@@ -120,7 +121,7 @@ def test_port_that_comes_late_and_is_another_one_later(desk, tmp_path, monkeypat
         tries.append(error)
 
     monkeypatch.setattr(Stm32, "_lost", count)
-    with Stm32(str(path), time.monotonic_ns) as driver:
+    with Stm32(str(path), SystemClock()) as driver:
         driver.send(HOVER, 1)
         driver.arm()
         until(lambda: len(tries) >= 2)  # and is told of once
@@ -152,7 +153,7 @@ def test_refusal_that_waiting_does_not_cure_ends_the_wish(put_on_desk, tmp_path)
     desk = put_on_desk(sys.executable, {})
     desk.listen = lambda: None
     port = Port(desk, tmp_path)
-    with Stm32(str(port.path), time.monotonic_ns) as driver:
+    with Stm32(str(port.path), SystemClock()) as driver:
         driver.arm()
         drive(desk, driver, lambda: not driver.wants_armed)
         assert any("no tare in air" in text for text in desk.said)
@@ -161,7 +162,7 @@ def test_refusal_that_waiting_does_not_cure_ends_the_wish(put_on_desk, tmp_path)
 def test_send_never_blocks_on_a_board_that_takes_nothing(tmp_path):
     master, slave = os.openpty()
     try:
-        with Stm32(os.ttyname(slave), time.monotonic_ns) as driver:
+        with Stm32(os.ttyname(slave), SystemClock()) as driver:
             until(lambda: driver._connected)
             for i in range(20_000):
                 driver.send(HOVER, i)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-import time
 
 import pytest
 
+from agent.clock.clock import SystemClock
 from agent.kernel.config import ConfigError
 from hw.firmware import parameters, wire
 from hw.stm32.driver import Stm32
@@ -25,7 +25,7 @@ def desk(put_on_desk):
 
 @pytest.fixture
 def driver(desk, tmp_path):
-    with Stm32(str(Port(desk, tmp_path).path), time.monotonic_ns) as driver:
+    with Stm32(str(Port(desk, tmp_path).path), SystemClock()) as driver:
         drive(desk, driver, lambda: driver.counters.rx_ok > 5)
         yield driver
 
@@ -51,7 +51,7 @@ def test_parameters(desk, driver):
 )
 def test_what_cannot_be_set_is_told_at_once(name, value, advice):
     with pytest.raises(ConfigError, match=advice):
-        Stm32("/nowhere", time.monotonic_ns).set_parameter(name, value)
+        Stm32("/nowhere", SystemClock()).set_parameter(name, value)
 
 
 def test_tare_and_mode(desk, driver):
@@ -87,7 +87,7 @@ def test_a_tap_sees_all_bytes_of_both_directions(desk, tmp_path):
     def tap(from_board: bool, data: bytes) -> None:
         seen[from_board] += data
 
-    with Stm32(str(Port(desk, tmp_path).path), time.monotonic_ns, tap=tap) as driver:
+    with Stm32(str(Port(desk, tmp_path).path), SystemClock(), tap=tap) as driver:
         drive(desk, driver, lambda: driver.counters.rx_ok > 20)
         frames = driver.counters.rx_ok
     for from_board, kind in ((True, wire.TELEM), (False, wire.SETPOINT)):

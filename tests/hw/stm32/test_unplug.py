@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from agent.clock.run_clock import RunClock
 from agent.kernel.step_io import Telemetry
 from agent.kernel.toml_files import dump
 from hw.firmware import failsafe
@@ -119,14 +120,14 @@ def twin(tmp_path: Path) -> Iterator[Path]:
 @pytest.mark.slow
 def test_the_driver_and_a_running_twin_find_each_other_again(twin):
     """The wall clock and the driver's own thread: four seconds without a cable, then back at depth."""
-    with Stm32(str(twin / "r1.serial"), time.monotonic_ns) as driver:
+    with Stm32(str(twin / "r1.serial"), RunClock(twin / "clock")) as driver:
         seen: list[Telemetry] = []
 
         def drive(what: str, done: Callable[[], bool], limit_s: float) -> float:
             start_s = time.monotonic()
             while not done():
                 assert time.monotonic() - start_s < limit_s, f"{what}: {seen[-1:]} {driver.counters}"
-                driver.send(HOVER, time.monotonic_ns())
+                driver.send(HOVER, time.time_ns())
                 seen.extend(driver.drain()[0])
                 time.sleep(0.05)
             return time.monotonic() - start_s

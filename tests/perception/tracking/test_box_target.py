@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.clock.clock import StandingClock
 from agent.experiments.still_camera import StillCamera, View
 from agent.kernel.config import ConfigError, Fleet, Pose, Robot, Target
 from agent.kernel.control.sweep import Measurement, Sweep
@@ -86,7 +87,7 @@ def no_camera():
 
 def sweep(tank, fleet):
     """One full sweep as the vision worker does it; the sightings, and what the sweep's state machine makes of them."""
-    vision = Vision(no_camera, fleet, tank.known.camera, load_detectors(fleet, tank.known.camera), 0)
+    vision = Vision(no_camera, fleet, tank.known.camera, load_detectors(fleet, tank.known.camera), StandingClock())
     state = Sweep(tank.known.focus, 30)
     home, *lens_positions = state.start(0).focus
     tank.camera.set_focus(home)
@@ -131,7 +132,7 @@ def test_what_is_not_there_is_not_found(tank, picture):
     tank.camera.view = View((0.3, 0.3, 0.12), -100.0)
     tank.camera.set_focus(400)
     assert detector.find(tank.camera.read(settle_s=0.2).image) is None
-    vision = Vision(no_camera, fleet_, tank.known.camera, {"stone": detector}, 0)
+    vision = Vision(no_camera, fleet_, tank.known.camera, {"stone": detector}, StandingClock())
     sighting = vision.sight(tank.camera.read(), "stone", 400, 0, -1, None)
     assert not sighting.found and sighting.size_px is None and sighting.clarity is None
 
