@@ -32,8 +32,7 @@ class Story(NamedTuple):
 
     dive_s: float
     wall_s: float
-    slowest: float  # rate over a second
-    fastest: float
+    rates: tuple[float, ...]  # over each second in which all agents took part
     waited_s: dict[str, float]  # for whom, on the wall; the longest first
 
 
@@ -87,7 +86,7 @@ class Keeper:
     def story(self) -> Story:
         dive_s = (self._line.base_ns - self._start_ns) * 1e-9
         longest_first = dict(sorted(self._waited_s.items(), key=lambda item: -item[1]))
-        return Story(dive_s, self._rate.wall_s, self._rate.slowest, self._rate.fastest, longest_first)
+        return Story(dive_s, self._rate.wall_s, tuple(self._rate.told), longest_first)
 
     def close(self) -> None:
         """Time stands; who follows goes on by himself once our process ends."""
@@ -161,7 +160,7 @@ def how_it_went(story: Story) -> str:
     """A line for a person: how fast the clock went, and what held it up."""
     mean = story.dive_s / max(story.wall_s, 1e-9)
     text = f"{story.dive_s:.1f} s of dive in {story.wall_s:.1f} s, {mean:.2f} times real time"
-    if story.slowest < story.fastest:
-        text += f" ({story.slowest:.2f} to {story.fastest:.2f})"
+    if story.rates:
+        text += f" ({min(story.rates):.2f} to {max(story.rates):.2f})"
     held = [f"{name} {100 * s / max(story.wall_s, 1e-9):.0f} %" for name, s in list(story.waited_s.items())[:NAMED]]
     return f"{text}; waited for {', '.join(held)}" if held else text

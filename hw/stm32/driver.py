@@ -235,37 +235,36 @@ class Stm32:
     # --- the thread -----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        part = Part(self._clock, self._name, SLACK_S)
-        try:
-            self._keep_open(part)
-        finally:
-            with self._lock:
-                self._part = None
-            part.leave()
-
-    def _keep_open(self, part: Part) -> None:
         pause_s = BACK_OFF_S[0]
         while not self._closing.is_set():
             try:
                 # exclusive is a lock on the file: two agents on one board would fight over it
                 with serial.Serial(self.port, self._baud, exclusive=True) as port:
                     pause_s = BACK_OFF_S[0]
-                    self._serve(port.fileno(), part)
+                    self._serve(port.fileno())
             except OSError as error:
                 self._lost(error)
-                part.rest()
                 wait(self._clock, self._closing, pause_s)
                 pause_s = min(2 * pause_s, BACK_OFF_S[1])
 
     def _lost(self, error: OSError) -> None:
         with self._lock:
-            self._connected, self._part = False, None
+            self._connected = False
             self._protocol.hung_up()
             self._protocol.say("warning", f"{self.port}: {reason(error)}")
 
-    def _serve(self, fd: int, part: Part) -> None:
+    def _serve(self, fd: int) -> None:
         """Carry bytes both ways until close(). Raises OSError when the port goes away."""
         os.set_blocking(fd, False)
+        part = Part(self._clock, self._name, SLACK_S)
+        try:
+            self._carry(fd, part)
+        finally:
+            with self._lock:
+                self._part = None
+            part.leave()
+
+    def _carry(self, fd: int, part: Part) -> None:
         with self._lock:
             self._protocol.connected()
             self._waiting.clear()

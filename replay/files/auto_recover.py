@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 
+from agent.clock import machine
 from replay.files.file_lock import is_held
 from replay.files.names import SUFFIX, parts, recovered
 from replay.files.recover import sound
@@ -75,14 +76,14 @@ def recovering(files: Sequence[Path], say: Say = logger.warning, pause_s: float 
 
 def _mend(files: Sequence[Path], say: Say, pause_s: float, stop: Event) -> None:
     gentle = ["nice", "-n", "19"] if shutil.which("nice") else []
-    stop.wait(pause_s)
+    machine.wait(stop, pause_s)
     for file in files:
         if stop.is_set():
             return
         command = [*gentle, sys.executable, "-m", "agent", "replay", "recover", str(file)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
             while process.poll() is None:
-                if stop.wait(0.1):
+                if machine.wait(stop, 0.1):
                     process.terminate()
                     break
             said = process.communicate()[0].strip()

@@ -133,7 +133,7 @@ class LogWriter:
             if machine.monotonic_s() - synced_s > SYNC_S:
                 self._part.sync()
                 synced_s = machine.monotonic_s()
-            self._wake.wait(WRITE_S)
+            machine.wait(self._wake, WRITE_S)
             self._wake.clear()
 
     def _write_waiting(self) -> None:
