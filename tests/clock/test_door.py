@@ -1,0 +1,64 @@
+"""Nobody sleeps by a clock of his own: whoever waits for a time says by whose.
+
+That `time` is imported behind one door alone, the import contracts see. What they cannot see is a wait with a number of
+seconds, for an event, a descriptor or a process: each file that has one stands in this table, with its reason.
+"""
+
+import ast
+
+from tests.places import ROOT
+
+RUN = "by the dive's clock, of which it asks how long to sleep on the wall"
+MACHINE = "on the wall: for what the machine does, or a person at it, and not the world"
+ENDS = "on the wall: how long an end may take"
+
+WAITS = {
+    "agent/console_log.py": ENDS,
+    "agent/launch.py": ENDS,
+    "agent/perception/vision.py": ENDS,
+    "agent/runtime.py": RUN,
+    "hw/camera/frame_server.py": MACHINE,
+    "hw/camera/frame_socket.py": RUN,
+    "hw/camera/twin.py": MACHINE,
+    "hw/camera/v4l2_node.py": MACHINE,
+    "hw/camera/v4l2_stream.py": MACHINE,  # a real camera's clock is the machine's
+    "hw/stm32/driver.py": RUN,
+    "hw/twin/bench_socket.py": MACHINE,
+    "hw/twin/devices/boot.py": MACHINE,  # time stands while a firmware is waited for
+    "hw/twin/devices/camera_device.py": RUN,
+    "replay/files/log.py": ENDS,
+}
+OURS = {"machine", "clock", "Part"}  # the door itself
+
+
+def timed_waits(text: str) -> list[int]:
+    """Lines with a call that may wait for a number of seconds and does not go through the door."""
+    lines = []
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+            continue
+        owner, name = ast.unparse(node.func.value), node.func.attr
+        if owner in OURS or not (node.args or node.keywords):
+            continue
+        if name in ("select", "settimeout", "sleep", "wait_for", "poll", "wait") or (
+            name == "join" and owner.endswith("thread")
+        ):
+            lines.append(node.lineno)
+    return lines
+
+
+def test_who_waits_has_said_by_which_clock() -> None:
+    found = {}
+    for package in ("agent", "hw", "replay", "router_config"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = path.relative_to(ROOT).as_posix()
+            if not name.startswith(("agent/clock/", "hw/firmware/")) and (lines := timed_waits(path.read_text())):
+                found[name] = lines
+    assert found.keys() == WAITS.keys(), {
+        name: found.get(name, "waits no more") for name in found.keys() ^ WAITS.keys()
+    }
+
+
+def test_the_search_sees_what_it_looks_for() -> None:
+    assert timed_waits("stop.wait(1.0)\nselect.select([a], [], [], s)\nthread.join(2)\nx.settimeout(s)") == [1, 2, 3, 4]
+    assert not timed_waits("stop.wait()\n', '.join(words)\nmachine.wait(stop, 1.0)\nthread.join()\nprocess.poll()")
