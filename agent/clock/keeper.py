@@ -23,7 +23,7 @@ STALLED_S = 2.0
 POLL_S = 0.0003  # between two looks at those who are waited for
 LONGEST_GAP_S = 0.05  # what a look counts at most: who was stopped himself does not hold it against others
 CATCH_UP_NS = 5_000_000  # by less the twin may be late without time being lost
-TWIN = "twin"
+TWIN, RENDERING = "twin", "rendering"  # what the twin itself is waited for
 NAMED = 3  # how many of those that were waited for a person is told of
 
 
@@ -48,9 +48,10 @@ class Keeper:
         self._file = mapped.create(path, self._names, start_ns, self._line)
         self._rate = Rate(speed, start_ns, wall_ns)
         self._start_ns = start_ns
+        self._due_ns = self._published_ns = wall_ns  # on the wall: when the next tick may come, when the last one did
         self.busy_s: dict[str, float] = {}  # what the twin itself waited for in the last tick
         self.limits: dict[str, Callable[[], int]] = {}  # of parts within the twin: how far time may go
-        self._frames: dict[str, int] = {}  # being rendered, by part: how far time may go meanwhile
+        self._frames: dict[str, int] = {}  # being rendered, by robot: how far time may go meanwhile
         self._stalled_s: defaultdict[str, float] = defaultdict(float)
         self._given_up: dict[str, int] = {}  # how far they had come when they stopped
         self._waited_s: defaultdict[str, float] = defaultdict(float)
@@ -62,22 +63,21 @@ class Keeper:
 
     def advance(self, to_ns: int, stop: Event) -> None:
         """Return when it is to_ns, a tick after the last, and let everybody go on for another tick."""
-        self._pace(to_ns, stop)
+        self._pace(stop)
         self._hold(to_ns + self._tick_ns, stop)
         self._publish(to_ns)
 
     @contextmanager
     def frame(self, robot: str, delivered_ns: int, latest_ns: int) -> Iterator[None]:
         """Around the rendering of a frame, which whoever asked for it shall have at delivered_ns."""
-        part = part_name(robot, CAMERA)
-        self._frames[part] = latest_ns
-        self._file.reach(self._file.rows[part], delivered_ns)  # he waits for it, and is not waited for
+        self._frames[robot] = latest_ns
+        self._file.reach(self._file.rows[part_name(robot, CAMERA)], delivered_ns)  # he waits, and is not waited for
         try:
             yield
             while (ahead_ns := delivered_ns - self.now_ns()) > 0 and not self._closed.is_set():
                 machine.sleep(min(max(ahead_ns * 1e-9 / self._line.rate, POLL_S), LONGEST_GAP_S))
         finally:
-            self._frames.pop(part, None)
+            self._frames.pop(robot, None)
 
     def takes_part(self, part: str) -> bool:
         """Whether somebody has joined as this part."""
@@ -92,16 +92,17 @@ class Keeper:
         """Time stands; who follows goes on by himself once our process ends."""
         self._closed.set()
 
-    def _pace(self, to_ns: int, stop: Event) -> None:
-        line = self._line
-        behind_ns = line.at(machine.monotonic_ns()) - to_ns
-        if behind_ns > CATCH_UP_NS:
-            self._own_fault(min(behind_ns * 1e-9 / line.rate, LONGEST_GAP_S))
-        while (ahead_ns := to_ns - line.at(machine.monotonic_ns())) > 0 and not stop.is_set():
-            machine.sleep(min(ahead_ns * 1e-9 / line.rate, LONGEST_GAP_S))
+    def _pace(self, stop: Event) -> None:
+        """Wait until the next tick is due by the speed that is allowed."""
+        late_ns = machine.monotonic_ns() - self._due_ns
+        if late_ns > 0:
+            self._own_fault(min(late_ns, machine.monotonic_ns() - self._published_ns) * 1e-9)
+        while (ahead_ns := self._due_ns - machine.monotonic_ns()) > 0 and not stop.is_set():
+            machine.sleep(min(ahead_ns * 1e-9, LONGEST_GAP_S))
 
     def _own_fault(self, late_s: float) -> None:
         """The last tick took so much longer than time would have allowed."""
+        late_s = min(late_s, LONGEST_GAP_S)
         for name, busy_s in self.busy_s.items():
             self._waited_s[name] += min(busy_s, late_s)
             late_s -= min(busy_s, late_s)
@@ -121,7 +122,8 @@ class Keeper:
 
     def _behind(self, horizon_ns: int) -> list[str]:
         """The parts that are waited for."""
-        behind = [name for name, latest_ns in list(self._frames.items()) if latest_ns < horizon_ns]
+        frames = list(self._frames.items())
+        behind = [part_name(robot, RENDERING) for robot, latest_ns in frames if latest_ns < horizon_ns]
         for name, limit in self.limits.items():
             limit_ns = limit()
             if limit_ns < horizon_ns and not self._is_given_up(name, limit_ns):
@@ -147,12 +149,12 @@ class Keeper:
 
     def _publish(self, now_ns: int) -> None:
         wall_ns = machine.monotonic_ns()
-        before = self._line
-        due_ns = before.wall_ns + round((now_ns - before.base_ns) / before.rate)
         complete = all(self.takes_part(part_name(robot, LOOP)) for robot in self.robots)
         rate = self._rate.step(now_ns, wall_ns, complete)
-        base_wall_ns = max(due_ns, wall_ns - CATCH_UP_NS)
-        self._line = Line(now_ns, base_wall_ns, rate, now_ns + self._tick_ns, self._rate.achieved)
+        apart_ns = round(self._tick_ns / self._rate.allowed)
+        came_ns = max(self._due_ns, wall_ns - min(CATCH_UP_NS, apart_ns))
+        self._due_ns, self._published_ns = came_ns + apart_ns, wall_ns
+        self._line = Line(now_ns, came_ns, rate, now_ns + self._tick_ns, self._rate.achieved)
         self._file.publish(self._line)
 
 

@@ -100,13 +100,13 @@ def test_time_waits_for_who_is_behind_and_no_longer(ticking, tmp_path) -> None:
 
 
 def test_who_makes_no_progress_is_given_up_until_he_does(ticking, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(keeper_module, "STALLED_S", 0.2)
+    monkeypatch.setattr(keeper_module, "STALLED_S", 0.5)
     it, clock = ticking(), RunClock(tmp_path / "clock")
     with it.running():
         clock.join("r1.loop", SLACK_NS)
         reached_ns, began_s = clock.now_ns(), machine.monotonic_s()
         until(lambda: it.now_ns > reached_ns + 200_000_000)
-        assert machine.monotonic_s() - began_s > 0.2  # and not before
+        assert machine.monotonic_s() - began_s > 0.5  # and not before
         clock.reach("r1.loop", clock.now_ns())  # he is back, and is waited for again
         until(lambda: standing(it))
         clock.leave("r1.loop")
