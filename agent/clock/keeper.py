@@ -15,6 +15,7 @@ from threading import Event
 from typing import NamedTuple
 
 from agent.clock import machine, mapped
+from agent.clock.clock import REST_NS
 from agent.clock.mapped import Line
 from agent.clock.part_names import CAMERA, LOOP, PARTS, part_name
 from agent.clock.rate import Rate
@@ -124,32 +125,38 @@ class Keeper:
         """The parts that are waited for."""
         frames = list(self._frames.items())
         behind = [part_name(robot, RENDERING) for robot, latest_ns in frames if latest_ns < horizon_ns]
-        for name, limit in self.limits.items():
-            limit_ns = limit()
-            if limit_ns < horizon_ns and not self._is_given_up(name, limit_ns):
-                behind.append(name)
-        for index, name in enumerate(self._names):
-            row = self._file.row(index)
-            if not row.active or row.reached_ns + row.slack_ns >= horizon_ns:
+        for name, reached_ns, slack_ns in self._parts():
+            if self._given_up.get(name) == reached_ns:
                 continue
-            if not self._file.is_alive(index):
-                self._file.leave(index)
-            elif not self._is_given_up(name, row.reached_ns):
+            self._given_up.pop(name, None)
+            if reached_ns + slack_ns >= horizon_ns or self._is_gone(name):
+                continue
+            if self._stalled_s[name] >= STALLED_S:
+                self._given_up[name] = reached_ns
+            else:
                 behind.append(name)
         return behind
 
-    def _is_given_up(self, name: str, reached_ns: int) -> bool:
-        """Whether this part stalls: until it has moved, nobody waits for it."""
-        if self._stalled_s[name] >= STALLED_S:
-            self._given_up[name] = reached_ns
-        if self._given_up.get(name) == reached_ns:
-            return True
-        self._given_up.pop(name, None)
-        return False
+    def _parts(self) -> Iterator[tuple[str, int, int]]:
+        """Name, how far it has come, and its slack, of everybody whom time waits for."""
+        for name, limit in self.limits.items():
+            yield name, limit(), 0
+        for index, name in enumerate(self._names):
+            row = self._file.row(index)
+            yield name, row.reached_ns if row.active else REST_NS, row.slack_ns
+
+    def _is_gone(self, name: str) -> bool:
+        """Whether a part's process has died; then it takes part no more."""
+        index = self._file.rows.get(name)
+        if index is None or self._file.is_alive(index):
+            return False
+        self._file.leave(index)
+        return True
 
     def _publish(self, now_ns: int) -> None:
         wall_ns = machine.monotonic_ns()
-        complete = all(self.takes_part(part_name(robot, LOOP)) for robot in self.robots)
+        here = all(self.takes_part(part_name(robot, LOOP)) for robot in self.robots)
+        complete = here and not self._given_up
         rate = self._rate.step(now_ns, wall_ns, complete)
         apart_ns = round(self._tick_ns / self._rate.allowed)
         came_ns = max(self._due_ns, wall_ns - min(CATCH_UP_NS, apart_ns))

@@ -9,7 +9,7 @@ WINDOW_NS = 100_000_000  # of the wall, over which the rate is measured
 HEADROOM = 2.0  # above what was achieved: who sleeps too long holds everybody up
 LOWEST = 0.5  # expected, however slow the machine was just now
 STANDING_NS = 1_000_000_000  # a longer gap says that we were stopped ourselves, and nothing of the machine's speed
-UNATTENDED = 1.0  # while agents are still to come nothing is gained by hurrying past them
+UNATTENDED = 1.0  # nothing is gained by hurrying past agents that are still to come, or compile
 SECOND = 10  # windows: a person is told of no shorter time
 
 

@@ -18,8 +18,8 @@ UNREAD_NS = 25_000_000  # how long bytes may lie at the agent's end of a cable b
 def run_by_clock(dive: Dive, keeper: Keeper, stop: threading.Event) -> None:
     """Tick as the keeper lets time go, until stopped."""
     for board in dive.boards:
-        name = part_name(board.robot, SERIAL)
-        keeper.limits[name] = PortLimit(name, board, dive, keeper)
+        reader = part_name(board.robot, SERIAL)
+        keeper.limits[f"{board.robot}.port"] = PortLimit(reader, board, dive, keeper)
     while not stop.is_set():
         keeper.advance(dive.now_ns + TICK_NS, stop)
         dive.tick(PATIENCE_S)

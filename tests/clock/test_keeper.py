@@ -112,6 +112,24 @@ def test_who_makes_no_progress_is_given_up_until_he_does(ticking, tmp_path, monk
         clock.leave("r1.loop")
 
 
+def test_nobody_hurries_past_one_that_is_given_up(ticking, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(keeper_module, "STALLED_S", 0.3)
+    it, clock = ticking(float("inf"), ("r1",)), RunClock(tmp_path / "clock")
+    with it.running():
+        for part in ("r1.loop", "r1.camera"):
+            clock.join(part, SLACK_NS)
+            clock.reach(part, 1 << 62)
+        until(lambda: clock.rate() > 3.0)
+        clock.reach("r1.camera", clock.now_ns())
+        until(lambda: standing(it))
+        until(lambda: not standing(it))
+        began_ns, began_s = it.now_ns, machine.monotonic_s()
+        machine.sleep(0.3)
+        assert it.now_ns - began_ns <= (machine.monotonic_s() - began_s) * 1e9 + 2 * TICK_NS
+        clock.reach("r1.camera", 1 << 62)
+        until(lambda: clock.rate() > 3.0)
+
+
 def test_the_dead_are_not_waited_for(ticking, tmp_path) -> None:
     """A killed process is the machine's doing, so this is on the wall: time goes on at once, not after STALLED_S."""
     it = ticking()
@@ -158,7 +176,7 @@ def test_a_frame_is_there_when_it_is_due_and_time_waits_for_its_rendering(tickin
 def test_a_limit_of_the_twin_s_own_holds_time(ticking) -> None:
     it = ticking()
     limit_ns = START_NS + 100_000_000
-    it.keeper.limits["r1.serial"] = lambda: limit_ns
+    it.keeper.limits["r1.port"] = lambda: limit_ns
     with it.running():
         until(lambda: it.now_ns >= START_NS + 50_000_000)
         until(lambda: standing(it))
