@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from collections import deque
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -115,15 +117,21 @@ def demo_fleet(
 
 
 def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> None:
-    """Each robot's camera and gimbal on the twin's bench, two at a time."""
-    with with_spinner(console, f"calibrating on the twin's bench, two at a time: {', '.join(fleet.robot)}"):
-        names = list(fleet.robot)
-        for pair in (names[k : k + 2] for k in range(0, len(names), 2)):
-            for name in pair:
-                out = path.parent / fleet.robot[name].calibration
-                processes.start(f"calibrate_{name}", "calibrate", "run", str(path), "--robot", name, "--out", str(out))
-            for name in pair:
-                processes.finish(f"calibrate_{name}", CALIBRATE_S)
+    """Each robot's camera and gimbal on the twin's bench.
+
+    Bench and procedure wait for each other: a robot keeps one core busy. One robot more than there are cores leaves
+    none idle when the robots are not a multiple of them.
+    """
+    at_once, running = (os.cpu_count() or 1) + 1, deque[str]()
+    with with_spinner(console, f"calibrating on the twin's bench: {', '.join(fleet.robot)}"):
+        for name, robot in fleet.robot.items():
+            if len(running) == at_once:
+                processes.finish(running.popleft(), CALIBRATE_S)
+            out = path.parent / robot.calibration
+            running.append(f"calibrate_{name}")
+            processes.start(running[-1], "calibrate", "run", str(path), "--robot", name, "--out", str(out))
+        for process in running:
+            processes.finish(process, CALIBRATE_S)
 
 
 def dive(

@@ -6,6 +6,8 @@ runs code that was made for arrays of one kind on arrays of another: a TypeError
 the array's end where only the layout does (numba issue 4807). Agents, twin and benches start at once, so here an index
 and its files are read and written under a lock.
 
+Nor does numba mind that they all compile the same. Here whoever comes first does, and the others wait for the file.
+
 An index also names the classes of the arguments. One that has another name by now cannot be read, and numba, which
 would throw the index away as older than the source, fails before it has looked.
 """
@@ -14,22 +16,35 @@ from __future__ import annotations
 
 import fcntl
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
 from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 LOCK = "numba.lock"  # in the folder of the cache, as a rule __pycache__
+TURN = ".turn"  # behind the function's own name there: the lock of who compiles it
 
 
 class LockedCache(FunctionCache):
     """Numba's cache of one function; who writes is alone in the folder that it is in."""
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._turn: ExitStack | None = None  # holds the lock from a miss until the file is there
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = self._load(sig, target_context)
+        if found is None and self._turn is not None:
+            self._turn.enter_context(self._locked(fcntl.LOCK_EX, f"{self._impl.filename_base}{TURN}"))
+            found = self._load(sig, target_context)  # somebody may have compiled it meanwhile
+        return found
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
         try:
             with self._locked(fcntl.LOCK_SH):
                 return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
@@ -43,8 +58,25 @@ class LockedCache(FunctionCache):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
     @contextmanager
-    def _locked(self, how: int) -> Iterator[None]:
-        with (Path(self.cache_path) / LOCK).open("ab") as lock:  # the folder is there: numba has chosen one it can use
+    def turn(self) -> Iterator[None]:
+        """What compiles in here does so alone on this machine. A function that calls itself has its turn already.
+
+        Numba's own lock, taken first, keeps out this process's other threads; functions call each other in one
+        direction, so that no two processes wait for each other.
+        """
+        with global_compiler_lock:
+            if self._turn is not None:
+                yield
+                return
+            with ExitStack() as self._turn:
+                try:
+                    yield
+                finally:
+                    self._turn = None
+
+    @contextmanager
+    def _locked(self, how: int, name: str = LOCK) -> Iterator[None]:
+        with (Path(self.cache_path) / name).open("ab") as lock:  # the folder is there: numba has chosen one it can use
             fcntl.flock(lock, how)  # until it is closed
             yield
 
@@ -55,7 +87,14 @@ def compiled(**options: Any) -> Callable[[F], F]:
     def compile_at_first_call(function: F) -> F:
         dispatcher: Any = njit(nogil=True, **options)(function)
         # As its enable_caching() does, which knows no cache but numba's own.
-        dispatcher._cache = LockedCache(function)  # type: ignore[no-untyped-call]
+        dispatcher._cache = cache = LockedCache(function)
+        compile_now = dispatcher.compile
+
+        def compile_in_turn(signature: Any) -> Any:
+            with cache.turn():
+                return compile_now(signature)
+
+        dispatcher.compile = compile_in_turn
         return cast(F, dispatcher)
 
     return compile_at_first_call

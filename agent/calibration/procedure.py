@@ -25,7 +25,7 @@ from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
 from agent.kernel.ranging.camera_model import gimbal_deg, servos_us
 from agent.kernel.ranging.focus import Peak, fit_peak, lens_position, phase_sigma
 from agent.kernel.ranging.lens_sag import TiltedPeak, with_sag
-from agent.perception.clarity.clarity import gradient_energy, luminance
+from agent.perception.clarity.gradient import gradient_energy, luminance
 from agent.progress import Progress
 from hw.camera.camera import Camera, FocusRange, Roi
 

@@ -14,7 +14,8 @@ from agent.experiments.still_camera import StillCamera, View
 from agent.failure import Failed
 from agent.kernel.ranging.focus import Array
 from agent.perception.clarity.breathing import measure_growth
-from agent.perception.clarity.clarity import grid, luminance
+from agent.perception.clarity.clarity import grid
+from agent.perception.clarity.gradient import luminance
 from agent.pictures.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from hw.camera.camera import Image, Roi
 

@@ -18,7 +18,8 @@ from agent.kernel.config import ConfigError
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak, h, phase_sigma
 from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
-from agent.perception.clarity.clarity import grid, luminance, tenengrad_grid
+from agent.perception.clarity.clarity import grid, tenengrad_grid
+from agent.perception.clarity.gradient import luminance
 from agent.perception.clarity.peaks import block_peaks
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box

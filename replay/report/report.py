@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jinja2
 import matplotlib
 from markupsafe import Markup
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from replay.files.log import read
@@ -199,6 +200,6 @@ def _svg(figure: Figure) -> Markup:
     with matplotlib.rc_context(
         {"svg.fonttype": "none", "svg.hashsalt": "aucamp"}
     ):  # text stays text; same ids each time
-        figure.savefig(text, format="svg", metadata={"Date": None})
+        FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None})  # type: ignore[no-untyped-call]
     svg = text.getvalue()[text.getvalue().index("<svg") :]
     return Markup(re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2))  # its box decides how large it is

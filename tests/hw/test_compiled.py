@@ -55,6 +55,27 @@ def test_two_signatures_compiled_at_once_do_not_take_each_others_place(tmp_path:
     assert done.returncode == 0, done.stderr
 
 
+MEET_BEFORE = """
+import os, sys, time
+from pathlib import Path
+import numpy as np
+from kernel import total
+
+Path(f"here-{os.getpid()}").touch()
+while len(list(Path().glob("here-*"))) < 2:
+    time.sleep(0.001)
+assert total(np.ones(9)) == 9
+print(sum(total.stats.cache_misses.values()))
+"""
+
+
+def test_of_two_processes_at_once_one_compiles(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(KERNEL)
+    command = [sys.executable, "-c", MEET_BEFORE]
+    both = [subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert sorted(process.communicate(timeout=60)[0] for process in both) == ["0\n", "1\n"]
+
+
 PAIR = """
 from typing import NamedTuple
 import numpy as np

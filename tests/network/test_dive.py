@@ -43,7 +43,7 @@ def run(tmp_path_factory) -> Path:
     )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     said = done.stdout.splitlines()
-    assert said[0].endswith("two at a time: r1, r2, r3") and said[-1].startswith("pass: ")
+    assert said[0].endswith("bench: r1, r2, r3") and said[-1].startswith("pass: ")
     assert "to go" not in done.stdout  # a pipe gets no progress display
     return out
 

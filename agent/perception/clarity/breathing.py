@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from agent.perception.clarity.clarity import Grey
+from agent.perception.clarity.gradient import Grey
 
 WIDTH_PX = 640  # about what a picture is reduced to: less noise, and less work
 SMALLEST_PX = 64  # of a picture's shorter side: below it 0.5 percent is no shift that can be seen

@@ -15,13 +15,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hw.compiled import compiled
 
-Grey = NDArray[np.uint8]  # (height, width)
 Edges = NDArray[np.int64]  # pixels at which the blocks of a grid begin, and the end of the last one
 
 BAND = 2  # rows worked on at once; of eight, reading comes in bursts that the arithmetic does not hide
@@ -29,17 +27,6 @@ FLUSH_ROWS = 256  # rows of a column that an int32 holds: at most 4.2e6 a pixel
 EVERYWHERE = np.empty((0, 0), np.bool_)  # no region: every pixel counts
 
 kernel = compiled(error_model="numpy")
-
-
-def luminance(image: NDArray[np.uint8]) -> Grey:
-    """(height, width, 3) blue green red, or already grey -> (height, width)."""
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)  # type: ignore[return-value]
-
-
-def gradient_energy(grey: Grey) -> NDArray[np.float32]:
-    """Gx^2 + Gy^2 of every pixel, (height, width); the image goes on as its own mirror beyond its border."""
-    gx, gy = (g.astype(np.float32) for g in cv2.spatialGradient(grey, borderType=cv2.BORDER_REFLECT_101))
-    return gx * gx + gy * gy  # at most 2.1e6: exact in single precision
 
 
 def grid(length_px: int, block: int, scale: float = 1.0, centre_px: float | None = None) -> Edges:

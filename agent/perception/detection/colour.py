@@ -7,6 +7,8 @@ on light, not on 8-bit values: the gamma would press a veiled red into grey.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,9 +44,10 @@ def share(pixels: Light, colour: Colour) -> Light:
 
     Rendered balls reach 0.35 to 0.6 in air; a veil lowers it, to 0.08 for the far side of a tank of turbid water.
     """
-    has, lacks = HAS[colour]
-    score = pixels[..., has].min(axis=-1) - pixels[..., lacks].max(axis=-1)
-    return score / (pixels.sum(axis=-1) + DARK)  # type: ignore[no-any-return]
+    planes = [pixels[..., k] for k in range(3)]  # a sum over an axis of three takes four times as long
+    has, lacks = ([planes[k] for k in which] for which in HAS[colour])
+    score: Light = reduce(np.minimum, has) - reduce(np.maximum, lacks)
+    return score / (planes[0] + planes[1] + planes[2] + DARK)
 
 
 def untint(pixels: Light, colour: Colour) -> Light:

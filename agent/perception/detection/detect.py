@@ -8,6 +8,7 @@ linear in g and exact off the optical axis, where the image is an ellipse and it
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -176,9 +177,15 @@ def _shading(inside: Array, reach: Array, good: NDArray[np.bool_]) -> Array:
     return np.clip(ratio, 0.5, 1.5)
 
 
+@lru_cache(maxsize=RAYS)
+def _triples(count: int) -> NDArray[np.int64]:
+    """(TRIALS, 3) of so many points: the same ones each time."""
+    return np.random.Generator(np.random.PCG64(SEED)).integers(0, count, (TRIALS, 3))
+
+
 def _consensus(rays: Array, camera: CameraFit, tolerance_px: float) -> Cone | None:
     """RANSAC over triples, then least squares of m . g = 1 on the rays that agree, twice."""
-    draw = np.random.Generator(np.random.PCG64(SEED)).integers(0, len(rays), (TRIALS, 3))
+    draw = _triples(len(rays))
     m1, m2, m3 = rays[draw[:, 0]], rays[draw[:, 1]], rays[draw[:, 2]]
     normal = np.cross(m2 - m1, m3 - m1)  # of the plane through three points of the unit sphere
     offset = (normal * m1).sum(axis=1)

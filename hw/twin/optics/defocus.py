@@ -11,26 +11,21 @@ again. All steps keep the second moment r^2/4 of a disk, which is what clarity n
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hw.twin.optics.disks import GROUP, RADII, REACH, SQUARES, Ints, taps
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import ONE, ZERO, F, Floats, inlined, kernel
 
-Ints = NDArray[np.int64]
+Corners = tuple[int, int, int, int]  # of a part: its first column and row, and those behind its last ones
 
-RADII = (0.0, 0.5, 0.8, 1.15, 1.55, 2.05, 2.7, 3.5)  # px; a mix of two neighbours has any r^2 in between
 FINE, COARSE = 2.5, RADII[-1]  # radii px between which the sum goes over from full to half resolution
 LEVELS = 2  # of halving: circles up to 4 * COARSE in radius
-REACH = math.ceil(COARSE) + 2  # pixels that the largest full sum looks to each side
-NEGLIGIBLE = 3e-4  # weight below which a tap is left out
 SEGMENT = 32  # pixels of a row that share their sums
 
 FINE_PX, COARSE_PX = np.float32(FINE), np.float32(COARSE)
-SQUARES = np.array(RADII, np.float32) ** 2
 QUARTER, NEAR = np.float32(0.25), np.float32(0.75)
 
 
@@ -57,60 +52,35 @@ def circles(depth_m: Floats, lens: Lens, image_distance_m: float, index: float, 
     return np.asarray(np.minimum(gain * np.abs(error), np.float32(largest_px)), np.float32)
 
 
-class Taps(NamedTuple):
-    """The disks of RADII: disk k has taps start[k] to start[k + 1]."""
-
-    start: Ints
-    dy: Ints
-    dx: Ints
-    weight: Floats
-
-
-@lru_cache(maxsize=1)
-def taps() -> Taps:
-    """Mean of a cubic (Keys) interpolation of the picture over each disk, which has the disk's second moment."""
-    start: list[int] = [0]
-    dy: list[int] = []
-    dx: list[int] = []
-    weight: list[float] = []
-    k = np.arange(-REACH, REACH + 1)
-    ring = np.sqrt((np.arange(24) + 0.5) / 24)  # equal areas
-    angle = 2 * np.pi * (np.arange(64) + 0.5) / 64
-    y, x = (np.outer(ring, trig(angle)).ravel() for trig in (np.sin, np.cos))
-    for r in RADII:
-        w = _cubic(k[:, None] - r * y) @ _cubic(k[:, None] - r * x).T / len(x)
-        rows, cols = np.nonzero(np.abs(w) > NEGLIGIBLE)
-        start.append(start[-1] + len(rows))
-        dy.extend(k[rows])
-        dx.extend(k[cols])
-        weight.extend(w[rows, cols] / w[rows, cols].sum())
-    return Taps(np.array(start), np.array(dy), np.array(dx), np.array(weight, np.float32))
-
-
-def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Keys' kernel, a = -1/2: interpolates quadratics exactly."""
-    t = np.abs(t)
-    return np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0))
-
-
 def margin(largest_px: float) -> int:
     """Pixels around a region that its blurred picture needs: the rim of the coarsest level, and its doubling."""
     halvings = 0 if largest_px <= FINE else 1 if largest_px <= 2 * FINE else LEVELS
     return (REACH + 2) << halvings
 
 
-def blur(picture: Floats, radius: Floats, halvings: int = LEVELS) -> Floats:
-    """Blur picture (h, w, 3) by radius (h, w) px; h and w divisible by 4, a rim of `margin` is not valid."""
+def blur(picture: Floats, radius: Floats, part: Corners | None = None, halvings: int = LEVELS) -> Floats:
+    """Blur picture (h, w, 3) by radius (h, w) px; h and w divisible by 4, a rim of `margin` is not valid.
+
+    Outside `part`, if it is given, nothing is blurred, and what is returned there means nothing.
+    """
+    height, width = radius.shape
+    left, top, right, bottom = part or (0, 0, width, height)
     coarse = picture
-    if halvings and radius.max() > FINE:
-        half = np.empty((picture.shape[0] // 2, picture.shape[1] // 2, 3), np.float32)
+    if halvings and radius[top:bottom, left:right].max() > FINE:
+        half = np.empty((height // 2, width // 2, 3), np.float32)
         half_radius = np.empty(half.shape[:2], np.float32)
         halve(picture, radius, half, half_radius)
-        coarse = blur(half, half_radius, halvings - 1)
+        # A pixel is doubled from the coarse one that it lies in and from that one's neighbours.
+        around = (
+            *(max(low // 2 - 1, 0) for low in (left, top)),
+            *(min((high + 1) // 2 + 1, size // 2) for high, size in ((right, width), (bottom, height))),
+        )
+        coarse = blur(half, half_radius, around, halvings - 1)
     disk = taps()
-    offset = (disk.dy * picture.shape[1] + disk.dx) * 3
+    offset = (disk.dy * width + disk.dx) * 3
     blurred = np.empty_like(picture)
-    gather(picture, radius, coarse, coarse is not picture, disk.start, offset, disk.weight, blurred)
+    has_coarse = coarse is not picture
+    gather(picture, radius, coarse, has_coarse, disk.start, offset, disk.weight, left, top, right, bottom, blurred)
     return blurred
 
 
@@ -136,32 +106,50 @@ def gather(
     start: Ints,
     offset: Ints,
     weight: Floats,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
     blurred: Floats,
 ) -> None:
     """One level: full sums for small circles, the doubled coarser level for large ones, a blend in between."""
     height, width = radius.shape
     flat = picture.reshape(height * width * 3)
     sums = np.empty((len(RADII), 3 * SEGMENT), np.float32)
-    blurred[:] = picture  # what stays in the rim, where sums would reach beyond the picture
-    for j in range(REACH, height - REACH):
-        for i0 in range(REACH, width - REACH, SEGMENT):
-            n = min(SEGMENT, width - REACH - i0)
+    for j in range(top, bottom):
+        for i in range(left, right):  # what stays in the rim, where sums would reach beyond the picture
+            if min(i, j) < REACH or i >= width - REACH or j >= height - REACH:
+                for c in range(3):  # the whole array at once is checked, by code that takes seconds to compile
+                    blurred[j, i, c] = picture[j, i, c]
+    for j in range(max(top, REACH), min(bottom, height - REACH)):
+        for i0 in range(max(left, REACH), min(right, width - REACH), SEGMENT):
+            n = min(SEGMENT, right - i0, width - REACH - i0)
             smallest, largest = COARSE_PX, ZERO
             for i in range(i0, i0 + n):
                 smallest, largest = min(smallest, radius[j, i]), max(largest, radius[j, i])
+            lowest = _disk(smallest, 0)
             if smallest < COARSE_PX or not has_coarse:
-                for k in range(_disk(smallest), _disk(largest) + 2):
-                    total = sums[k]
-                    total[:] = ZERO
-                    for tap in range(start[k], start[k + 1]):
-                        first, w = (j * width + i0) * 3 + offset[tap], weight[tap]
-                        source = flat[first : first + 3 * n]  # a slice: with an offset index it would not vectorise
+                for k in range(lowest, _disk(largest, lowest) + 2):
+                    total = sums[k, : 3 * n]
+                    for lane in range(3 * n):
+                        total[lane] = ZERO
+                    here = (j * width + i0) * 3
+                    for tap in range(start[k], start[k + 1], GROUP):
+                        # Slices: with an offset index it would not vectorise.
+                        first = flat[here + offset[tap] : here + offset[tap] + 3 * n]
+                        second = flat[here + offset[tap + 1] : here + offset[tap + 1] + 3 * n]
+                        third = flat[here + offset[tap + 2] : here + offset[tap + 2] + 3 * n]
+                        fourth = flat[here + offset[tap + 3] : here + offset[tap + 3] + 3 * n]
+                        w1, w2, w3, w4 = weight[tap], weight[tap + 1], weight[tap + 2], weight[tap + 3]
                         for lane in range(3 * n):
-                            total[lane] += w * source[lane]
+                            value = total[lane] + w1 * first[lane]
+                            value += w2 * second[lane]
+                            value += w3 * third[lane]
+                            total[lane] = value + w4 * fourth[lane]
             for i in range(n):
                 r = radius[j, i0 + i]
                 share = min(max((r - FINE_PX) / (COARSE_PX - FINE_PX), ZERO), ONE) if has_coarse else ZERO
-                k = _disk(r)
+                k = _disk(r, lowest)
                 upper = (ONE - share) * min((r * r - SQUARES[k]) / (SQUARES[k + 1] - SQUARES[k]), ONE)
                 lower = ONE - share - upper
                 for c in range(3):
@@ -174,9 +162,8 @@ def gather(
 
 
 @inlined
-def _disk(r: F) -> int:
-    """The largest k with RADII[k] <= r that has a larger neighbour."""
-    k = 0
+def _disk(r: F, k: int) -> int:
+    """The largest k with RADII[k] <= r that has a larger neighbour; it is not below the k given."""
     while k < len(RADII) - 2 and r * r > SQUARES[k + 1]:
         k += 1
     return k

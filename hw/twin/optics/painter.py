@@ -96,7 +96,8 @@ class Painter:
 
         picture = np.empty((h1, w1, 3), np.float32)
         shade(view, self._tables, x1, y1, depth, identity, picture)
-        picture = np.ascontiguousarray(blur(picture, radius)[y - y1 : y - y1 + height, x - x1 : x - x1 + width])
+        left, top, right, bottom = x - x1, y - y1, x - x1 + width, y - y1 + height
+        picture = np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
         image = np.empty((height, width, 3), np.uint8)
         key = noise_key(self._seed, self._robot, tick)
         expose(picture, self._gain, key, x, y, self._lens.width, normal_quantiles(), gamma_curve(), image)

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from agent.perception.clarity.clarity import (
-    gradient_energy,
     grid,
-    luminance,
     tenengrad_blocks,
     tenengrad_disc,
     tenengrad_grid,
     tenengrad_region,
 )
+from agent.perception.clarity.gradient import gradient_energy, luminance
 
 
 def sobel_energy(grey):
