@@ -17,7 +17,7 @@ from agent.kernel.messages import Message
 from replay.files.backlog import Entry
 from replay.files.channels import CLOCK, entry_on
 
-PERIOD_NS = 500_000_000  # of the clock; the twin measures its rate over a quarter of a second of the wall
+PERIOD_NS = 500_000_000  # of the clock; its rate is that of its last second on the wall
 
 
 class ClockRate(Message, frozen=True, kw_only=True):
