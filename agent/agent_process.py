@@ -36,6 +36,7 @@ from hw.stm32.driver import Stm32, open_port_path
 from hw.twin.devices.twin_folder import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.auto_recover import recovering, torn_files
+from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 
 GIVEN_UP = "to start them, put right what stopped them, end this agent and start it again with --arm"
@@ -103,7 +104,7 @@ class AgentProcess:
                 black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
             )
             self._stack.push(links.pop_all())
-        self._box = BlackBoxWriter(self.log, self._clock.now_ns, lossless)
+        self._box = BlackBoxWriter(self.log, self._clock.now_ns, lossless, RateNotes(self._clock))
         self._network = self._stack.enter_context(ConsoleLog(link, tell))
         self._stack.callback(say_goodbye, self._agent, self._network, self._clock)
 

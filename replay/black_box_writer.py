@@ -16,6 +16,7 @@ from agent.kernel.step_io import Sighting
 from agent.kernel.toml_files import dump
 from replay.files import channels
 from replay.files.channels import entry_on
+from replay.files.clock_rate import RateNotes
 from replay.files.frames import picture
 from replay.files.log import LogWriter
 from replay.files.names import unused
@@ -48,9 +49,14 @@ def black_box_log(
 class BlackBoxWriter:
     """Gives each channel of the black box its name, number and times."""
 
-    def __init__(self, log: LogWriter, clock: Callable[[], int], lossless: bool = False) -> None:
-        """`clock` gives Unix nanoseconds that never step back; `lossless`: frames as PNG, nine times as large."""
-        self._log, self._clock, self._lossless = log, clock, lossless
+    def __init__(
+        self, log: LogWriter, clock: Callable[[], int], lossless: bool = False, rate: RateNotes | None = None
+    ) -> None:
+        """`clock` gives Unix nanoseconds that never step back; `lossless`: frames as PNG, nine times as large.
+
+        `rate`: notes of how fast that clock goes, to be written as well.
+        """
+        self._log, self._clock, self._lossless, self._rate = log, clock, lossless, rate
         self._frames, self._chunks = count(), {channels.FROM_BOARD: count(), channels.TO_BOARD: count()}
 
     def step(self, step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
@@ -58,6 +64,8 @@ class BlackBoxWriter:
         self._log.put(entry_on(channels.STEP_IN, now_ns, now_ns, step, inputs))
         if outputs is not None:
             self._log.put(entry_on(channels.STEP_OUT, now_ns, now_ns, step, outputs))
+        for note in self._rate.due() if self._rate is not None else ():
+            self._log.put(note)
 
     def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
         """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""

@@ -24,6 +24,7 @@ from agent.kernel.topics import Topic
 from replay.files.auto_recover import recovering, torn_files
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import NETWORK, PRESENCE, name
+from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 from replay.files.log import Limits, LogWriter, drop_note, unused
 from replay.viewers.viewer_channels import ViewerChannels
@@ -55,7 +56,7 @@ def record(
     has become full, and if no session can be opened.
     """
     started_ns = clock.now_ns()
-    arrivals = Arrivals(clock.now_ns)
+    arrivals, rate = Arrivals(clock.now_ns), RateNotes(clock)
     warned = False
     torn = torn_files(out)
     if torn and not out.exists():
@@ -66,7 +67,7 @@ def record(
     )
     with log, recovering(torn, warn), receiving(fleet, arrivals, "recorder"):
         while not machine.wait(stop, PERIOD_S):
-            for entry in arrivals.drain():
+            for entry in (*arrivals.drain(), *rate.due()):
                 log.put(entry)
             if log.failed:
                 raise ConfigError(f"{out}: recording stopped: {log.failed}")

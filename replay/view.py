@@ -15,6 +15,7 @@ from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.kernel.config import ConfigError, Fleet
 from replay.files.backlog import Entry
+from replay.files.clock_rate import RateNotes
 from replay.recorder import PERIOD_S, Arrivals, receiving
 from replay.viewers.layout import foxglove_layout, shipped
 from replay.viewers.viewer_channels import ViewerChannels
@@ -34,7 +35,7 @@ def view(
         import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
     except ImportError:
         raise ConfigError("the live view needs the extra `view`: pip install 'aucamp[view]'") from None
-    arrivals, derive = Arrivals(clock.now_ns), ViewerChannels(fleet)
+    arrivals, rate, derive = Arrivals(clock.now_ns), RateNotes(clock), ViewerChannels(fleet)
     context = foxglove.Context()
     channels: dict[str, Any] = {}
 
@@ -54,7 +55,7 @@ def view(
         try:
             say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
             while not machine.wait(stop, PERIOD_S):
-                for entry in arrivals.drain():
+                for entry in (*arrivals.drain(), *rate.due()):
                     for derived in derive(entry):
                         show(derived)
         finally:

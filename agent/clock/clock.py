@@ -15,6 +15,10 @@ class Clock(Protocol):
 
     camera_offset_ns: int  # from the stamps of cameras that live by this clock to its own time
 
+    @property
+    def start_ns(self) -> int | None:
+        """When the dive began, in its own time; None: there is no twin."""
+
     def now_ns(self) -> int: ...
 
     def wall_s(self, until_ns: int) -> float:
@@ -36,6 +40,8 @@ class Clock(Protocol):
 
 class SystemClock:
     """Sampled once, then monotonic: an adjustment of the time of day is no event of a dive. It waits for nobody."""
+
+    start_ns: int | None = None
 
     def __init__(self) -> None:
         self.camera_offset_ns = machine.unix_ns() - machine.monotonic_ns()

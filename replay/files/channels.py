@@ -50,6 +50,7 @@ FROM_BOARD = Channel(
     "/raw/serial/from_board", "bytes of the tether from the control module", "application/octet-stream", "", AGENT
 )
 TO_BOARD = Channel("/raw/serial/to_board", "and to the control module", "application/octet-stream", "", AGENT)
+CLOCK = Channel("/raw/clock", "how fast the clock goes, and the time on the wall", "msgpack", "aucamp.ClockRate", BOTH)
 DROPS = Channel("/raw/drops", "what the disk was too slow for: frames give way first, steps last", "msgpack", "", BOTH)
 CUT = Channel("/raw/step_in_cut", "inputs of a step that has no outputs", "msgpack", "aucamp.Inputs", ("recovery",))
 NETWORK = Channel(
@@ -88,11 +89,12 @@ NEIGHBOUR = _derived(
 ATTITUDE = _derived("/{robot}/plot/attitude", "depth, roll, pitch, battery", "aucamp.Attitude", AGENT)
 THRUSTERS = _derived("/{robot}/plot/thrusters", "pulses of thrusters and servos", "aucamp.Thrusters", AGENT)
 FOCUS = _derived("/{robot}/plot/focus[/{target}]", "lens position and clarity", "aucamp.Focus", AGENT)
+RATE = _derived("/plot/clock", "how fast the clock goes", "aucamp.Clock", BOTH)
 
 CHANNELS = (
-    *(STEP_IN, STEP_OUT, FRAME, VISION, FROM_BOARD, TO_BOARD, DROPS, CUT, PRESENCE, NETWORK),
+    *(STEP_IN, STEP_OUT, FRAME, VISION, FROM_BOARD, TO_BOARD, CLOCK, DROPS, CUT, PRESENCE, NETWORK),
     *(TF, PRIOR, ESTIMATE, LOG, PREVIEW, CAMERA_IMAGE, CAMERA_MODEL, SWEEP_IMAGE, SWEEP_MODEL, POINTS),
-    *(PROTOCOL, NEIGHBOUR, ATTITUDE, THRUSTERS, FOCUS),
+    *(PROTOCOL, NEIGHBOUR, ATTITUDE, THRUSTERS, FOCUS, RATE),
 )
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agent.kernel import topics
-from replay.files.channels import STEP_IN, STEP_OUT, network_topic
+from replay.files.channels import CLOCK, STEP_IN, STEP_OUT, network_topic
+from replay.files.clock_rate import Moment, Pace, moment, pace
 from replay.files.mcap_file import Attachment, Channel, Message, Metadata, Schema, Tear, records
 from replay.files.names import parts
 
@@ -41,6 +42,7 @@ class Info(NamedTuple):
     recovered: dict[str, str]  # what was lost, when this file is a mended copy
     torn_bytes: int  # that cannot be read
     clock: dict[str, dict[str, str]]  # Unix and monotonic time: at the "start" and at the "end"
+    pace: Pace | None  # of the dive's clock; None: there was no twin
 
 
 def info(path: Path) -> Info:
@@ -51,6 +53,7 @@ def info(path: Path) -> Info:
     topics_: dict[int, Channel] = {}
     channels: dict[str, ChannelInfo] = {}
     sequences: dict[str, int] = {}
+    moments: list[Moment] = []
     torn_bytes, whole = 0, True
     for record in records(path):
         match record:
@@ -77,6 +80,8 @@ def info(path: Path) -> Info:
                     last_ns=max(old.last_ns, record.log_time),
                     gaps=old.gaps + max(0, gap),
                 )
+                if about.topic == CLOCK.name and (noted := moment(record.log_time, record.data)) is not None:
+                    moments.append(noted)
             case Tear():
                 torn_bytes, whole = torn_bytes + record.bytes, False
     end = notes.get("aucamp.end", {})
@@ -89,6 +94,7 @@ def info(path: Path) -> Info:
         recovered=notes.get("aucamp.recovered", {}),
         torn_bytes=torn_bytes,
         clock={when: note for when in ("start", "end") if (note := notes.get(f"aucamp.clock.{when}"))},
+        pace=pace(moments),
     )
 
 
@@ -108,6 +114,7 @@ def as_json(path: Path, about: Info) -> str:
     """The same for programs."""
     facts = about._asdict()
     facts["channels"] = {name: {**channel._asdict(), "hz": channel.hz} for name, channel in about.channels.items()}
+    facts["pace"] = about.pace._asdict() if about.pace is not None else None
     facts["attachments"] = {name: len(text) for name, text in about.attachments.items()}
     return json.dumps({"file": str(path), **facts}, indent=1)
 
@@ -137,6 +144,8 @@ def _lines(about: Info) -> Iterator[str]:
         first_ns = min(channel.first_ns for channel in about.channels.values())
         last_ns = max(channel.last_ns for channel in about.channels.values())
         yield f"{(last_ns - first_ns) * 1e-9:.1f} s, attached {', '.join(about.attachments) or 'nothing'}"
+        if about.pace is not None:
+            yield str(about.pace)
         yield f"{'messages':>9} {'Hz':>7} {'kB':>9} {'missing':>8}  channel"
     for name, channel in sorted(about.channels.items()):
         missing = str(channel.gaps) if counts_by_one(name) else ""
@@ -149,7 +158,7 @@ def _lines(about: Info) -> Iterator[str]:
 def counts_by_one(channel: str) -> bool:
     """Whether a missing sequence number on this channel is a missing message."""
     row = network_topic(channel)
-    return channel in (STEP_IN.name, STEP_OUT.name) or (row is not None and row[0] is not topics.LOG)
+    return channel in (STEP_IN.name, STEP_OUT.name, CLOCK.name) or (row is not None and row[0] is not topics.LOG)
 
 
 def nominal_hz(channel: str) -> float:

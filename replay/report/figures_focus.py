@@ -30,7 +30,7 @@ def clarity_curves(timeline: RobotTimeline) -> Figure:
     panel.set_title(f"{timeline.label}: {len(timeline.sweeps)} sweeps, {peaks} with a peak")
     panel.set(xlabel="lens position", ylabel="clarity T (Tenengrad), grey levels²")
     if timeline.sweeps:
-        panel.legend(fontsize="small", title="begun at", title_fontsize="small")
+        panel.legend(fontsize="small", title="begun at", title_fontsize="small", loc="best")
     return figure
 
 
@@ -47,7 +47,7 @@ def calibration_fit(timeline: RobotTimeline) -> Figure:
     errors = f"RMSE {1e3 * fit.rmse_m:.1f} mm, held out {1e3 * fit.held_out_rmse_m:.1f} mm"
     panel.set_title(f"{timeline.label}: R² {fit.r2:.5f}, {errors}", fontsize="medium")
     panel.set_ylabel("z-depth u from the gimbal, m")
-    panel.legend(fontsize="small")
+    panel.legend(fontsize="small", loc="best")  # said, or matplotlib warns where the machine is busy
     below.plot(rho, 2e3 * deviation_m(fit, rho), color="black", linewidth=1.0)
     below.set(xlabel=r"lens position $\rho^*$", ylabel=r"$2\sigma$ of h, mm", ylim=(0.0, None))
     return figure

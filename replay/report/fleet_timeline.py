@@ -35,6 +35,7 @@ class FleetFile(NamedTuple):
 class Overheard(NamedTuple):
     timelines: list[RobotTimeline]
     links: list[Link]  # as the robots count what they heard, of what the recorder saw
+    start_ns: int | None  # since when times are counted; None: nobody showed anything
 
 
 def open_fleet_file(path: Path) -> FleetFile:
@@ -83,7 +84,8 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
     ]
     heard = {(src, dst): n for dst, robot in robots.items() for src, n in robot.heard().items()}
     pairs = sorted({*said, *(pair for pair, n in heard.items() if n)})
-    return Overheard(found, [Link(*pair, len(said.get(pair, ())), heard.get(pair, 0), 0, 0) for pair in pairs])
+    links = [Link(*pair, len(said.get(pair, ())), heard.get(pair, 0), 0, 0) for pair in pairs]
+    return Overheard(found, links, start_ns)
 
 
 class _Robot:

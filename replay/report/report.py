@@ -18,9 +18,11 @@ from markupsafe import Markup
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from replay.files.clock_rate import pace
 from replay.files.log import read
 from replay.report import (
     figures_belief,
+    figures_clock,
     figures_depth,
     figures_focus,
     figures_map,
@@ -30,7 +32,6 @@ from replay.report import (
     tables as report_tables,
 )
 from replay.report.page_template import PAGE
-from replay.report.robot_timeline import first_ns
 from replay.report.run import Run, open_run
 from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
 
@@ -73,6 +74,8 @@ def _about(run: Run) -> str:
     if robots:
         steps = f", {sum(box.recorded for box in run.boxes)} steps" if run.boxes else ""
         lines.append(f"{max(timeline.ends_s for timeline in robots):.0f} s{steps}.")
+    if (went := pace(run.clock)) is not None:
+        lines.append(f"{went}.")
     header = run.boxes[0].run if run.boxes else run.fleet_file.run if run.fleet_file else None
     if header is not None:
         dirty = " with uncommitted changes" if header.get("dirty") == "yes" else ""
@@ -175,13 +178,21 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             [report_tables.matrix(run)] if run.links else [],
             [],
         ),
+        Section(
+            "clock",
+            "Clock",
+            "How fast the dive's clock went, by which all times here are: as fast as the machine kept up, and at most "
+            "as was asked for. Dashed: real time.",
+            [],
+            [_svg(figures_clock.rate(run.clock, run.start_ns or run.clock[0].now_ns))] if run.clock else [],
+        ),
     ]
     return [section for section in sections if section.tables or section.figures]
 
 
 def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
     """The map of the first whole sweep in each robot's recordings that gives one."""
-    start_ns = first_ns(run.boxes) or 0
+    start_ns = run.start_ns or 0
     for timeline in run.robots:
         sweeps = (
             (box, frames)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,9 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Vector
 from replay.check.black_box import BlackBox, black_boxes, head, open_boxes, recordings
 from replay.check.links import Link, links
+from replay.files.channels import CLOCK
+from replay.files.clock_rate import Moment, in_dive, moment
+from replay.files.log import read
 from replay.files.names import parts
 from replay.report.fleet_timeline import FleetFile, Overheard, open_fleet_file, overheard
 from replay.report.robot_timeline import RobotTimeline, first_ns, timelines
@@ -26,6 +29,8 @@ class Run(NamedTuple):
     links: list[Link]
     summary: dict[str, Any] | None  # what the demo found
     truths_m: dict[str, Vector]  # by target, where a twin knows it
+    start_ns: int | None  # since when times are counted: the first step of any robot
+    clock: list[Moment]  # of a dive in the twin, how fast its clock went
 
     @property
     def robots(self) -> list[RobotTimeline]:
@@ -45,15 +50,18 @@ def open_run(path: Path) -> Run:
     boxes, fleet_path = _recordings(path)
     if not boxes and summary is None and fleet_path is None:
         raise ConfigError(f"{path}: no recording and no summary.json; give the folder of a run, or a recording")
+    start_ns = first_ns(boxes)
     drawn, heard, file = timelines(boxes), links(boxes), None
     known = {box.robot for box in boxes}
     if fleet_path is not None and (not boxes or known != set(boxes[0].fleet.robot)):
         file = open_fleet_file(fleet_path)
-        more = overheard(file, first_ns(boxes), known)
+        more = overheard(file, start_ns, known)
+        start_ns = more.start_ns
         drawn = sorted([*drawn, *more.timelines], key=lambda timeline: timeline.robot)
         heard = _joined(heard, more, known)
     fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
-    return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(summary, fleet))
+    clock = _clock([*(box.path for box in boxes), *([file.path] if file else [])])
+    return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(summary, fleet), start_ns, clock)
 
 
 def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
@@ -62,6 +70,17 @@ def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
     if head(parts(path)[0]).run.get("kind") == "fleet":
         return [], path
     return open_boxes([path]), None
+
+
+def _clock(paths: Iterable[Path]) -> list[Moment]:
+    """The notes of one clock in all these recordings."""
+    notes = (
+        moment(record.log_time_ns, record.data)
+        for path in paths
+        for record in read(path)
+        if record.channel == CLOCK.name
+    )
+    return in_dive(each for each in notes if each is not None)
 
 
 def _joined(heard: Sequence[Link], more: Overheard, known: set[str]) -> list[Link]:

@@ -58,11 +58,14 @@ def foxglove_layout(fleet: Fleet) -> dict[str, Any]:
 
 def _channels(path: str, fleet: Fleet) -> Iterator[tuple[str, str]]:
     """(robot and target in words, path) for each that one of r1's stands for, and none for a path of another robot.
+    One that is of no robot stands for itself, without words.
 
     A path is a channel, or a channel and behind a dot a field of its messages.
     """
     channel, dot, field = path.partition(".")
     found = match(channel)
+    if found is not None and "robot" not in found[1]:
+        yield "", path
     if found is None or found[1].get("robot") != FIRST:
         return
     row, chunks = found
@@ -81,7 +84,7 @@ def _lines(paths: list[dict[str, Any]], fleet: Fleet) -> Iterator[dict[str, Any]
     colours = cycle(COLOURS)
     for path in paths:
         for label, value in _channels(path["value"], fleet):
-            yield {**path, "value": value, "label": label, "color": next(colours)}
+            yield {**path, "value": value, "label": label or path["label"], "color": next(colours)}
 
 
 def _tank(panel: dict[str, Any], fleet: Fleet) -> None:

@@ -29,6 +29,7 @@ PLOTS: dict[str, tuple[str, ...]] = {
         *(f"posterior_{axis}_m" for axis in XYZ),
         *("nis", "pan_deg", "tilt_deg", "refused", "faults"),
     ),
+    "Clock": ("rate", "dive_s", "wall_s"),  # wall_s: Unix time
     "Neighbour": ("age_s", "valid", "used", "heard", "gaps", "weight"),
 }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from replay.files import channels
 from replay.files.channels import Channel, name
@@ -29,6 +30,7 @@ def shown_channels() -> dict[str, list[str]]:
         "sweep": of(ROBOTS[:1], channels.SWEEP_IMAGE, channels.SWEEP_MODEL),
         "log": of(ROBOTS, channels.LOG),
         "protocol": of(ROBOTS, channels.PROTOCOL),
+        "times real time": [name(channels.RATE)],
     }
 
 
@@ -37,6 +39,7 @@ def write(out: Path = OUT) -> None:
     import rerun.blueprint as rrb
 
     shown = shown_channels()
+    (clock,) = shown["times real time"]
     left = rrb.Vertical(
         rrb.Spatial3DView(name="tank", origin="/", contents=shown["tank"]),
         rrb.Horizontal(*(rrb.Spatial2DView(name=r, origin=shown[r][0], contents=shown[r]) for r in ROBOTS)),
@@ -48,8 +51,24 @@ def write(out: Path = OUT) -> None:
     right = rrb.Vertical(
         rrb.TextLogView(name="log", origin="/", contents=shown["log"]),
         rrb.DataframeView(name="protocol", origin="/", contents=shown["protocol"]),
+        rrb.TimeSeriesView(name="times real time", origin="/", contents=clock, overrides=_rate_alone(clock)),
+        row_shares=[2, 2, 1],
     )
     rrb.Blueprint(rrb.Horizontal(left, right, column_shares=[3, 2])).save("aucamp", str(out))
+
+
+def _rate_alone(channel: str) -> dict[str, Any]:
+    """Of the messages on this channel, which Rerun takes for structs, one field is a line."""
+    import rerun as rr
+    from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+    rate = VisualizerComponentMapping(
+        "Scalars:scalars",
+        ComponentSourceKind.SourceComponent,
+        source_component=f"{channels.RATE.schema}:message",
+        selector=".rate",
+    )
+    return {channel: rr.SeriesLines(names="rate").visualizer(mappings=[rate])}
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from agent.kernel.step_io import Inputs, Outputs, Sighting, Telemetry
 from replay.files import channels
 from replay.files.backlog import Entry
 from replay.files.channels import name, network_topic
+from replay.files.clock_rate import ClockRate
 from replay.files.frames import MAX_FRAME, Picture
 from replay.viewers import foxglove
 from replay.viewers.plots import plot
@@ -49,6 +50,7 @@ class ViewerChannels:
             channels.STEP_OUT.name: self._outputs,
             channels.FRAME.name: self._frame,
             channels.VISION.name: self._vision,
+            channels.CLOCK.name: self._clock,
         }
 
     def __call__(self, entry: Entry) -> Iterator[Entry]:
@@ -110,6 +112,11 @@ class ViewerChannels:
             places_m, colours = points(found, self._calibration.camera)
             cloud = foxglove.cloud(self._robot, places_m, colours, found.t_ns)
             yield name(channels.POINTS, robot=self._robot), found.t_ns, cloud
+
+    def _clock(self, entry: Entry) -> Iterator[Made]:
+        noted = _own(entry, ClockRate)
+        shown = plot("Clock", rate=noted.rate, dive_s=noted.dive_s, wall_s=noted.wall_ns * 1e-9)
+        yield name(channels.RATE), entry.log_time_ns, shown
 
     def _network(self, entry: Entry) -> Iterator[Made]:
         """What robots show to whoever looks, in a fleet file."""

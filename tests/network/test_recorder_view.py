@@ -75,11 +75,15 @@ def test_a_viewer_sees_what_a_robot_shows(
                 return
 
     with ThreadPoolExecutor(2) as pool, Transport(fleet, "r1", time.time_ns) as r1:
-        serving, showing = pool.submit(view, fleet, stop, free_port, lines.append), pool.submit(shows, r1)
+        serving, showing = (
+            pool.submit(view, fleet, stop, SystemClock(), free_port, lines.append),
+            pool.submit(shows, r1),
+        )
         try:
             until(lambda: lines or serving.done())
             with contextlib.closing(Client(free_port)) as client:
-                expected = {"/r1/plot/protocol", "/r1/target/prior", "/r1/target/estimate", "/r1/preview"}
+                of_robot = {"/r1/plot/protocol", "/r1/target/prior", "/r1/target/estimate", "/r1/preview"}
+                expected = {*of_robot, "/plot/clock"}
                 assert subscribed(client, len(expected)) == expected
         finally:
             stop.set()

@@ -17,10 +17,12 @@ from agent.kernel.messages import LogLine, NeighbourState, State
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
 from replay.black_box_writer import BlackBoxWriter, black_box_log
+from replay.files.clock_rate import RateNotes
 from replay.files.log import LogWriter
 from replay.viewers.whole_sweeps import SweepDepth, SweepFrame
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT
+from tests.replay.paced_clock import PacedClock
 from tests.sample_messages import telemetry
 
 START_NS = 1_767_225_600_000_000_000  # 2026-01-01
@@ -31,14 +33,14 @@ FLEET = replace(TANK, camera=replace(TANK.camera, sweep_steps=9))
 CALIBRATION = Calibration(robot="r1", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
 
 
-def write_box(folder: Path, views: bool = True, lossless: bool = False) -> Path:
-    """Write r1.mcap into a folder."""
-    now = [START_NS]
+def write_box(folder: Path, views: bool = True, lossless: bool = False, pace: float = 1.0) -> Path:
+    """Write r1.mcap into a folder; `pace`: of the dive's clock."""
+    clock = PacedClock(START_NS, pace)
     log = black_box_log(
         folder, FLEET, "r1", CALIBRATION, {"kind": "black box", "robot": "r1", "incarnation": 1}, views, flat
     )
     with log:
-        fill(log, now, lossless)
+        fill(log, clock, lossless)
     return log.path
 
 
@@ -49,19 +51,20 @@ def flat(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth:
     return SweepDepth(frames[0].sighting.t_ns, 40, *frames[0].roi[:2], range_m, sharp)
 
 
-def fill(log: LogWriter, now: list[int], lossless: bool = False) -> None:
-    box = BlackBoxWriter(log, lambda: now[0], lossless)
+def fill(log: LogWriter, clock: PacedClock, lossless: bool = False) -> None:
+    box = BlackBoxWriter(log, clock.now_ns, lossless, RateNotes(clock, clock.unix_ns))
     for step in range(STEPS):
-        now[0] += STEP_NS
-        sighting = seen(now[0], step)
+        clock.go_on(STEP_NS * 1e-9)
+        now_ns = clock.now_ns()
+        sighting = seen(now_ns, step)
         part = (0, 0, 640, 480) if step % 10 == 0 else (200, 120, 240, 240)
         box.serial(True, b"\x01telemetry\x00")
         box.serial(False, b"\x02set point\x00")
         box.frame(disc(step)[part[1] : part[1] + part[3], part[0] : part[0] + part[2]], part, sighting)
-        inputs = Inputs(telemetry=(reading(now[0]),), sightings=(sighting,))
-        says = LogLine(robot="r1", sent_ns=now[0], level="warning", text=f"step {step}")
-        outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=state(now[0], step), log=(says,))
-        box.step(step, now[0], encode(inputs), encode(outputs))
+        inputs = Inputs(telemetry=(reading(now_ns),), sightings=(sighting,))
+        says = LogLine(robot="r1", sent_ns=now_ns, level="warning", text=f"step {step}")
+        outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=state(now_ns, step), log=(says,))
+        box.step(step, now_ns, encode(inputs), encode(outputs))
 
 
 @cache

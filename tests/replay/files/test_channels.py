@@ -58,7 +58,7 @@ def test_a_black_box_holds_the_rows_of_its_writer_as_the_table_says(tmp_path: Pa
 def test_no_other_file_spells_a_channel() -> None:
     sources = [path for folder in ("agent", "hw", "replay", "router_config") for path in (ROOT / folder).rglob("*.py")]
     of_robots = [re.sub(r"^/{robot}|\[.*\]|{neighbour}", "", row.name) for row in CHANNELS if row.derived]
-    pattern = re.compile(r"/raw/|/zenoh/|(}|r\d)(" + "|".join(of_robots) + r")\b")
+    pattern = re.compile(r"/raw/|/zenoh/|\"/plot/|(}|r\d)(" + "|".join(of_robots) + r")\b")
     guilty = [str(path.relative_to(ROOT)) for path in sources if pattern.search(path.read_text(encoding="utf-8"))]
     # The first is the other table: a key of the network also ends in "{robot}/log".
     assert guilty == ["agent/kernel/topics.py", "replay/files/channels.py"]

@@ -39,14 +39,15 @@ def test_the_shipped_layout_is_that_of_three_robots_in_the_tank() -> None:
 def test_every_robot_is_shown_and_no_other(robots: tuple[str, ...]) -> None:
     layout = foxglove_layout(fleet_of("tank.toml", *robots))
     text = json.dumps(layout)
-    assert set(re.findall(r'"/(\w+)/', text)) == set(robots)
+    assert set(re.findall(r'"/(\w+)/', text)) == {*robots, "plot"}
     panels = layout["configById"]
     assert sorted(leaves(layout["layout"])) == sorted(panels)
     assert [panels[f"Image!{name}_preview"]["imageMode"]["imageTopic"] for name in robots] == [
         f"/{name}/preview" for name in robots
     ]
     assert panels["Log!lines"]["topicToRender"] == f"/{robots[0]}/log"
-    for name in (name for name in panels if name.startswith("Plot!")):
+    assert [path["label"] for path in panels["Plot!rate"]["paths"]] == ["clock"]  # all follow the same
+    for name in (name for name in panels if name.startswith("Plot!") and name != "Plot!rate"):
         assert [path["label"] for path in panels[name]["paths"]] == list(robots)
         assert len({path["color"] for path in panels[name]["paths"]}) == len(robots)
 

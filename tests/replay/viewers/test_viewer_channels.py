@@ -34,6 +34,7 @@ from replay.viewers.viewer_channels import ViewerChannels
 from tests.replay.small_box import CALIBRATION, FLEET, START_NS, STEP_NS, STEPS, disc, flat, state, write_box
 
 SCHEMAS = {  # channel -> what Foxglove decodes it as, what Rerun shows it as
+    "/plot/clock": ("aucamp.Clock", "aucamp.Clock"),
     "/r1/camera/calibration": ("foxglove.CameraCalibration", "Pinhole"),
     "/r1/camera/image": ("foxglove.CompressedImage", "EncodedImage"),
     "/r1/depth/points": ("foxglove.PointCloud", "Points3D"),
@@ -49,7 +50,10 @@ SCHEMAS = {  # channel -> what Foxglove decodes it as, what Rerun shows it as
     "/r1/target/prior": ("foxglove.PoseInFrame", "InstancePoses3D"),
     "/r1/tf": ("foxglove.FrameTransforms", "Transform3D"),
 }
-RAW = {"/raw/frame", "/raw/serial/from_board", "/raw/serial/to_board", "/raw/step_in", "/raw/step_out", "/raw/vision"}
+RAW = {
+    *("/raw/clock", "/raw/frame", "/raw/serial/from_board", "/raw/serial/to_board"),
+    *("/raw/step_in", "/raw/step_out", "/raw/vision"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +87,8 @@ def test_every_viewer_channel_decodes_by_its_own_descriptor(box: Path) -> None:
     assert contents["/r1/plot/attitude"][0].sensor4_depth_m == 0.41
     assert contents["/r1/plot/thrusters"][0].pwm8_us == 1507
     assert contents["/r1/plot/focus"][5].clarity == 105
+    assert [clock.rate for clock in contents["/plot/clock"]] == [1.0] * 5
+    assert contents["/plot/clock"][1].dive_s == pytest.approx(0.5)
     assert math.isnan(contents["/r1/plot/protocol"][0].alpha)  # not known, and not zero
     assert contents["/r1/plot/protocol"][0].valid_robots == 2
     assert contents["/r1/plot/hears/r2"][0].age_s == 0.1
@@ -189,7 +195,9 @@ def test_the_layouts_show_channels_that_exist(box: Path) -> None:
     assert len(named) > 12
     assert {re.sub(r"/r\d/", "/r1/", name) for name in named} <= exist
     assert {name for name in named if name.endswith("/preview")} == {f"/r{n}/preview" for n in (1, 2, 3)}
-    for path, field in re.findall(r"/r1/plot/(\w+)\.(\w+)", text):
+    for channel in re.findall(r'"(/plot/\w+)', text):
+        assert channel in exist
+    for path, field in re.findall(r"/plot/(\w+)\.(\w+)", text):
         assert field in PLOTS[path.capitalize()]
     assert (resources.files("replay.viewers") / "layouts" / "rerun.rbl").read_bytes()[:3] == b"RRF"
 
