@@ -27,6 +27,9 @@ class Clock(Protocol):
     def rate(self) -> float:
         """Seconds of this clock in a second of the wall, of late."""
 
+    def is_driven(self) -> bool:
+        """Whether the twin whose time it is lives; of the system's clock always."""
+
     def join(self, part: str, slack_ns: int) -> None:
         """From now on this clock waits for a part of this process: it goes no further than slack_ns beyond what
         the part has reached."""
@@ -54,6 +57,9 @@ class SystemClock:
 
     def rate(self) -> float:
         return 1.0
+
+    def is_driven(self) -> bool:
+        return True
 
     def join(self, part: str, slack_ns: int) -> None:
         pass

@@ -64,6 +64,9 @@ class RunClock:
         line = self._line(machine.monotonic_ns())
         return line.achieved if line is not None and self._driven else 1.0
 
+    def is_driven(self) -> bool:
+        return self._is_driven(machine.monotonic_ns(), again_ns=0)
+
     @property
     def start_ns(self) -> int | None:
         """When the dive began, in its own time; None: there is no twin."""
@@ -95,9 +98,9 @@ class RunClock:
             self._is_driven(wall_ns)
         return self._file.line() if self._file is not None else None
 
-    def _is_driven(self, wall_ns: int) -> bool:
+    def _is_driven(self, wall_ns: int, again_ns: int = AGAIN_NS) -> bool:
         """Whether there is a living twin behind what we follow; looks for another one, but not all the time."""
-        if wall_ns - self._looked_ns >= AGAIN_NS:
+        if wall_ns - self._looked_ns >= again_ns:
             with self._lock:
                 self._looked_ns = wall_ns
                 self._driven = self._file is not None and self._file.is_driven()

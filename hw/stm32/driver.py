@@ -238,6 +238,9 @@ class Stm32:
         pause_s = BACK_OFF_S[0]
         while not self._closing.is_set():
             try:
+                # The pty that a dead twin's link names is another's by now, who would hear our orders.
+                if not self._clock.is_driven():
+                    raise OSError(errno.ENODEV, "the twin has gone")
                 # exclusive is a lock on the file: two agents on one board would fight over it
                 with serial.Serial(self.port, self._baud, exclusive=True) as port:
                     pause_s = BACK_OFF_S[0]

@@ -12,6 +12,8 @@ from collections.abc import Callable
 import pytest
 
 from agent.clock.clock import SystemClock
+from agent.clock.keeper import Keeper
+from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError
 from hw.firmware import failsafe, wire
 from hw.stm32.driver import Stm32, open_port_path
@@ -177,3 +179,16 @@ def test_twin_url_and_device_path(tmp_path):
     assert open_port_path("/dev/ttyACM0", tmp_path) == "/dev/ttyACM0"
     with pytest.raises(ConfigError, match="twin:r1"):
         open_port_path("twin:", tmp_path)
+
+
+def test_a_port_that_a_dead_twin_has_left_is_not_opened(desk, port, tmp_path):
+    """Its link still names a pty, and that is somebody else's by now. A twin that comes puts its own there."""
+    with Stm32(str(port.path), RunClock(tmp_path / "clock")) as driver:
+        lines = until(lambda: driver.drain()[1])
+        assert "No such device" in lines[0].text
+        desk.tick(20)
+        driver.send(HOVER, time.time_ns())
+        telemetry, _ = driver.drain()
+        assert not telemetry and driver.counters.rx_ok == 0  # what the board says lies there unread
+        Keeper(tmp_path / "clock", ["r1"], time.time_ns(), 1.0, 10_000_000)
+        drive(desk, driver, lambda: driver.counters.rx_ok > 0)
