@@ -6,7 +6,7 @@ BIN := .venv/bin
 
 venv: .venv/ready
 run: .venv/ready
-	$(BIN)/aucamp demo
+	$(BIN)/aucamp demo --speed max
 
 # More workers would wait for the one that has tests/network (tests/conftest.py).
 test: .venv/ready-test lint

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from agent.clock import machine, mapped
 from agent.clock.clock import REST_NS
+from agent.clock.in_words import how_fast
 from agent.clock.mapped import Line
 from agent.clock.part_names import CAMERA, LOOP, PARTS, part_name
 from agent.clock.rate import Rate
@@ -167,9 +168,7 @@ class Keeper:
 
 def how_it_went(story: Story) -> str:
     """A line for a person: how fast the clock went, and what held it up."""
-    mean = story.dive_s / max(story.wall_s, 1e-9)
-    text = f"{story.dive_s:.1f} s of dive in {story.wall_s:.1f} s, {mean:.2f} times real time"
-    if story.rates:
-        text += f" ({min(story.rates):.2f} to {max(story.rates):.2f})"
-    held = [f"{name} {100 * s / max(story.wall_s, 1e-9):.0f} %" for name, s in list(story.waited_s.items())[:NAMED]]
+    wall_s = max(story.wall_s, 1e-9)
+    text = how_fast(story.dive_s, wall_s, story.rates)
+    held = [f"{name} {100 * s / wall_s:.0f} %" for name, s in list(story.waited_s.items())[:NAMED]]
     return f"{text}; waited for {', '.join(held)}" if held else text

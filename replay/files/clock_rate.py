@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from agent.clock import machine
 from agent.clock.clock import Clock
+from agent.clock.in_words import how_fast
 from agent.kernel.codec import Refusal, decode, encode
 from agent.kernel.messages import Message
 from replay.files.backlog import Entry
@@ -73,9 +74,7 @@ class Pace(NamedTuple):
 
     def __str__(self) -> str:
         """A line for a person."""
-        text = f"{self.dive_s:.1f} s of dive in {self.wall_s:.1f} s, {self.dive_s / self.wall_s:.2f} times real time"
-        varies = f"{self.slowest:.2f}" != f"{self.fastest:.2f}"
-        return f"{text} ({self.slowest:.2f} to {self.fastest:.2f})" if varies else text
+        return how_fast(self.dive_s, self.wall_s, (self.slowest, self.fastest))
 
 
 def in_dive(moments: Iterable[Moment]) -> list[Moment]:
