@@ -6,6 +6,7 @@ Stops are of the machine and count on the wall; what follows from them counts in
 import os
 import signal
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,7 @@ def test_a_dive_whose_twin_stands_still_goes_on_as_if_nothing_had_been(tmp_path:
     assert stood_ns < 0.1e9
     for state in shown.all[began:]:
         assert state.armed and state.faults == () and state.neighbours[0].age_s < 1.0, state
-    assert all(b.seq == a.seq + 1 for a, b in pairs([s for s in shown.all if s.robot == "r2"]))
+    assert all(b.seq == a.seq + 1 for a, b in pairwise(s for s in shown.all if s.robot == "r2"))
     nothing_came_late(dive.log("twin"), tmp_path / "r1.mcap", tmp_path / "r2.mcap")
     for name in dive.fleet.robot:
         assert not any(fault in dive.log(name) for fault in ("no frames", "no telemetry", "failsafe")), dive.log(name)
@@ -69,7 +70,3 @@ def test_an_agent_that_is_stopped_alone_is_its_own_fault(tmp_path: Path) -> None
     assert SURFACE in ladder and ladder[-1] == OK
     assert steps_s(tmp_path / "r1.mcap").max() > silent_s - 1.0
     nothing_came_late(dive.log("twin"), tmp_path / "r2.mcap")
-
-
-def pairs(items):
-    return zip(items, items[1:], strict=False)

@@ -1,7 +1,7 @@
 """Three agents in three processes on loopback, real sessions, scripted sightings.
 
-They live by a clock of ours, as fast as they can. A death, a restart, and what is put on the network happen on the wall;
-how long robots then live on is counted in iterations, so in their time.
+They live by a clock of ours, as fast as they can. A death, a restart, and what is put on the network happen on the
+wall; how long robots then live on is counted in iterations, so in their time.
 """
 
 import math
