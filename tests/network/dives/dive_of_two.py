@@ -21,7 +21,7 @@ from hw.twin.devices.twin_folder import clock_path
 from replay.files.channels import STEP_IN
 from replay.files.log import read
 from tests.known_lens import CAMERA, PLAIN
-from tests.network.shown_states import ShownStates
+from tests.network.dives.shown_states import ShownStates
 from tests.places import ROOT
 from tests.waiting import until
 

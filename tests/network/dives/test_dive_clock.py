@@ -17,7 +17,7 @@ from agent.kernel.step_io import Inputs
 from hw.firmware.failsafe import OK, SURFACE, SURFACE_AFTER_US
 from replay.files.channels import STEP_IN
 from replay.files.log import read
-from tests.network.dive_of_two import dive_of_two, nothing_came_late, steps_s
+from tests.network.dives.dive_of_two import dive_of_two, nothing_came_late, steps_s
 
 STOPPED_S = float(os.environ.get("AUCAMP_STOPPED_S", "6"))  # longer than Zenoh's lease and every time-out of ours
 PATIENCE_S = 180.0  # of the wall, for what takes seconds of run time
