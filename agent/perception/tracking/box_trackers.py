@@ -89,11 +89,13 @@ class Mil:
     def _plainly(self, small: Image, near: Box) -> Box | None:
         """Where the thing looks as it did at the start; None if nowhere near this box, or not much like it."""
         assert self._first is not None  # start() comes first
+        if not np.ptp(self._first):
+            return None  # OpenCV calls everything like a plain area
         x, y = self._corner(near)
         width, height = self._size()
         around = _part(small, x - LOOK_PX, y - LOOK_PX, width + 2 * LOOK_PX, height + 2 * LOOK_PX)
         _, alike, _, (right, down) = cv2.minMaxLoc(cv2.matchTemplate(around, self._first, cv2.TM_CCOEFF_NORMED))
-        if not PLAIN_LIKE <= alike <= 1.0 + 1e-3:  # beyond 1: both without any contrast
+        if alike < PLAIN_LIKE:
             return None
         start_x, start_y = self._corner(self._box)  # the box's corner lies a part of a pixel from this one
         right, down = x + right - LOOK_PX - start_x, y + down - LOOK_PX - start_y

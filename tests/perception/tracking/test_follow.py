@@ -128,3 +128,11 @@ def test_mil_does_not_stay_behind_when_the_camera_turns():
             found, _ = tracker.follow(np.roll(frame, (round(y), round(x)), (0, 1)))
         assert abs(found.x - box.x - x) < 0.05 * box.width
         assert abs(found.y - box.y - y) < 0.05 * box.height
+
+
+def test_mil_is_not_sent_away_from_a_plain_area():
+    image = np.zeros((360, 480, 3), np.uint8)
+    tracker = load_box_tracker(None, None)
+    tracker.start(image, Box(200, 150, 60, 40))
+    found, _ = tracker.follow(image)
+    assert found == pytest.approx(Box(200, 150, 60, 40), abs=15)
