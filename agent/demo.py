@@ -65,6 +65,7 @@ def demo(
     started_s = machine.monotonic_s()
     with temporary_folder() as folder:
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, fleet_file(fleet_name))
+        fleet_clock(fleet)  # refuses a fleet of two worlds before anything is calibrated
         run = run_folder(out)
         path = run / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")

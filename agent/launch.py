@@ -18,7 +18,7 @@ from agent.kernel.fleet_rules import MAX_PORT
 from agent.parent_watch import ParentWatch, watched_by_us
 
 FIRST_PORT, PORTS_APART, PLACES = 17401, 8, 1500  # up to 29400, well below the ephemeral range
-STOP_S = 4.0  # from SIGTERM to SIGKILL: an agent needs under 2 s, a recorder finishes its file
+STOP_S = 20.0  # from SIGTERM to SIGKILL: an agent needs under 2 s alone on a machine, a recorder finishes its file
 
 
 class Child(NamedTuple):

@@ -78,8 +78,9 @@ def record(
 
     with until_signal() as stop:
         robots = load_fleet(fleet)
+        clock = fleet_clock(robots)
         complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
-        counts = run(robots, out, stop, fleet_clock(robots), views=view)
+        counts = run(robots, out, stop, clock, views=view)
     terminal().print(", ".join(f"{name} {count}" for name, count in counts.items()))
 
 

@@ -36,6 +36,25 @@ def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     yield from _device_rules(fleet)
 
 
+def two_worlds(fleet: Fleet) -> str | None:
+    """Why this fleet cannot dive together: a dive in the twin has a time of its own. None where it can.
+
+    No broken rule: the file may still be read, and is in older recordings.
+    """
+    in_twin = {
+        f"robot.{name}.{key}": url.startswith("twin:")
+        for name, robot in fleet.robot.items()
+        for key, url in (("serial", robot.serial), ("camera", robot.camera))
+    }
+    if len(set(in_twin.values())) < 2:
+        return None
+    real, twin = (next(key for key, there in in_twin.items() if there is asked) for asked in (False, True))
+    return (
+        f"'{real}' is a real device and '{twin}' lives in the twin, whose time is not the system's; "
+        f"give all robots twin: devices, or none"
+    )
+
+
 def _not_finite(value: Any, key: str = "") -> Iterator[str]:
     """Keys of the numbers that are infinite or not a number."""
     if isinstance(value, float) and not math.isfinite(value):

@@ -20,7 +20,7 @@ from agent.clock.part_names import CAMERA, part_name
 from agent.kernel.config import Fleet
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Sighting, SweepPlan
-from agent.perception.clarity.region import UNSEEN, Clarity, around, box_clarity, disc_clarity
+from agent.perception.clarity.region import UNSEEN, Clarity, around, box_clarity, disc_clarity, prepare
 from agent.perception.detection.detectors import Detector, Found
 from agent.perception.enhancement.enhance import one_thread
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
@@ -75,6 +75,7 @@ class Vision:
         self.fault: str | None = None  # why there is no camera now
 
     def start(self) -> None:
+        prepare()  # a dive's clock would wait for the thread, and on a busy machine give it up
         self._thread.start()
 
     def plan(self, plan: SweepPlan) -> None:

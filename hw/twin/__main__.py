@@ -17,6 +17,7 @@ from agent.clock.keeper import Keeper, how_it_went
 from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.fleet_reader import load_fleet, load_robot
+from agent.kernel.fleet_rules import two_worlds
 from hw.camera.camera import CameraError
 from hw.camera.frame_server import FrameServer
 from hw.twin.bench import Bench
@@ -36,7 +37,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def run(fleet_path: Path, *, bench: str | None = None, speed: float = 1.0) -> int:
-    """Serve every robot of the fleet that has a `twin:` port or camera until SIGINT or SIGTERM; main thread only.
+    """Serve every robot of the fleet until SIGINT or SIGTERM; main thread only.
 
     `speed`: of the dive's clock against the wall's, at most; inf: as fast as the machine allows.
     Returns 0 after a signal and 2, with one line on stderr, for anything that the user can put right.
@@ -46,6 +47,8 @@ def run(fleet_path: Path, *, bench: str | None = None, speed: float = 1.0) -> in
     before = {number: signal.signal(number, signal.default_int_handler) for number in SIGNALS}
     try:
         fleet = load_fleet(fleet_path)
+        if (why := two_worlds(fleet)) is not None:
+            raise ConfigError(f"{fleet_path}: {why}")
         if bench is not None:
             load_robot(fleet, bench, fleet_path)
         with ExitStack() as stack:
@@ -70,8 +73,8 @@ def run(fleet_path: Path, *, bench: str | None = None, speed: float = 1.0) -> in
 
 
 def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, stack: ExitStack, speed: float) -> None:
-    robots = [name for name, r in fleet.robot.items() if "twin:" in (r.serial[:5], r.camera[:5])]
-    if not robots:
+    robots = list(fleet.robot)
+    if not any(robot.serial.startswith("twin:") for robot in fleet.robot.values()):
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
     scene = scene_of(fleet)
     targets_m = _targets_m(fleet, scene, fleet_path)

@@ -34,7 +34,7 @@ class RecorderThread:
         found = read(self._active) if self._active.exists() else ()
         return [item for item in found if channels in item.channel]
 
-    def counts(self, timeout_s: float = 20.0) -> dict[str, int]:
+    def counts(self, timeout_s: float = 60.0) -> dict[str, int]:
         """What `record` returns or raises, once it ends by itself."""
         return self._counts.result(timeout_s)
 

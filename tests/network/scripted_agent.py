@@ -1,6 +1,7 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
 The script knows where the targets are and answers each sweep with the clarity curve that a lens would give.
+It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much.
 Usage: python -m tests.network.scripted_agent FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
@@ -11,7 +12,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from agent.agent_process import run_facts
-from agent.clock.clock import SystemClock
+from agent.clock.clock import Clock, SystemClock
+from agent.fleet_clock import fleet_clock
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.ranging.calibration import Calibration
@@ -116,10 +118,16 @@ class Motors:
         return (telemetry(now_ns, self.script.robot.depth_m),), ()
 
 
-def main(fleet_path: Path, name: str, out: Path, ahead_s: float = 0.0) -> None:
-    fleet = load_fleet(fleet_path)
+def wrong_clock(ahead_s: float) -> Clock:
+    """The system's, wrong by so much."""
     clock = SystemClock()
     clock.camera_offset_ns += round(ahead_s * 1e9)
+    return clock
+
+
+def main(fleet_path: Path, name: str, out: Path, ahead_s: float | None = None) -> None:
+    fleet = load_fleet(fleet_path)
+    clock = fleet_clock(fleet) if ahead_s is None else wrong_clock(ahead_s)
     incarnation = clock.now_ns()
     agent = Agent(fleet, name, CALIBRATION, incarnation)
     script = Script(fleet, name, clock.now_ns)

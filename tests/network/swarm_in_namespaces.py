@@ -64,7 +64,7 @@ class Swarm:
             thread.join()
         self.processes[WATCHER].stdout.close()
 
-    def until(self, what: str, true, timeout_s: float = 40.0) -> float:
+    def until(self, what: str, true, timeout_s: float = 120.0) -> float:
         """Seconds that it took; fails after `timeout_s`."""
         began_s = time.monotonic()
         until(true, timeout_s, lambda: f"{what}: {self.state}")

@@ -2,6 +2,7 @@
 
 One swarm lives through all of it, test by test. Zenoh runs over TCP here, so a lost packet shows as delay, and a
 message is lost where the link's queue was full or the connection was given up. tests/experiments loses messages.
+All of it counts on the wall: links, stops and clocks stand for the machine's.
 """
 
 import signal
@@ -25,7 +26,7 @@ NO_NAMESPACES = refused()
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(180),
+    pytest.mark.timeout(600),
     pytest.mark.skipif(NO_NAMESPACES is not None, reason=f"network namespaces are not permitted: {NO_NAMESPACES}"),
 ]
 
@@ -123,7 +124,7 @@ def test_nothing_was_counted_twice(swarm) -> None:
     for name in CLOCK_AHEAD_S:
         swarm.processes[name].send_signal(signal.SIGTERM)
     for name in CLOCK_AHEAD_S:
-        assert swarm.processes[name].wait(timeout=10.0) == 0
+        assert swarm.processes[name].wait(timeout=30.0) == 0
     said = {path: words(path) for _, path in swarm.boxes if path.exists()}
     sums: dict[tuple[str, int, int], Entry] = {}
     for entry in (e for words_ in said.values() for estimate in words_ for e in estimate.gossip.entries):

@@ -1,4 +1,4 @@
-"""Who looks at a fleet: observers and routers see what they ask for, and no robot hears of them."""
+"""Who looks at a fleet: observers and routers see what they ask for, and no robot hears of them. On the wall."""
 
 import contextlib
 import threading
@@ -71,13 +71,13 @@ def test_a_router_shows_all_and_joins_nobody(make_fleet: Fleets, estimate: Says,
     fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
     stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port}"
     router = threading.Thread(target=run_router, args=(fleet, stop, endpoint))
-    client = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"], timeout_ms: 10000}}}}')
+    client = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"], timeout_ms: 60000}}}}')
     with contextlib.ExitStack() as stack:
         r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))
         r2 = stack.enter_context(zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r2"))))
         foreign = r2.declare_subscriber(topics.ALL.format(fleet="test"), zenoh.handlers.RingChannel(10))
         router.start()
-        stack.callback(router.join, 10)
+        stack.callback(router.join, 60)
         stack.callback(stop.set)
         console = stack.enter_context(zenoh.open(client))
         seen = console.declare_subscriber(topics.EVERY_FLEET, zenoh.handlers.RingChannel(100))

@@ -1,4 +1,4 @@
-"""Previews on the network: from a robot to consoles, recordings and viewers."""
+"""Previews on the network: from a robot to consoles, recordings and viewers. On the wall: nobody dives."""
 
 import json
 import time

@@ -1,6 +1,7 @@
 """SIGKILL at random moments: the last second may be lost and nothing else, and what is left replays byte for byte.
 
-Three moments by default; AUCAMP_KILLS=50 for the long version, and -s to see what was lost.
+Three moments by default; AUCAMP_KILLS=50 for the long version, and -s to see what was lost. On the wall: what dies is a
+process, and what it loses is what the machine had not written.
 """
 
 import os
@@ -28,7 +29,7 @@ KILLS = int(os.environ.get("AUCAMP_KILLS", "3"))
 LOST_S = 1.0
 AGENT = [sys.executable, "-m", "tests.network.scripted_agent"]
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(60 + 15 * KILLS)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(120 + 60 * KILLS)]
 
 
 def test_killed_agent_and_recorder(make_fleet: Callable[..., Fleet], tmp_path: Path) -> None:
@@ -58,16 +59,16 @@ def one_run(fleet: Fleet, folder: Path, lived_s: float) -> tuple[dict[str, float
     processes = {"recorder": subprocess.Popen(record, cwd=ROOT), "agent": subprocess.Popen(agent, cwd=ROOT)}
     killed_ns = {}
     try:
-        until(lambda: all(path.exists() and newest_ns(path, name) for name, path in files.items()), timeout_s=40)
+        until(lambda: all(path.exists() and newest_ns(path, name) for name, path in files.items()), timeout_s=120)
         time.sleep(lived_s)
         for name, process in processes.items():
             killed_ns[name] = time.time_ns()
             process.send_signal(signal.SIGKILL)
-            process.wait(timeout=10)
+            process.wait(timeout=30)
     finally:
         for process in processes.values():
             process.kill()
-            process.wait(timeout=10)
+            process.wait(timeout=30)
     results = {name: recover(path, force=True) for name, path in files.items()}
     lost_s = {name: (killed_ns[name] - newest_ns(path, name)) * 1e-9 for name, path in files.items()}
     return lost_s, results

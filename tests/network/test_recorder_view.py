@@ -1,4 +1,7 @@
-"""The live view: what robots show arrives at a Foxglove client, and nothing listens but on this machine."""
+"""The live view: what robots show arrives at a Foxglove client, and nothing listens but on this machine.
+
+On the wall: nobody dives.
+"""
 
 import base64
 import contextlib
@@ -30,7 +33,7 @@ class Client:
     """A WebSocket client (RFC 6455), as much of it as a viewer that only listens needs."""
 
     def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=60)
         key = base64.b64encode(os.urandom(16)).decode()
         self._socket.sendall(
             f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -87,8 +90,8 @@ def test_a_viewer_sees_what_a_robot_shows(
                 assert subscribed(client, len(expected)) == expected
         finally:
             stop.set()
-            serving.result(timeout=10)
-            showing.result(timeout=10)
+            serving.result(timeout=60)
+            showing.result(timeout=60)
     assert f"ws://127.0.0.1:{free_port}" in lines[0]
 
 

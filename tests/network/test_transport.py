@@ -1,4 +1,4 @@
-"""Links between robots: real sessions over TCP on this machine, several in one process."""
+"""Links between robots: real sessions over TCP on this machine, several in one process. On the wall: links are its."""
 
 import contextlib
 import itertools
@@ -222,7 +222,7 @@ def test_leaving_under_a_flood_does_not_hang(make_fleet: Fleets, estimate: Says)
                     until(lambda r2=r2: r2.drain()[0])
         finally:
             stop.set()
-            thread.join(10)
+            thread.join(60)
         assert not thread.is_alive()
 
 

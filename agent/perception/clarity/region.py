@@ -36,6 +36,13 @@ def around(centre_px: tuple[float, float] | None, radius_px: float | None, size:
     return Roi(left, top, right - left, bottom - top)
 
 
+def prepare() -> None:
+    """Load the compiled code now, for 0.3 s of a core, and not while somebody waits for what a first frame shows."""
+    frame = Frame(0, 0, np.zeros((16, 16, 3), np.uint8), Roi(0, 0, 16, 16))
+    disc_clarity(frame, (8.0, 8.0), 8.0)
+    box_clarity(frame, (8.0, 8.0), (16.0, 16.0))
+
+
 def disc_clarity(frame: Frame, centre_px: tuple[float, float], radius_px: float) -> Clarity:
     """Clarity of the raw luminance on a ball's inner disc."""
     x, y, radius = centre_px[0] - frame.roi.x, centre_px[1] - frame.roi.y, INNER_DISC * radius_px

@@ -19,6 +19,9 @@ from agent.perception.tracking.appearance import Box, Image
 
 MIL_SIDE_PX = 64  # longer side of its box: half the time of a full picture, and no worse
 MIL_REACH_PX = 12  # how far it looks around where the box was: a fifth of the box from frame to frame
+LOOK_PX = 24  # how far from its answer the thing itself is looked for: a gimbal that turns moves it by a quarter
+PLAIN_LIKE = 0.75  # correlation of the thing itself, beyond doubt
+CREPT_PX = 3  # MIL trembles by as much; what is farther from the thing begins anew there
 
 # SHA-256 of the published files; thresholds of follow.py were measured with them.
 BACKBONE = ("nanotrack_backbone_sim.onnx", "530bdd0cd00f19afab79a863e71ba71e3312395a5dc9151af675082bdaaa2fc4")
@@ -49,30 +52,73 @@ class Nano:
 
 
 class Mil:
-    """cv2.TrackerMIL, on a picture in which the box is small; every start is a new one."""
+    """cv2.TrackerMIL, on a picture in which the box is small; every start is a new one.
+
+    MIL learns what its box shows, so a box that once lags behind a thing, when the gimbal turns, stays behind for good,
+    by up to a quarter of its side. So where the thing can plainly be seen as it was at the start, there the box is put.
+    """
 
     def __init__(self) -> None:
         self._tracker: cv2.TrackerMIL | None = None
         self._box, self._shrink = Box(0, 0, 0, 0), 1.0
+        self._first: Image | None = None  # what the box showed at the start
 
     def start(self, image: Image, box: Box) -> None:
-        parameters = cv2.TrackerMIL.Params()
-        parameters.samplerSearchWinSize = MIL_REACH_PX
-        self._tracker = cv2.TrackerMIL.create(parameters)
         self._box, self._shrink = box, min(1.0, MIL_SIDE_PX / max(box.width, box.height))
         small = self._small(image)
-        self._tracker.init(small, whole_pixels(small, Box(*(side * self._shrink for side in box))))
+        self._first = _part(small, *self._corner(box), *self._size())
+        self._begin(small, box)
 
     def follow(self, image: Image) -> tuple[Box, float]:
         assert self._tracker is not None  # start() comes first
-        _, (x, y, _, _) = self._tracker.update(self._small(image))
-        return self._box._replace(x=x / self._shrink, y=y / self._shrink), 1.0
+        small = self._small(image)
+        _, (x, y, _, _) = self._tracker.update(small)
+        box = self._box._replace(x=x / self._shrink, y=y / self._shrink)
+        if (plain := self._plainly(small, box)) is None:
+            return box, 1.0
+        if max(abs(plain.x - box.x), abs(plain.y - box.y)) * self._shrink > CREPT_PX:
+            self._begin(small, plain)
+        return plain, 1.0
+
+    def _begin(self, small: Image, box: Box) -> None:
+        parameters = cv2.TrackerMIL.Params()
+        parameters.samplerSearchWinSize = MIL_REACH_PX
+        self._tracker = cv2.TrackerMIL.create(parameters)
+        self._tracker.init(small, whole_pixels(small, Box(*(side * self._shrink for side in box))))
+
+    def _plainly(self, small: Image, near: Box) -> Box | None:
+        """Where the thing looks as it did at the start; None if nowhere near this box, or not much like it."""
+        assert self._first is not None  # start() comes first
+        if not np.ptp(self._first):
+            return None  # OpenCV calls everything like a plain area
+        x, y = self._corner(near)
+        width, height = self._size()
+        around = _part(small, x - LOOK_PX, y - LOOK_PX, width + 2 * LOOK_PX, height + 2 * LOOK_PX)
+        _, alike, _, (right, down) = cv2.minMaxLoc(cv2.matchTemplate(around, self._first, cv2.TM_CCOEFF_NORMED))
+        if alike < PLAIN_LIKE:
+            return None
+        start_x, start_y = self._corner(self._box)  # the box's corner lies a part of a pixel from this one
+        right, down = x + right - LOOK_PX - start_x, y + down - LOOK_PX - start_y
+        return self._box._replace(x=self._box.x + right / self._shrink, y=self._box.y + down / self._shrink)
+
+    def _corner(self, box: Box) -> tuple[int, int]:
+        return round(box.x * self._shrink), round(box.y * self._shrink)
+
+    def _size(self) -> tuple[int, int]:
+        return max(2, round(self._box.width * self._shrink)), max(2, round(self._box.height * self._shrink))
 
     def _small(self, image: Image) -> Image:
         if self._shrink == 1.0:
             return image
         resized = cv2.resize(image, None, fx=self._shrink, fy=self._shrink, interpolation=cv2.INTER_AREA)
         return np.asarray(resized, np.uint8)
+
+
+def _part(image: Image, x: int, y: int, width: int, height: int) -> Image:
+    """A part of a picture, which may lie beyond it in part: there its border goes on."""
+    rows = np.clip(np.arange(y, y + height), 0, image.shape[0] - 1)
+    columns = np.clip(np.arange(x, x + width), 0, image.shape[1] - 1)
+    return image[rows[:, None], columns[None, :]]
 
 
 def whole_pixels(image: Image, box: Box) -> tuple[int, int, int, int]:

@@ -110,3 +110,29 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
         load_box_tracker(other, None)
     with pytest.raises(ConfigError, match="is not nanotrack_backbone_sim"):
         load_box_tracker(other, other)
+
+
+def test_mil_does_not_stay_behind_when_the_camera_turns():
+    """Of a thing as large as half the picture, which moves by a fifth of its box from one frame to the next."""
+    image, box = next(clip(1))
+    image = cv2.resize(image, None, fx=3.0, fy=3.0)
+    box = Box(*(3.0 * side for side in box))
+    turns = [(0.0, 0.0), *[(0.2, 0.2)] * 3, *[(0.0, 0.0)] * 4, *[(-0.2, -0.15)] * 4, *[(0.0, 0.0)] * 4]
+    for blur in (0.1, 9.0):
+        tracker = load_box_tracker(None, None)
+        frame = cv2.GaussianBlur(image, (0, 0), blur)
+        tracker.start(frame, box)
+        x, y = 0.0, 0.0
+        for across, down in turns:
+            x, y = x + across * box.width, y + down * box.height
+            found, _ = tracker.follow(np.roll(frame, (round(y), round(x)), (0, 1)))
+        assert abs(found.x - box.x - x) < 0.05 * box.width
+        assert abs(found.y - box.y - y) < 0.05 * box.height
+
+
+def test_mil_is_not_sent_away_from_a_plain_area():
+    image = np.zeros((360, 480, 3), np.uint8)
+    tracker = load_box_tracker(None, None)
+    tracker.start(image, Box(200, 150, 60, 40))
+    found, _ = tracker.follow(image)
+    assert found == pytest.approx(Box(200, 150, 60, 40), abs=15)

@@ -1,4 +1,7 @@
-"""The whole thing as users start it: `aucamp demo`, and what is left when the twin is killed under the agents."""
+"""The whole thing as users start it: `aucamp demo`, and what is left when the twin is killed under the agents.
+
+Dives run as fast as the machine can and live by their own clock; limits of time on the wall are for what hangs.
+"""
 
 import json
 import math
@@ -6,8 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -15,32 +16,34 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.clock.run_clock import RunClock
 from agent.kernel.codec import decode
 from agent.kernel.config import Target
 from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import State
 from agent.kernel.step_io import Sighting
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
-from agent.launch import STOP_S, crew, wait_for
+from agent.launch import crew, wait_for
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
+from hw.twin.devices.twin_folder import clock_path
 from replay.files.channels import FRAME, VISION
 from replay.files.frames import MAX_FRAME, Picture, pixels
 from replay.files.log import info, read
-from tests.waiting import until
+from tests.network.dives.dive_of_two import ENDS_S, nothing_came_late
+from tests.network.dives.shown_states import ShownStates
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(280)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 AUCAMP = [sys.executable, "-m", "agent"]
+HANGS_S = 400.0  # of the wall: a demo takes 80 s of two idle cores
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     """A run of the demo; the tests below look at what it left."""
     out = tmp_path_factory.mktemp("demo") / "run"
-    done = subprocess.run(
-        [*AUCAMP, "demo", "--seed", "0", "--out", str(out)], capture_output=True, text=True, timeout=270
-    )
+    command = [*AUCAMP, "demo", "--seed", "0", "--speed", "max", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=2 * HANGS_S)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     said = done.stdout.splitlines()
     assert said[0].endswith("bench: r1, r2, r3") and said[-1].startswith("pass: ")
@@ -91,36 +94,44 @@ def test_the_told_turned_before_they_saw(run: Path) -> None:
         assert known == ["blind", "told", "sees"]
 
 
+def test_nothing_came_late(run: Path) -> None:
+    """However busy this machine was: the twin has nothing to tell but how it began and how time went."""
+    nothing_came_late((run / "logs" / "twin.log").read_text(), *(run / f"{name}.mcap" for name in ("r1", "r2", "r3")))
+
+
 def test_a_killed_twin_is_noticed_and_the_agents_talk_on(run: Path, tmp_path) -> None:
+    """The death is the machine's; when it is noticed counts in run time, which then goes on at the wall's pace."""
     with temporary_folder() as folder, crew(tmp_path / "logs") as processes:
         fleet = load_fleet(run / "fleet.toml")
         fleet = msgspec.structs.replace(fleet, twin=msgspec.structs.replace(fleet.twin, dir=str(folder)))
         path = run / "again.toml"
         path.write_text(dump(fleet))
+        clock = RunClock(clock_path(fleet))
         agents: dict[str, subprocess.Popen] = {}
-        twin = subprocess.Popen([*AUCAMP, "twin", str(path)])
+        twin = subprocess.Popen([*AUCAMP, "twin", str(path), "--speed", "max"])
         try:
-            wait_for("the twin", (folder / "ready").exists, processes, 60.0)
+            wait_for("the twin", (folder / "ready").exists, processes, HANGS_S)
             agents |= {
                 name: subprocess.Popen([*AUCAMP, "agent", str(path), "--robot", name, "--out", str(tmp_path), "--arm"])
                 for name in ("r1", "r2")
             }
-            with Observer(fleet, time.monotonic_ns, (STATE,)) as observer:
-                newest = Newest(observer)
-                newest.until("armed and well", lambda s: s.armed and s.faults == (), 40.0)
+            with Observer(fleet, clock.now_ns, (STATE,)) as observer:
+                shown = ShownStates(observer, ("r1", "r2"))
+                shown.until("armed and well", lambda s: s.armed and s.faults == (), HANGS_S)
                 twin.kill()
                 twin.wait()
-                killed = time.monotonic()
+                killed_ns = clock.now_ns()
                 both = {"no frames", "no telemetry"}
-                newest.until("faults", lambda s: both <= set(s.faults), 5.0)
-                noticed_s = time.monotonic() - killed
-                heard = {name: sum(n.heard for n in state.neighbours) for name, state in newest.state.items()}
-                assert noticed_s < 2.0  # 0.9 s by design; the rest is for a busy machine
-                newest.until("talk", lambda s: sum(n.heard for n in s.neighbours) > heard[s.robot] + 10, 10.0)
+                shown.until("faults", lambda s: both <= set(s.faults), HANGS_S)
+                for name in agents:
+                    first = next(s for s in shown.all if s.robot == name and both <= set(s.faults))
+                    assert first.sent_ns - killed_ns < 2e9  # 0.9 s by design; the rest is for a busy machine
+                heard = {name: sum(n.heard for n in state.neighbours) for name, state in shown.newest.items()}
+                shown.until("talk", lambda s: sum(n.heard for n in s.neighbours) > heard[s.robot] + 10, HANGS_S)
             for process in agents.values():
                 process.send_signal(signal.SIGTERM)
             for process in agents.values():
-                assert process.wait(timeout=STOP_S) == 0, "it ends by itself, before a crew would kill it"
+                assert process.wait(timeout=ENDS_S) == 0
         finally:
             for process in (twin, *agents.values()):
                 process.kill()
@@ -145,44 +156,24 @@ def test_a_thing_in_a_box_is_found_measured_and_told(run: Path, tmp_path) -> Non
         fleet = msgspec.structs.replace(fleet, target={"thing": thing}, robot=two, twin=twin)
         path = run / "thing.toml"
         path.write_text(dump(fleet))
-        processes.start("twin", "twin", str(path))
-        wait_for("the twin", (folder / "ready").exists, processes, 60.0)
+        processes.start("twin", "twin", str(path), "--speed", "max")
+        wait_for("the twin", (folder / "ready").exists, processes, HANGS_S)
         for name in two:
             processes.start(name, "agent", str(path), "--robot", name, "--out", str(tmp_path), "--arm")
-        with Observer(fleet, time.monotonic_ns, (STATE,)) as observer:
-            newest = Newest(observer, processes.check)
-            newest.until("found", lambda s: s.posterior_m, 90.0)
-    r1, r2 = newest.state["r1"], newest.state["r2"]
+        with Observer(fleet, RunClock(clock_path(fleet)).now_ns, (STATE,)) as observer:
+            shown = ShownStates(observer, tuple(two), processes.check)
+            shown.until("found", lambda s: s.posterior_m, HANGS_S)
+    r1, r2 = shown.newest["r1"], shown.newest["r2"]
     assert r1.knows == "sees" and r1.prior_m is not None
     pose = fleet.robot["r1"].pose
     out = np.array(r1.prior_m) - truth_m
     towards = np.array([pose.x_m, pose.y_m, 0.1]) - truth_m
     sigma_m = r1.prior_sigma_m
     assert sigma_m is not None and sigma_m < 0.015
-    # Its skin, 70 mm from its middle; the box's middle need not be the ball's.
-    assert np.linalg.norm(out) == pytest.approx(0.067, abs=3.0 * sigma_m), sigma_m
-    assert out @ towards > 0.9 * np.linalg.norm(out) * np.linalg.norm(towards)
+    # Its skin, 70 mm from its middle; the box's middle, whose uncertainty is in sigma, need not be the ball's.
+    skin = 0.067 * towards / np.linalg.norm(towards)
+    assert np.linalg.norm(out - skin) < 3.0 * sigma_m, (out, skin, sigma_m)
     assert math.dist(r2.posterior_m, r1.posterior_m) < 0.02
-
-
-class Newest:
-    """The newest state that each of two robots showed."""
-
-    def __init__(self, observer: Observer, check: Callable[[], None] = lambda: None) -> None:
-        """`check` raises when there is nothing more to wait for."""
-        self.observer, self.check = observer, check
-        self.state: dict[str, State] = {}
-
-    def until(self, what: str, true: Callable[[State], object], timeout_s: float) -> None:
-        """Wait until it is true of both."""
-
-        def both() -> bool:
-            self.check()
-            for seen in self.observer.drain():
-                self.state[seen.chunks["robot"]] = decode(seen.payload, State)
-            return len(self.state) == 2 and all(map(true, self.state.values()))
-
-        until(both, timeout_s, lambda: f"{what}: {self.state}")
 
 
 def first_view(file: Path) -> tuple[np.ndarray, tuple[float, float, float, float]]:

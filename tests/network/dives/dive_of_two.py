@@ -1,0 +1,110 @@
+"""Two robots of the tank, their twin and their agents, each a process as a user starts it, on the dive's own clock."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from agent.clock.run_clock import RunClock
+from agent.demo import demo_fleet
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import STATE
+from agent.run_folder import temporary_folder
+from agent.transport import Observer
+from hw.twin.devices.twin_folder import clock_path
+from replay.files.channels import STEP_IN
+from replay.files.log import read
+from tests.known_lens import CAMERA, PLAIN
+from tests.network.dives.shown_states import ShownStates
+from tests.places import ROOT
+from tests.waiting import until
+
+READY_S = 180.0  # of the wall: on a fresh machine every kernel is compiled first
+ENDS_S = 30.0  # of the wall
+LONGEST_STEP_S = 0.08  # of run time: 50 ms from step to step, and time waits for whoever is 25 ms late
+
+
+class DiveOfTwo:
+    """r1 and r2 with somebody else's calibrations: they find the ball, though not where it is."""
+
+    def __init__(self, folder: Path, twin_folder: Path) -> None:
+        self.folder, self._twin_folder = folder, twin_folder
+        self.fleet = demo_fleet(2, "evidence", 0.0, 0, False, twin_folder)
+        self.path = folder / "fleet.toml"
+        self.path.write_text(dump(self.fleet))
+        for name, robot in self.fleet.robot.items():
+            known = Calibration(robot=name, made="2026-01-01", source="a test", focus=PLAIN, camera=CAMERA)
+            (folder / robot.calibration).parent.mkdir(exist_ok=True)
+            (folder / robot.calibration).write_text(dump(known))
+        self.clock = RunClock(clock_path(self.fleet))
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self) -> None:
+        self._start("twin", "twin", str(self.path), "--speed", "max")
+        until((self._twin_folder / "ready").exists, READY_S, lambda: self.log("twin"))
+        for name in self.fleet.robot:
+            self._start(name, "agent", str(self.path), "--robot", name, "--out", str(self.folder), "--arm")
+
+    def check(self) -> None:
+        for name, process in self.processes.items():
+            assert process.poll() is None, f"{name} ended: {self.log(name)}"
+
+    def signal(self, name: str, number: int) -> None:
+        self.processes[name].send_signal(number)
+
+    def log(self, name: str) -> str:
+        return (self.folder / f"{name}.log").read_text()
+
+    def end(self) -> None:
+        """Agents first; each ends by itself."""
+        for names in (tuple(self.fleet.robot), ("twin",)):
+            for name in names:
+                self.signal(name, signal.SIGTERM)
+            for name in names:
+                assert self.processes[name].wait(ENDS_S) == 0, self.log(name)
+
+    def kill(self) -> None:
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+
+    def _start(self, name: str, *arguments: str) -> None:
+        with (self.folder / f"{name}.log").open("wb") as log:
+            command = [sys.executable, "-m", "agent", *arguments]
+            environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+            self.processes[name] = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+
+
+@contextmanager
+def dive_of_two(folder: Path) -> Iterator[tuple[DiveOfTwo, ShownStates]]:
+    """Both are armed and well, and hear each other."""
+    with temporary_folder() as twin_folder:
+        dive = DiveOfTwo(folder, twin_folder)
+        try:
+            with Observer(dive.fleet, dive.clock.now_ns, (STATE,)) as observer:
+                shown = ShownStates(observer, tuple(dive.fleet.robot), dive.check)
+                dive.start()
+                well = "armed and well"
+                shown.until(well, lambda s: s.armed and not s.faults and s.neighbours[0].heard > 0, READY_S)
+                yield dive, shown
+        finally:
+            dive.kill()
+
+
+def steps_s(box: Path) -> np.ndarray:
+    """Run time from each step of a black box to the next."""
+    return np.diff([record.log_time_ns for record in read(box) if record.channel == STEP_IN.name]) * 1e-9
+
+
+def nothing_came_late(twin_log: str, *boxes: Path) -> None:
+    """The twin has nothing to tell but how it began and how time went, and no step waited for the machine."""
+    began, went = twin_log.splitlines()
+    assert began.startswith("twin: r1, r2") and "s of dive in" in went and "times real time" in went, twin_log
+    for box in boxes:
+        assert steps_s(box).max() < LONGEST_STEP_S, box
