@@ -15,10 +15,10 @@ from typing import NamedTuple
 from agent.clock import machine
 from agent.failure import Failed
 from agent.kernel.fleet_rules import MAX_PORT
-from agent.parent_watch import ParentWatch, watched_by_us
+from agent.parent_watch import GRACE_S, ParentWatch, watched_by_us
 
 FIRST_PORT, PORTS_APART, PLACES = 17401, 8, 1500  # up to 29400, well below the ephemeral range
-STOP_S = 20.0  # from SIGTERM to SIGKILL: an agent needs under 2 s alone on a machine, a recorder finishes its file
+STOP_S = GRACE_S  # from SIGTERM to SIGKILL
 
 
 class Child(NamedTuple):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from agent.clock import machine
 
 VARIABLE = "AUCAMP_PARENT_WATCH"  # of the child's environment: the number of the descriptor to read from
-GRACE_S = 4.0  # from SIGTERM to the end at once; as long as launch gives who is stopped in order
+GRACE_S = 20.0  # from SIGTERM to the end at once: under 2 s alone, but a recorder beside a load finishes its file
 
 
 class ParentWatch(NamedTuple):

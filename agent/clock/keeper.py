@@ -17,9 +17,9 @@ from typing import NamedTuple
 from agent.clock import machine, mapped
 from agent.clock.clock import REST_NS
 from agent.clock.in_words import how_fast
-from agent.clock.mapped import Line
+from agent.clock.mapped import ClockFile, Line
 from agent.clock.part_names import CAMERA, LOOP, PARTS, part_name
-from agent.clock.rate import Rate
+from agent.clock.rate import UNATTENDED, Rate
 
 STALLED_S = 2.0
 POLL_S = 0.0003  # between two looks at those who are waited for
@@ -41,16 +41,15 @@ class Story(NamedTuple):
 class Keeper:
     """The clock of one dive. `advance` and `close` are the twin's main thread's, the rest anybody's in the twin."""
 
-    def __init__(self, path: Path, robots: Sequence[str], start_ns: int, speed: float, tick_ns: int) -> None:
-        """Time goes in steps of tick_ns, at most `speed` (inf: as fast as all can) times as fast as on the wall."""
+    def __init__(self, file: ClockFile, robots: Sequence[str], speed: float, tick_ns: int) -> None:
+        """Made by start_clock."""
         self.robots, self._tick_ns = tuple(robots), tick_ns
-        self._names = [part_name(robot, part) for robot in robots for part in PARTS]
-        wall_ns = machine.monotonic_ns()
-        self._line = Line(start_ns, wall_ns, min(speed, 1.0), start_ns + tick_ns)
-        self._file = mapped.create(path, self._names, start_ns, self._line)
-        self._rate = Rate(speed, start_ns, wall_ns)
-        self._start_ns = start_ns
-        self._due_ns = self._published_ns = wall_ns  # on the wall: when the next tick may come, when the last one did
+        self._file, self._line = file, file.line()
+        self._names = list(file.rows)
+        self._rate = Rate(speed, self._line.base_ns, self._line.wall_ns)
+        self._start_ns = self._line.base_ns
+        self._due_ns = self._line.wall_ns  # on the wall: before it the next tick must not come
+        self._published_ns = self._line.wall_ns
         self.busy_s: dict[str, float] = {}  # what the twin itself waited for in the last tick
         self.limits: dict[str, Callable[[], int]] = {}  # of parts within the twin: how far time may go
         self._frames: dict[str, int] = {}  # being rendered, by robot: how far time may go meanwhile
@@ -164,6 +163,16 @@ class Keeper:
         self._due_ns, self._published_ns = came_ns + apart_ns, wall_ns
         self._line = Line(now_ns, came_ns, rate, now_ns + self._tick_ns, self._rate.achieved)
         self._file.publish(self._line)
+
+
+def start_clock(path: Path, robots: Sequence[str], start_ns: int, speed: float, tick_ns: int) -> Keeper:
+    """The clock of a dive at `path`, in place of an older one: from start_ns on in steps of tick_ns.
+
+    It goes at most `speed` times as fast as the wall's; inf: as fast as all can.
+    """
+    line = Line(start_ns, machine.monotonic_ns(), min(speed, UNATTENDED), start_ns + tick_ns)
+    names = [part_name(robot, part) for robot in robots for part in PARTS]
+    return Keeper(mapped.create(path, names, start_ns, line), robots, speed, tick_ns)
 
 
 def how_it_went(story: Story) -> str:

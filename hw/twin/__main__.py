@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from agent.clock.keeper import Keeper, how_it_went
+from agent.clock.keeper import how_it_went, start_clock
 from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.fleet_reader import load_fleet, load_robot
@@ -87,7 +87,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     dive.boards = [
         Board(name, folder, tare_pa, interpreter=runs) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)
     ]
-    keeper = Keeper(clock_path(fleet), robots, dive.now_ns, speed, TICK_NS)
+    keeper = start_clock(clock_path(fleet), robots, dive.now_ns, speed, TICK_NS)
     servers: list[FrameServer] = []
     for i, (name, (lens, vcm, painter)) in enumerate(zip(robots, optics, strict=True)):
         shutter = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))

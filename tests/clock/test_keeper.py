@@ -13,7 +13,7 @@ import pytest
 
 from agent.clock import keeper as keeper_module
 from agent.clock import machine
-from agent.clock.keeper import Keeper, how_it_went
+from agent.clock.keeper import how_it_went, start_clock
 from agent.clock.run_clock import RunClock
 from tests.places import ROOT
 from tests.waiting import until
@@ -27,7 +27,7 @@ class Ticking:
     """A keeper that ticks in a thread, as a twin without water would."""
 
     def __init__(self, path: Path, speed: float, robots: tuple[str, ...] = ("r1", "r2")) -> None:
-        self.keeper = Keeper(path, robots, START_NS, speed, TICK_NS)
+        self.keeper = start_clock(path, robots, START_NS, speed, TICK_NS)
         self.now_ns = START_NS
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)

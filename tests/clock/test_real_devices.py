@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from agent.clock.clock import SystemClock
-from agent.clock.keeper import Keeper
+from agent.clock.keeper import start_clock
 from agent.fleet_clock import fleet_clock
 from agent.fleet_files import shipped_fleet
 from agent.kernel.config import Fleet
@@ -39,7 +39,7 @@ def real_fleet(tmp_path) -> Fleet:
         for i, (name, robot) in enumerate(fleet.robot.items())
     }
     fleet = replace(fleet, robot=robots, twin=replace(fleet.twin, dir=str(tmp_path)))
-    Keeper(clock_path(fleet), list(robots), time.time_ns() + 3_600_000_000_000, 1.0, 10_000_000)
+    start_clock(clock_path(fleet), list(robots), time.time_ns() + 3_600_000_000_000, 1.0, 10_000_000)
     return fleet
 
 

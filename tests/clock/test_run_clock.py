@@ -20,9 +20,9 @@ TICK_NS = 10_000_000
 
 TWIN = """
 import pathlib, sys, threading
-from agent.clock.keeper import Keeper
+from agent.clock.keeper import start_clock
 start_ns = int(sys.argv[2])
-keeper = Keeper(pathlib.Path(sys.argv[1]), ["r1"], start_ns, float(sys.argv[3]), 10_000_000)
+keeper = start_clock(pathlib.Path(sys.argv[1]), ["r1"], start_ns, float(sys.argv[3]), 10_000_000)
 print("ready", flush=True)
 stop = threading.Event()
 while True:

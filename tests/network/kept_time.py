@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from threading import Event, Thread
 
 from agent.clock.clock import SystemClock
-from agent.clock.keeper import Keeper
+from agent.clock.keeper import Keeper, start_clock
 from agent.kernel.config import Fleet
 from hw.twin.devices.twin_folder import clock_path
 from hw.twin.physics.tank import TICK_NS
@@ -16,7 +16,7 @@ from hw.twin.physics.tank import TICK_NS
 def kept_time(fleet: Fleet, robots: Sequence[str]) -> Iterator[Keeper]:
     """As fast as these robots' agents can, once all of them are there; it waits for none that is dead."""
     now_ns, stop = SystemClock().now_ns(), Event()
-    keeper = Keeper(clock_path(fleet), robots, now_ns, math.inf, TICK_NS)
+    keeper = start_clock(clock_path(fleet), robots, now_ns, math.inf, TICK_NS)
 
     def keep() -> None:
         for k in range(1, 1 << 62):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import pytest
 
 from agent.clock.clock import SystemClock
-from agent.clock.keeper import Keeper
+from agent.clock.keeper import start_clock
 from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError
 from hw.firmware import failsafe, wire
@@ -190,5 +190,6 @@ def test_a_port_that_a_dead_twin_has_left_is_not_opened(desk, port, tmp_path):
         driver.send(HOVER, time.time_ns())
         telemetry, _ = driver.drain()
         assert not telemetry and driver.counters.rx_ok == 0  # what the board says lies there unread
-        Keeper(tmp_path / "clock", ["r1"], time.time_ns(), 1.0, 10_000_000)
+        # Beyond the pause between two attempts, for nobody moves this clock.
+        start_clock(tmp_path / "clock", ["r1"], time.time_ns() + 10_000_000_000, 1.0, 10_000_000)
         drive(desk, driver, lambda: driver.counters.rx_ok > 0)
