@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-
 from agent.clock.run_clock import RunClock
 from agent.demo import demo_fleet
 from agent.kernel.ranging.calibration import Calibration
@@ -18,8 +16,6 @@ from agent.kernel.topics import STATE
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
-from replay.files.channels import STEP_IN
-from replay.files.log import read
 from tests.known_lens import CAMERA, PLAIN
 from tests.network.dives.shown_states import ShownStates
 from tests.places import ROOT
@@ -27,7 +23,6 @@ from tests.waiting import until
 
 READY_S = 180.0  # of the wall: on a fresh machine every kernel is compiled first
 ENDS_S = 30.0  # of the wall
-LONGEST_STEP_S = 0.08  # of run time: 50 ms from step to step, and time waits for whoever is 25 ms late
 
 
 class DiveOfTwo:
@@ -95,16 +90,3 @@ def dive_of_two(folder: Path) -> Iterator[tuple[DiveOfTwo, ShownStates]]:
                 yield dive, shown
         finally:
             dive.kill()
-
-
-def steps_s(box: Path) -> np.ndarray:
-    """Run time from each step of a black box to the next."""
-    return np.diff([record.log_time_ns for record in read(box) if record.channel == STEP_IN.name]) * 1e-9
-
-
-def nothing_came_late(twin_log: str, *boxes: Path) -> None:
-    """The twin has nothing to tell but how it began and how time went, and no step waited for the machine."""
-    began, went = twin_log.splitlines()
-    assert began.startswith("twin: r1, r2") and "s of dive in" in went and "times real time" in went, twin_log
-    for box in boxes:
-        assert steps_s(box).max() < LONGEST_STEP_S, box

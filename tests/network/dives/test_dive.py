@@ -30,7 +30,8 @@ from hw.twin.devices.twin_folder import clock_path
 from replay.files.channels import FRAME, VISION
 from replay.files.frames import MAX_FRAME, Picture, pixels
 from replay.files.log import info, read
-from tests.network.dives.dive_of_two import ENDS_S, nothing_came_late
+from tests.dive_timing import nothing_came_late
+from tests.network.dives.dive_of_two import ENDS_S
 from tests.network.dives.shown_states import ShownStates
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
