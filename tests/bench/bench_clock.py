@@ -62,12 +62,11 @@ def dived(case: Case) -> dict[str, dict[str, Any]]:
         summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
         worst = max(row["relative_error_percent"] for row in summary["agents"].values())
         timings = {robot: timing(out / f"{robot}.mcap") for robot in summary["agents"]}
-        told = (out / "logs" / "twin.log").read_text(encoding="utf-8").splitlines()[-1]
+        log = (out / "logs" / "twin.log").read_text(encoding="utf-8")
+        told = log.splitlines()[-1]
         found = re.search(r"([\d.]+) s of dive in ([\d.]+) s, ([\d.]+) times real time", told)
         assert found is not None, told
-        nothing_came_late(
-            (out / "logs" / "twin.log").read_text(encoding="utf-8"), *(out / f"{r}.mcap" for r in timings)
-        )
+        nothing_came_late(log, *(out / f"{robot}.mcap" for robot in timings))
         step_s = max(t.step_gap_s for t in timings.values())
     print(f"{name}: {told}; {timings}", file=sys.stderr)
     return {
