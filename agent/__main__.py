@@ -14,6 +14,7 @@ from agent.commands import calibrating, diving, experimenting, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
+from agent.stop_signal import leave
 from hw.camera.camera import CameraError
 
 app = typer.Typer(
@@ -27,11 +28,6 @@ app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(experimenting.app, name="experiment")
 app.add_typer(replaying.app, name="replay")
-
-
-def leave(number: int, frame: object) -> None:
-    """A signal ends the program as Ctrl-C does, so that what it started ends with it."""
-    raise SystemExit(128 + number)
 
 
 def usage_error(error: typer.TyperException) -> str:

@@ -43,8 +43,13 @@ def run(fleet_path: Path, *, bench: str | None = None, speed: float = 1.0) -> in
     Returns 0 after a signal and 2, with one line on stderr, for anything that the user can put right.
     """
     stop = threading.Event()
-    # While starting, which may compile for long, a signal interrupts.
-    before = {number: signal.signal(number, signal.default_int_handler) for number in SIGNALS}
+
+    def interrupt(number: int, frame: object) -> None:
+        """While starting, which may compile for long; `stop` is for where Python forgets an exception, in callbacks."""
+        stop.set()
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in SIGNALS}
     try:
         fleet = load_fleet(fleet_path)
         if (why := two_worlds(fleet)) is not None:

@@ -17,6 +17,7 @@ WAITS = {
     "agent/launch.py": ENDS,
     "agent/perception/vision.py": ENDS,
     "agent/runtime.py": RUN,
+    "agent/stop_signal.py": MACHINE,  # its own kind of event, waited for by whatever clock
     "hw/camera/frame_server.py": MACHINE,
     "hw/camera/frame_socket.py": RUN,
     "hw/camera/twin.py": MACHINE,

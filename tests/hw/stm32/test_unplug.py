@@ -96,13 +96,13 @@ PULLED_S = 7.0  # of the twin's clock: arming takes 3.5 s
 
 @pytest.fixture
 def twin(tmp_path: Path) -> Iterator[Path]:
-    """The folder of a twin process whose scene pulls r1's cable; no camera, so that it starts at once."""
+    """The folder of a twin process whose scene pulls r1's cable."""
     scene = tmp_path / "pulled.toml"
     scene.write_text(SCENE.replace("AT", str(PULLED_S)))
     folder = tmp_path / "twin"
     fleet = replace(
         FLEET,
-        robot={"r1": replace(FLEET.robot["r1"], camera="video:none.mp4")},
+        robot={"r1": replace(FLEET.robot["r1"], camera="twin:r1")},
         twin=replace(FLEET.twin, scene=str(scene), dir=str(folder)),
     )
     path = tmp_path / "fleet.toml"

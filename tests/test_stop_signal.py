@@ -1,0 +1,57 @@
+"""Who shall end, ends: whenever the signal comes, and whatever it interrupts."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from agent import stop_signal
+from agent.stop_signal import Stop, until_signal
+from tests.places import ROOT
+from tests.waiting import until
+
+# A handler that sets the event every 50 us, while the main thread looks at it as often as it can.
+WAITS = """
+import signal, sys, threading, time
+from agent.stop_signal import Stop
+event = Stop()
+signal.signal(signal.SIGALRM, lambda *_: event.set())
+signal.setitimer(signal.ITIMER_REAL, 5e-5, 5e-5)
+for _ in range(30_000):
+    event.wait(0.0)
+signal.setitimer(signal.ITIMER_REAL, 0.0)
+print("through")
+"""
+
+
+def test_a_signal_in_the_middle_of_a_wait_is_no_deadlock() -> None:
+    """threading's own event hangs in this, or runs into itself until the stack is full."""
+    done = subprocess.run([sys.executable, "-c", WAITS], capture_output=True, text=True, cwd=ROOT, timeout=100.0)
+    assert done.stdout == "through\n", done.stderr
+
+
+def test_a_stop_is_an_event() -> None:
+    stop = Stop()
+    assert not stop.wait(0.01) and not stop.is_set()
+    threading.Timer(0.05, stop.set).start()
+    began_s = time.monotonic()
+    assert stop.wait(30.0) and stop.wait() and time.monotonic() - began_s < 20.0
+
+
+def test_a_signal_that_was_forgotten_in_a_callback_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_signal, "_asked", [])
+    with pytest.raises(SystemExit, match="143"):
+        stop_signal.leave(signal.SIGTERM, None)
+    with until_signal() as stop:
+        assert stop.is_set()
+
+
+def test_one_signal_asks_and_a_second_one_interrupts() -> None:
+    with pytest.raises(KeyboardInterrupt), until_signal() as stop:
+        signal.raise_signal(signal.SIGTERM)
+        until(stop.is_set)
+        signal.raise_signal(signal.SIGTERM)
+        time.sleep(1.0)
