@@ -22,7 +22,7 @@ from agent.clock.part_names import CAMERA, LOOP, PARTS, part_name
 from agent.clock.rate import UNATTENDED, Rate
 
 STALLED_S = 2.0
-POLL_S = 0.0005  # between two looks at those who are waited for
+POLL_S = 0.001  # between two looks at those who are waited for
 LONGEST_GAP_S = 0.05  # what a look counts at most: who was stopped himself does not hold it against others
 CATCH_UP_NS = 5_000_000  # by less the twin may be late without time being lost
 TWIN, RENDERING = "twin", "rendering"  # what the twin itself is waited for

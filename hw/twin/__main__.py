@@ -33,6 +33,7 @@ from hw.twin.physics.rotation import euler_rad
 from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Scene, generator, load_scene
 
+SWITCH_S = 0.0005  # Python's own 5 ms, for which a camera's thread keeps the water waiting, are half a tick
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -108,6 +109,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         device.start()
     _write_truth(folder / "truth.json", fleet, targets_m, dive)
     _be_ready(folder, stop)
+    sys.setswitchinterval(SWITCH_S)
     run_by_clock(dive, keeper, stop)
     sys.stderr.write(f"twin: {how_it_went(keeper.story())}\n")
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 FRAME_NS = 1_000_000_000 // 30
 EXPOSURE_NS = 10_000_000
 DELIVERY_NS = FRAME_NS  # from the opening of the shutter: exposed, read out and sent while the next one is exposed
-LATER_NS = FRAME_NS  # what a machine that is slow to render may add, before time waits for it
+LATER_NS = 25_000_000  # what a machine that is slow to render may add, before time waits for it
 
 
 class FrameClock(NamedTuple):
