@@ -8,16 +8,26 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+import timeit
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from agent.clock.keeper import start_clock
+from agent.clock.run_clock import RunClock
+from hw.twin.physics.tank import TICK_NS
+from replay.files.log import read
 from tests.dive_timing import nothing_came_late, timing
 
+LINKS = "/link/"  # in the channels of what robots say to each other
+READS = 20_000
 BUSY = 2  # processes that want a whole core each
 
 
@@ -39,10 +49,27 @@ CASES = (
 
 
 def run() -> dict[str, dict[str, Any]]:
-    rows: dict[str, dict[str, Any]] = {}
+    rows = reading()
     for case in CASES:
         rows |= dived(case)
     return rows
+
+
+def reading() -> dict[str, dict[str, Any]]:
+    """What it costs to ask a dive's clock for the time."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "clock"
+        keeper = start_clock(path, ["r1"], time.time_ns(), 1.0, TICK_NS)
+        clock = RunClock(path)
+        took_s, systems_s = (
+            statistics.median(timeit.repeat(ask, number=READS, repeat=7)) / READS
+            for ask in (clock.now_ns, time.time_ns)
+        )
+        keeper.close()
+    against = f"time.time_ns, {1e6 * systems_s:.2f} us"
+    return {
+        "reading a dive's clock": {"value": 1e6 * took_s, "unit": "us", "against": against, "ratio": took_s / systems_s}
+    }
 
 
 def dived(case: Case) -> dict[str, dict[str, Any]]:
@@ -68,6 +95,7 @@ def dived(case: Case) -> dict[str, dict[str, Any]]:
         assert found is not None, told
         nothing_came_late(log, *(out / f"{robot}.mcap" for robot in timings))
         step_s = max(t.step_gap_s for t in timings.values())
+        usual_s, longest_s = message_s(out / "fleet.mcap")
     print(f"{name}: {told}; {timings}", file=sys.stderr)
     return {
         name: {"value": float(found[3]), "unit": f"s of dive a second ({found[1]} s in {found[2]} s)"},
@@ -78,11 +106,22 @@ def dived(case: Case) -> dict[str, dict[str, Any]]:
             "value": 1e3 * max(t.silence_s for t in timings.values()),
             "unit": "ms between telemetry, 20 by design",
         },
+        f"{name}: messages": {
+            "value": 1e3 * usual_s,
+            "unit": f"ms of run time from a robot to the recorder, median ({1e3 * longest_s:.0f} ms: 99.9 %)",
+        },
         f"{name}: slowest sweep": {
             "value": max(t.sweep_gap_frames for t in timings.values()),
             "unit": "frames of the sensor from one lens position to the next",
         },
     }
+
+
+def message_s(fleet_file: Path) -> tuple[float, float]:
+    """How long messages between robots were on their way, in run time: the median, and what one in a thousand takes."""
+    found = [r.log_time_ns - r.publish_time_ns for r in read(fleet_file) if LINKS in r.channel]
+    usual_ns, longest_ns = np.percentile(found, [50.0, 99.9])
+    return usual_ns * 1e-9, longest_ns * 1e-9
 
 
 @contextlib.contextmanager
