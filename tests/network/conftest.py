@@ -13,6 +13,9 @@ from agent.kernel.messages import Estimate, State
 from tests.network.recorder_thread import RecorderThread, StartRecorder
 
 
+_given: set[int] = set()  # to a test before, or to another robot of the same fleet
+
+
 def unused_port() -> int:
     """A port that nobody listens on, from a range in which nobody else looks for one.
 
@@ -20,12 +23,15 @@ def unused_port() -> int:
     """
     while True:
         port = random.SystemRandom().randrange(29500, 32700)
+        if port in _given:
+            continue
         with socket.socket() as probe:
             try:
                 probe.bind(("127.0.0.1", port))
             except OSError:
                 continue
-            return port
+        _given.add(port)
+        return port
 
 
 @pytest.fixture
