@@ -12,7 +12,6 @@ from agent.kernel.config import Fleet, Link, Pose, Robot, Target
 from agent.kernel.messages import Estimate, State
 from tests.network.recorder_thread import RecorderThread, StartRecorder
 
-
 _given: set[int] = set()  # to a test before, or to another robot of the same fleet
 
 
