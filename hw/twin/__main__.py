@@ -90,6 +90,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     dive = Dive(fleet, robots, clock.now_ns(), waves=scene.waves, faults=scene.event)
     runs = interpreter()
     sys.stdout.write(f"twin: {', '.join(robots)} in scene {scene.name}, firmware under {runs}, files in {folder}\n")
+    sys.stdout.flush()  # into a file too it stands before what stderr says later
     dive.boards = [
         Board(name, folder, tare_pa, interpreter=runs) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)
     ]
