@@ -33,7 +33,7 @@ Tap = Callable[[bool, bytes], None]  # (whether from the board, bytes), called i
 MODES: tuple[Mode, ...] = ("hold", "stabilise", "surface", "bench")  # in the order of wire.HOLD ...
 SLACK_S = 0.025  # how long an order may lie here before a dive's clock waits
 SLOWEST = 0.2  # a dive's clock may be slower, but whoever ends does not wait for it
-LAST_ORDER_S = 0.3  # how long close() waits for the board to say that the motors are off
+LAST_ORDER_S = 0.3  # of the clock: how long close() waits for the board to say that the motors are off
 
 
 def open_port_path(url: str, twin_dir: Path) -> str:
