@@ -83,7 +83,11 @@ class StandingClock(SystemClock):
 
 def wait(clock: Clock, event: Event, seconds: float) -> bool:
     """Whether the event was set within so many seconds of the clock."""
-    until_ns = clock.now_ns() + round(seconds * 1e9)
+    return wait_until(clock, event, clock.now_ns() + round(seconds * 1e9))
+
+
+def wait_until(clock: Clock, event: Event, until_ns: int) -> bool:
+    """Whether the event was set before it was until_ns."""
     while (left_s := clock.wall_s(until_ns)) > 0.0:
         if event.wait(left_s):
             return True
@@ -91,7 +95,7 @@ def wait(clock: Clock, event: Event, seconds: float) -> bool:
 
 
 class Part:
-    """One thread that a clock waits for, such as an agent's loop; used by that thread, except for `recall`.
+    """One thread that a clock waits for, such as an agent's loop; used by that thread, except for `resume`.
 
     It holds the clock back while it works, never while it waits.
     """
@@ -103,8 +107,7 @@ class Part:
     def wait(self, event: Event, until_ns: int) -> None:
         """Return when it is until_ns, or the event is set."""
         self._clock.reach(self._name, until_ns)
-        while (left_s := self._clock.wall_s(until_ns)) > 0.0 and not event.wait(left_s):
-            pass
+        wait_until(self._clock, event, until_ns)
 
     def wait_changed(self, condition: Condition, until_ns: int) -> bool:
         """Return when the condition, held by the caller, may have been notified (True), or it is until_ns (False)."""

@@ -43,9 +43,10 @@ class Keeper:
 
     def __init__(self, file: ClockFile, robots: Sequence[str], speed: float, tick_ns: int) -> None:
         """Made by start_clock."""
-        self.robots, self._tick_ns = tuple(robots), tick_ns
+        self._tick_ns = tick_ns
         self._file, self._line = file, file.line()
         self._names = list(file.rows)
+        self._loops = [part_name(robot, LOOP) for robot in robots]
         self._rate = Rate(speed, self._line.base_ns, self._line.wall_ns)
         self._start_ns = self._line.base_ns
         self._due_ns = self._line.wall_ns  # on the wall: before it the next tick must not come
@@ -155,7 +156,7 @@ class Keeper:
 
     def _publish(self, now_ns: int) -> None:
         wall_ns = machine.monotonic_ns()
-        here = all(self.takes_part(part_name(robot, LOOP)) for robot in self.robots)
+        here = all(map(self.takes_part, self._loops))
         complete = here and not self._given_up
         rate = self._rate.step(now_ns, wall_ns, complete)
         apart_ns = round(self._tick_ns / self._rate.allowed)

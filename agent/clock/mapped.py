@@ -39,6 +39,10 @@ class Line(NamedTuple):
         """Run time if nothing held it."""
         return self.base_ns + round(self.rate * (monotonic_ns - self.wall_ns))
 
+    def left_at(self, monotonic_ns: int) -> int:
+        """Run time at the wall's pace, once nobody drives it any more."""
+        return self.base_ns + monotonic_ns - self.wall_ns
+
 
 class Row(NamedTuple):
     """How far a part has come, and how much further the clock may go."""

@@ -42,7 +42,7 @@ class RunClock:
         else:
             now_ns = line.at(wall_ns)
             if now_ns > line.horizon_ns:
-                now_ns = line.horizon_ns if self._is_driven(wall_ns) else line.base_ns + wall_ns - line.wall_ns
+                now_ns = line.horizon_ns if self._is_driven(wall_ns) else line.left_at(wall_ns)
         with self._lock:
             self._last_ns = now_ns = max(now_ns, self._last_ns)
         return now_ns
@@ -127,4 +127,4 @@ class RunClock:
         """Whether a twin that died before we came, but not before the machine started, left time beyond the day's:
         those who outlived it must not think us of yesterday."""
         wall_ns = machine.monotonic_ns()
-        return line.wall_ns <= wall_ns and line.base_ns + wall_ns - line.wall_ns > self._system.now_ns()
+        return line.wall_ns <= wall_ns and line.left_at(wall_ns) > self._system.now_ns()
