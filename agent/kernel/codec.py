@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Literal, TypeVar
 
 import msgpack
@@ -27,8 +28,13 @@ def encode(message: Message) -> bytes:
     return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,))))
 
 
-def decode(payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD) -> M:
-    """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and this schema."""
+READABLE = frozenset({1, SCHEMA})  # schemas of recordings: what the later one added, older messages lack
+
+
+def decode(
+    payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD, accepted: Collection[int] = frozenset({SCHEMA})
+) -> M:
+    """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and an accepted schema."""
     if len(payload) > limit:
         raise Refusal("size", f"{len(payload)} bytes, limit {limit}")
     try:
@@ -37,12 +43,17 @@ def decode(payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD) -> M:
         raise Refusal("garbage", "not msgpack") from None
     if not isinstance(fields, dict):
         raise Refusal("garbage", "not a map")
-    if "schema" in kind.__struct_fields__ and fields.get("schema") != SCHEMA:
-        raise Refusal("schema", f"schema {fields.get('schema')!r:.20}, ours is {SCHEMA}")
+    if "schema" in kind.__struct_fields__ and (said := fields.get("schema")) not in accepted:
+        shown = (
+            said if isinstance(said, int) else f"of type {type(said).__name__}"
+        )  # a repr may be as deep as it is told
+        raise Refusal("schema", f"schema {shown}, ours is {SCHEMA}")
     try:
         return msgspec.convert(fields, kind, builtin_types=(bytes,))
     except msgspec.ValidationError as error:
         raise Refusal("content", str(error)[:200]) from None
+    except RecursionError:
+        raise Refusal("content", "nested too deeply") from None
 
 
 def encoding(kind: type[Message]) -> str:

@@ -65,6 +65,8 @@ class Estimation(Struct, frozen=True, kw_only=True):
     protocol: Protocol = "evidence"
     iteration_s: Positive = 1.0  # the paper's t -> t + 1: one attempt to measure, one update
     validity_s: Positive = 0.5  # a neighbour unheard for longer leaves the valid set
+    liars: Annotated[int, Meta(ge=1, le=2)] = 1  # `evidence`: robots that may be wrong at once; 2 wants seven that see
+    clip: bool = False  # `metropolis`: draw a neighbour's word in to what its covariance and ours can explain
 
 
 class Link(Struct, frozen=True, kw_only=True):
@@ -72,6 +74,12 @@ class Link(Struct, frozen=True, kw_only=True):
     loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
     loss_seed: int = 0
     preview_hz: Annotated[float, Meta(ge=0, le=5)] = 2.0  # at most so many pictures for whoever looks; 0: none
+
+
+class Access(Struct, frozen=True, kw_only=True):
+    """Who may say what."""
+
+    keys: str | None = None  # folder of keys, looked for beside the fleet file; none: nothing is signed
 
 
 class Camera(Struct, frozen=True, kw_only=True):
@@ -134,6 +142,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     ranging: Ranging = Ranging()
     estimation: Estimation = Estimation()
     link: Link = Link()
+    access: Access = Access()
     camera: Camera = Camera()
     body: Body = Body()
     robot: dict[Name, Robot]

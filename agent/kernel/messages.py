@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-SCHEMA = 1  # raised whenever the meaning of a field changes; others are refused
+SCHEMA = 2  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
 
 MAX_PAYLOAD = 16 * 1024  # bytes of any message but a preview; refused before it is decoded
 MAX_TEXT = 400  # characters of a line of the log
@@ -24,6 +24,7 @@ Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
 Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
+Signature = Annotated[bytes, Meta(max_length=64)]  # Ed25519 by the origin, of what signed.py makes of it; empty: none
 Level = Literal["info", "warning", "error"]
 
 
@@ -56,6 +57,7 @@ class Entry(msgspec.Struct, frozen=True, array_like=True):
     information: Symmetric  # sum of R^-1, 1/m^2
     vector: Vector  # sum of R^-1 x̂, 1/m
     systematic_m2: Symmetric  # mean over the samples of what does not average out
+    signature: Signature = b""
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
@@ -67,6 +69,18 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
     age_ns: Count  # since the exposure, by the clocks of those that carried it
     information: Symmetric  # R^-1, 1/m^2
     vector: Vector  # R^-1 x̂, 1/m
+    t_ns: Count = 0  # of the exposure, on the clock of its origin; relays may write the age, but not this
+    signature: Signature = b""
+
+
+class Proposal(msgspec.Struct, frozen=True, array_like=True):
+    """One robot's word that a new epoch should begin. An epoch begins with two of them, or with one's own alarm."""
+
+    proposer: Id
+    incarnation: Count
+    counter: Annotated[int, Meta(ge=1, le=10**9)]
+    moving: bool
+    signature: Signature = b""
 
 
 class Holding(msgspec.Struct, frozen=True, array_like=True):
@@ -85,6 +99,7 @@ class Gossip(msgspec.Struct, frozen=True, array_like=True):
     entries: Annotated[tuple[Entry, ...], Meta(max_length=64)] = ()
     samples: Annotated[tuple[Sample, ...], Meta(max_length=64)] = ()
     digest: Annotated[tuple[Holding, ...], Meta(max_length=64)] = ()
+    proposals: Annotated[tuple[Proposal, ...], Meta(max_length=64)] = ()  # for the epoch that is, or for the next
 
 
 class Estimate(Message, frozen=True, kw_only=True):
@@ -104,6 +119,7 @@ class Estimate(Message, frozen=True, kw_only=True):
     cov_m2: Symmetric | None = None
     degree: Count | None = None  # `metropolis`: how many neighbours the sender has
     gossip: Gossip | None = None  # `evidence`
+    common: Annotated[str, Meta(max_length=16)] = ""  # digest of what all fleet files have to share; empty: not said
 
 
 # --- to whoever looks -----------------------------------------------------------------------------------------
@@ -140,7 +156,7 @@ class State(Message, frozen=True, kw_only=True):
     incarnation: Count
     seq: Count
     sent_ns: Count
-    mode: Literal["running", "stopped"] = "running"
+    mode: Literal["running", "degraded", "stopped", "failed"] = "running"  # stopped as planned, or ended by a fault
     target: Id
     knows: Literal["blind", "told", "sees"]
     t: Count

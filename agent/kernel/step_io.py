@@ -70,6 +70,8 @@ class Inputs(Message, frozen=True, kw_only=True):
     sightings: tuple[Sighting, ...] = ()
     heard: tuple[Heard, ...] = ()
     refused: tuple[DroppedPayloads, ...] = ()
+    faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
+    keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
 
 
 # --- outputs: to the robot's own devices, and to others ---------------------------------------------------------
