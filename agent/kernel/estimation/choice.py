@@ -19,7 +19,7 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int) -> Estimator
         case "paper":
             return Paper(validity_ns)
         case "metropolis":
-            return Metropolis(me, validity_ns, len(neighbours))
+            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
         case "evidence":
             bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, round(fleet.estimation.iteration_s * 1e9))
-            return Evidence(me, incarnation, neighbours, validity_ns, bounds)
+            return Evidence(me, incarnation, neighbours, validity_ns, bounds, liars=fleet.estimation.liars)

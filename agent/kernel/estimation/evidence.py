@@ -45,8 +45,9 @@ class Evidence:
         bounds: Bounds,
         max_entries: int = ENTRIES,
         common_m2: Symmetric = NOTHING,
+        liars: int = 1,
     ) -> None:
-        self._me = Me((me, incarnation), neighbours, bounds, max_entries, common_m2)
+        self._me = Me((me, incarnation), neighbours, bounds, max_entries, common_m2, liars)
         self._validity_ns = validity_ns
         self.t = 0
         self.valid = False

@@ -17,6 +17,7 @@ class Me(NamedTuple):
     bounds: Bounds
     max_entries: int  # in one message
     common_m2: Symmetric  # covariance of errors that all robots share
+    liars: int = 1  # robots that may be wrong at once
 
 
 class Conclusion(NamedTuple):

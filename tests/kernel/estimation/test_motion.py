@@ -195,6 +195,20 @@ def test_a_robot_that_is_wrong_does_not_pull_the_track(since) -> None:
     assert updates["r01"].alpha == 0.0
 
 
+def test_a_robot_that_is_wrong_by_less_than_the_vote_can_tell_is_left_out_by_degrees() -> None:
+    """34 mm of samples with 5 mm: one that lacks its newest sample can say less against it than the others."""
+    names = NAMES[:5]
+    net, updates, truth_m = chased(names, 40, lambda name, t: 0.034 * (name == "r04" and t >= 20))
+    for name in names[:4]:
+        explain = updates[name].explain
+        assert explain.status == "ok"
+        assert 0.0 < explain.doubted["r04"] < 1.0
+        assert explain.weights["r04"] < 0.95 / len(names)
+        assert sum(explain.weights.values()) == pytest.approx(1.0)
+        assert abs(net.robots[name].posterior.x_m[1] - truth_m[1]) < 0.002, "a fifth of it would be 6.8 mm"
+    assert min(updates[name].explain.doubted["r04"] for name in names[:4]) < 0.05
+
+
 def test_the_first_to_see_is_wrong_and_is_outvoted_by_those_who_come_later() -> None:
     names = NAMES[:3]
     net = Net({n: tuple(m for m in names if m != n) for n in names})
