@@ -41,11 +41,11 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Epoch(msgspec.Struct, frozen=True, array_like=True, order=True):
-    """Which stretch of a target's history evidence belongs to: the larger one wins, and older evidence is let go."""
+    """Which stretch of a target's history evidence belongs to. With a new one older evidence is let go."""
 
     counter: Annotated[int, Meta(ge=0, le=10**9)] = 0
     moving: bool = False  # in this epoch the target moves: samples travel, not sums
-    proposer: Annotated[str, Meta(max_length=16)] = ""  # breaks ties
+    proposer: Annotated[str, Meta(max_length=16)] = ""  # of schema 1; empty
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
@@ -74,10 +74,10 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Proposal(msgspec.Struct, frozen=True, array_like=True):
-    """One robot's word that a new epoch should begin. An epoch begins with two of them, or with one's own alarm."""
+    """One robot's word that a new epoch should begin; of two, as a rule, it begins (epoch_vote.py)."""
 
     proposer: Id
-    incarnation: Count
+    since_ns: Count  # when its own samples said so first, on its clock; tells this alarm from one before
     counter: Annotated[int, Meta(ge=1, le=10**9)]
     moving: bool
     signature: Signature = b""
