@@ -26,6 +26,7 @@ Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
 Signature = Annotated[bytes, Meta(max_length=64)]  # Ed25519 by the origin, of what signed.py makes of it; empty: none
 Level = Literal["info", "warning", "error"]
+Mode = Literal["running", "degraded", "stopped", "failed"]  # a step broke of late; ended as planned; ended by a fault
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -89,7 +90,7 @@ class Holding(msgspec.Struct, frozen=True, array_like=True):
     origin: Id
     incarnation: Count
     newest: Count  # count of its entry, or number of its newest sample
-    older: Annotated[int, Meta(ge=0, lt=2**32)] = 0  # bit k: sample `newest - 1 - k` is here too
+    older: Annotated[int, Meta(ge=0, lt=2**32)] = 0  # bit k: sample `newest - 1 - k` is here too; checksum of an entry
 
 
 class Gossip(msgspec.Struct, frozen=True, array_like=True):
@@ -156,7 +157,8 @@ class State(Message, frozen=True, kw_only=True):
     incarnation: Count
     seq: Count
     sent_ns: Count
-    mode: Literal["running", "degraded", "stopped", "failed"] = "running"  # stopped as planned, or ended by a fault
+    mode: Mode = "running"
+    signed: bool = False  # entries of others count by their signatures; without, by whose mouth they came from
     target: Id
     knows: Literal["blind", "told", "sees"]
     t: Count

@@ -15,6 +15,7 @@ ALARM_NS = 20_000_000_000  # a proposal that nobody seconds for so long was a kn
 WITNESSES = 2  # one more than may lie
 LEAST_NS = 10_000_000_000  # an epoch lasts so long before a single proposal ends it
 BESIDE_NS = 3_000_000_000  # how long a neighbour counts as being in the epoch that it spoke of
+JUMP = 1000  # epochs that a swarm may be ahead of a robot that has just started
 LAST = 10**8  # no honest swarm gets there
 
 
@@ -26,8 +27,9 @@ def epoch_of(counter: int) -> Epoch:
 class EpochVote:
     """Who proposes which epoch, as one robot knows it."""
 
-    def __init__(self, me: str) -> None:
+    def __init__(self, me: str, neighbours: int) -> None:
         self._me = me
+        self._needed = min(WITNESSES, neighbours)  # neighbours that can show a robot which starts late where they are
         self._proposals: dict[str, tuple[Proposal, int]] = {}  # of each robot its newest, and when we first heard it
         self._witnesses: tuple[Proposal, ...] = ()  # for the epoch that we are in
         self._beside: dict[str, tuple[int, int]] = {}  # neighbour -> counter of its epoch, and when it said so
@@ -69,7 +71,10 @@ class EpochVote:
             if counter <= epoch.counter or counter > LAST:
                 continue
             proposals = sum(p.counter == counter for p in fresh)
-            if proposals >= WITNESSES or sum(c >= counter for c in beside) >= WITNESSES:
+            there = sum(c >= counter for c in beside)
+            if proposals >= WITNESSES or there >= WITNESSES:
+                return epoch_of(counter)
+            if self._began_ns is None and seeing == 0 and there >= self._needed and counter <= JUMP:
                 return epoch_of(counter)
             if proposals and 0 < seeing <= WITNESSES and self._may_end_alone(epoch, counter, now_ns):
                 return epoch_of(counter)
@@ -91,8 +96,8 @@ class EpochVote:
         return held if held is not None and held[0].counter == counter else None
 
     def _may_end_alone(self, epoch: Epoch, counter: int, now_ns: int) -> bool:
-        """One robot's word may lead on by an epoch in ten seconds; who just started does not know how far others are."""
+        """One robot's word leads on by an epoch in ten seconds; who just started cannot know how far others are."""
         if self._began_ns is None:
-            return True
+            return counter <= epoch.counter + JUMP
         elapsed_ns = now_ns - self._began_ns
         return elapsed_ns >= LEAST_NS and counter <= epoch.counter + 1 + elapsed_ns // LEAST_NS

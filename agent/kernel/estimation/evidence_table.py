@@ -9,7 +9,9 @@ from the neighbours.
 
 from __future__ import annotations
 
+from struct import pack
 from typing import Any
+from zlib import crc32
 
 from agent.kernel.estimation.evidence_checks import floored
 from agent.kernel.estimation.fuse import AGREE, Opinion
@@ -28,6 +30,7 @@ class Table:
     def __init__(self, me: str) -> None:
         self._me = me
         self.entries: dict[Key, Entry] = {}
+        self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
         self.hearsay: set[Key] = set()  # entries of which only others told
         self._own: Key | None = None  # the one that we add to
         self._opinions: dict[str, Opinion | None] = {}  # None: to be made again, or not yet possible
@@ -62,7 +65,7 @@ class Table:
         return len(newest) < INCARNATIONS or entry.incarnation > newest[-1][1]
 
     def merge(self, entry: Entry, hearsay: bool = False) -> str | None:
-        """Take in a neighbour's entry that is news and is believed; returns what is strange about it, if anything is."""
+        """Take in a neighbour's entry that is news and is believed; returns what is strange about it, or None."""
         key = (entry.origin, entry.incarnation)
         old = self.entries.get(key)
         self._put(entry)
@@ -74,7 +77,7 @@ class Table:
 
     def drop(self, key: Key) -> None:
         """An entry is believed no more."""
-        del self.entries[key]
+        del self.entries[key], self.marks[key]
         self.hearsay.discard(key)
         if any(origin == key[0] for origin, _ in self.entries):
             self._opinions[key[0]] = None
@@ -87,10 +90,10 @@ class Table:
 
     def _put(self, entry: Entry) -> None:
         key = (entry.origin, entry.incarnation)
-        self.entries[key] = entry
+        self.entries[key], self.marks[key] = entry, mark(entry)
         self._opinions[key[0]] = None
         for old in self._newest(key[0])[INCARNATIONS:]:
-            del self.entries[old]
+            del self.entries[old], self.marks[old]
             self.hearsay.discard(old)
 
     def _newest(self, origin: str) -> list[Key]:
@@ -136,6 +139,11 @@ def _agrees(information: Symmetric, vector: Vector, older: Entry) -> bool:
     x, y, z = apply(random, vector)
     ox, oy, oz = apply(before, older.vector)
     return distance2(plus(random, before), (x - ox, y - oy, z - oz)) < AGREE
+
+
+def mark(entry: Entry) -> int:
+    """A checksum of what an entry says, 32 bits."""
+    return crc32(pack("<15d", *entry.information, *entry.vector, *entry.systematic_m2))
 
 
 def _rank(entry: Entry) -> tuple[Any, ...]:

@@ -11,6 +11,8 @@ all samples (Xiao, Boyd and Lall, IPSN 2005); on a graph with two colours the se
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Letter, Mailbox
 from agent.kernel.estimation.paper import UNKNOWN, mix
@@ -25,6 +27,9 @@ class Metropolis:
         self.t = 0
         self.valid = False
         self.posterior: Posterior | None = None
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        pass  # a belief has no origin that could sign it
 
     def adopt(self, t: int) -> None:
         if t > self.t + 1:  # see Paper.adopt
