@@ -1,7 +1,7 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
 The script knows where the targets are and answers each sweep with the clarity curve that a lens would give.
-It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much, and signs where its fleet does.
+It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much, and signs if its fleet does.
 Usage: python -m tests.network.scripted_agent FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
