@@ -146,6 +146,7 @@ class Explain(Message, frozen=True, kw_only=True):
     epoch: Epoch = Epoch()
     nis: float | None = None  # normalised innovation squared of the own prior; mean 3 when all is well
     speed_m_s: float | None = None  # of a target that moves
+    sway_m: dict[str, float] = {}  # `evidence`: from the posterior to where it would be without this origin
 
 
 class State(Message, frozen=True, kw_only=True):

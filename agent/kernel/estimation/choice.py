@@ -24,8 +24,10 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
         case "paper":
             return Paper(validity_ns)
         case "metropolis":
-            return Metropolis(me, validity_ns, len(neighbours))
+            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
         case "evidence":
             bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, round(fleet.estimation.iteration_s * 1e9))
-            subject = fleet.fleet, target
-            return Evidence(me, incarnation, neighbours, validity_ns, bounds, subject=subject, verify=verify)
+            subject, liars = (fleet.fleet, target), fleet.estimation.liars
+            return Evidence(
+                me, incarnation, neighbours, validity_ns, bounds, liars=liars, subject=subject, verify=verify
+            )

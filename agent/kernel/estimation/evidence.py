@@ -59,11 +59,12 @@ class Evidence:
         bounds: Bounds,
         max_entries: int = ENTRIES,
         common_m2: Symmetric = NOTHING,
+        liars: int = 1,
         subject: tuple[str, str] = ("", ""),
         verify: Verify = verify,
     ) -> None:
         self._authority = Authority(neighbours, verify)
-        self._me = Me((me, incarnation), neighbours, bounds, max_entries, common_m2, self._authority, subject)
+        self._me = Me((me, incarnation), neighbours, bounds, max_entries, common_m2, self._authority, subject, liars)
         self._validity_ns = validity_ns
         self.t = 0
         self.valid = False

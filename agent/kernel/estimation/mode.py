@@ -23,6 +23,7 @@ class Me(NamedTuple):
     common_m2: Symmetric  # covariance of errors that all robots share
     authority: Authority
     subject: tuple[str, str]  # fleet and target, as they are signed
+    liars: int = 1  # robots that may be wrong at once
 
 
 class Conclusion(NamedTuple):

@@ -1,8 +1,9 @@
 """The target moves: single samples are passed on with their ages, and the posterior is the track through them.
 
 Who is wrong is found as at rest: each robot's own samples make a track of its own, the tracks vote (fuse.py), and the
-agreed track runs over the samples of those that agree, raw as they came. Tracks of one target share its accelerations,
-so they differ by less than their covariances say, and the vote is rather too patient than too strict.
+agreed track runs over the samples of those that agree, raw as they came. Where one of these stands out, tracks without
+it are mixed in as fuse.py mixes places. Tracks of one target share its accelerations, so they differ by less than
+their covariances say, and vote and doubt are rather too patient than too strict.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from agent.kernel.estimation.authority import HEARSAY
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
 from agent.kernel.estimation.evidence_checks import CLOCKS_NS, floored, inside
 from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
-from agent.kernel.estimation.fuse import Ballot, Opinion, vote
+from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture, vote
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
@@ -24,6 +25,7 @@ from agent.kernel.estimation.track import Track, nis, predict
 from agent.kernel.estimation.window import MASK, Key, Window
 from agent.kernel.messages import Epoch, Explain, Gossip, Sample
 
+MATTERS = 0.02  # weight of a track without somebody below which it is not worth running
 SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold
 
 
@@ -127,30 +129,34 @@ class MovingTarget:
         for ledger in self._ledgers.values():
             ledger.drop(self._window.samples)
         opinions = self._opinions(fresh, horizon_ns, now_ns)
-        track, ballot = None, None
+        track, ballot, posterior, doubt = None, None, None, Doubt(0.0, [])
         if opinions:
             ballot = vote(opinions)
             track = self._agree(ballot, fresh, horizon_ns, now_ns)
+            doubt = doubts([opinion for opinion in opinions if opinion.origin in ballot.group], self._me.liars)
+        if track is not None and ballot is not None:
+            posterior = _doubted(track, doubt, {n: fresh[n] for n in fresh if n in ballot.group}, now_ns)
         self._window.freeze(horizon_ns)
-        believable = track is not None and inside(track.x_m, self._me.bounds.tank_m)
-        if track is None or ballot is None or not believable:
+        believable = posterior is not None and inside(posterior.x_m, self._me.bounds.tank_m)
+        if track is None or ballot is None or posterior is None or not believable:
             # Not seen for a whole window, or out of the tank: the last place is a better guess than an old speed.
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
-        shares = _shares(fresh, ballot.group)
+        factors = {o.origin: doubt.factor(o.origin) if o.origin in ballot.group else 0.0 for o in opinions}
+        shares = _shares(fresh, {name: factor for name, factor in factors.items() if name in ballot.group})
         explain = Explain(
             status=ballot.verdict,
             weights=shares,
             votes=ballot.votes,
-            doubted={opinion.origin: 0.0 for opinion in opinions if opinion.origin not in ballot.group},
+            doubted={name: factor for name, factor in factors.items() if factor < 1.0},
             epoch=self._epoch,
             nis=self._nis if valid else None,
             speed_m_s=math.sqrt(sum(v * v for v in track.v_m_s)),
         )
-        alpha = self._gain(track) if valid and self._me.key[0] in ballot.group else 0.0
+        alpha = factors[self._me.key[0]] * self._gain(track) if valid and self._me.key[0] in ballot.group else 0.0
         if ballot.verdict == "ambiguous":
             alone = _posterior(self._mine) if valid and self._mine is not None else before
-            return Conclusion(alone or _posterior(track), "ambiguous", alpha, explain)
-        return Conclusion(_posterior(track), "track", alpha, explain)
+            return Conclusion(alone or posterior, "ambiguous", alpha, explain)
+        return Conclusion(posterior, "track", alpha, explain)
 
     def _opinions(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> list[Opinion]:
         """Where each origin places the target now, by its own samples alone."""
@@ -177,8 +183,24 @@ def _posterior(track: Track) -> Posterior:
     return Posterior(track.x_m, track.A)
 
 
-def _shares(fresh: dict[str, list[Held]], group: frozenset[str]) -> dict[str, float]:
-    """Share of each origin that agrees in the information of the window; sum 1."""
-    sizes = {name: math.fsum(trace(held.information) for held in fresh[name]) for name in fresh if name in group}
+def _doubted(track: Track, doubt: Doubt, fresh: dict[str, list[Held]], now_ns: int) -> Posterior:
+    """The agreed track, and where somebody stands out the tracks without it, through what the window still holds.
+
+    What is older than the window has faded, and a track of others cannot be taken out of it any more.
+    """
+    certain, places = 1.0, []
+    for p, way in doubt.ways:
+        weight = doubt.strength * p
+        kept = [held for name in fresh if name not in way.out for held in fresh[name]] if weight > MATTERS else []
+        other = FixedLagFilter().run(kept, now_ns, now_ns)
+        if other is not None:
+            certain -= weight
+            places.append((weight, other.x_m, other.A))
+    return Posterior(*mixture([(certain, track.x_m, track.A), *places])) if places else _posterior(track)
+
+
+def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str, float]:
+    """Share of each origin that agrees in the information of the window, times its factor; sum 1."""
+    sizes = {name: factors[name] * math.fsum(trace(held.information) for held in fresh[name]) for name in factors}
     total = math.fsum(sizes.values())
     return {name: size / total for name, size in sizes.items()}

@@ -5,6 +5,9 @@
 with w_ij = 1 / |N_i ∩ S^t| and alpha = 1 / (t + 1), both left open by the paper. Its flaws are kept: robots do not
 average with themselves, and one that sees the target but hears nobody starts again from its newest sample. Where the
 paper demands two things at once (blind, and no valid neighbour) the robot holds what it has.
+
+It withstands neither lost messages nor a robot that is wrong. A neighbour's word is believed wherever it is, so one
+that lies takes all with it, as far as the tank reaches; who sees the target has only alpha against it, which shrinks.
 """
 
 from __future__ import annotations

@@ -128,7 +128,7 @@ class StaticTarget:
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        fused = fuse(self._table.opinions(), self._me.common_m2)
+        fused = fuse(self._table.opinions(), self._me.common_m2, self._me.liars)
         if fused is None:
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
         alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
@@ -139,10 +139,12 @@ class StaticTarget:
             doubted={name: factor for name, factor in fused.factors.items() if factor < 1.0},
             epoch=self._epoch,
             nis=self._nis if valid else None,
+            sway_m=fused.sway_m,
         )
         if fused.verdict == "ambiguous":
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
-        return Conclusion(_agreed(fused), "fuse", alpha, explain)
+        doubted = fused.factors.get(self._me.key[0], 1.0) < 0.5
+        return Conclusion(_agreed(fused), "fuse", alpha, explain, doubted)
 
     def _alone(self, valid: bool) -> Posterior | None:
         """What our own samples say, while we see the target."""
