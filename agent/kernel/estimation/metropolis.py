@@ -18,6 +18,7 @@ not in vain, and what it did is forgotten with 1 / t. A robot that never saw the
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Letter, Mailbox
@@ -38,6 +39,9 @@ class Metropolis:
         self.t = 0
         self.valid = False
         self.posterior: Posterior | None = None
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        pass  # a belief has no origin that could sign it
 
     def adopt(self, t: int) -> None:
         if t > self.t + 1:  # see Paper.adopt

@@ -9,20 +9,24 @@ their covariances say, and vote and doubt are rather too patient than too strict
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
+from functools import partial
 
+from agent.kernel.estimation.authority import HEARSAY
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
-from agent.kernel.estimation.evidence_checks import floored, inside
+from agent.kernel.estimation.evidence_checks import CLOCKS_NS, floored, inside
 from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture, vote
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
-from agent.kernel.estimation.mode import Conclusion, Me
+from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
+from agent.kernel.estimation.signed import sample_bytes
 from agent.kernel.estimation.track import Track, nis, predict
 from agent.kernel.estimation.window import MASK, Key, Window
-from agent.kernel.messages import Epoch, Explain, Gossip
+from agent.kernel.messages import Epoch, Explain, Gossip, Sample
 
 MATTERS = 0.02  # weight of a track without somebody below which it is not worth running
-SENT = 48  # samples in one message at most, 110 bytes each: half of what a message may hold
+SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold
 
 
 class MovingTarget:
@@ -39,6 +43,7 @@ class MovingTarget:
         self._mine: Track | None = None  # through our own samples alone
         self._nis: float | None = None
         self._newest: Held | None = None
+        self.outlived: int | None = None
 
     def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
         """Take in an own sample. Returns its normalised innovation squared against the own track so far.
@@ -54,39 +59,65 @@ class MovingTarget:
         self._nis = None
         if self._mine is not None:
             self._nis = nis(predict(self._mine, prior.t_ns), prior.x_m, covariance)
-        self._newest = Held(prior.t_ns, information, apply(information, prior.x_m))
+        self._newest = Held(prior.t_ns, information, apply(information, prior.x_m), prior.t_ns)
         self._window.measure((*self._me.key, number), self._newest)
         self._change += 1
         return self._nis
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        faults, ledger = [], self._ledgers[src]
-        for sample in gossip.samples:
+        faults, ledger, samples = [], self._ledgers[src], self._window.samples
+        for sample in sorted(gossip.samples, key=lambda s: (s.origin != src, s.origin not in self._ledgers)):
             key = (sample.origin, sample.incarnation, sample.number)
-            if key[:2] == self._me.key:
-                if key not in self._window.samples:
-                    faults.append("forged")  # or so old that we have let it go
+            if key in samples:
+                self._window.earlier(sample, arrived_ns)
+                ledger.acknowledge(key, 1)
                 continue
-            news, fault = self._window.merge(sample, arrived_ns)
-            if fault is not None:
+            fault = self._fault(src, sample, arrived_ns)
+            fault = fault or self._window.merge(sample, arrived_ns, direct=src == sample.origin)
+            if fault is None:
+                ledger.acknowledge(key, 1)
+                self._change += 1
+            elif fault != HEARSAY:
                 faults.append(fault)
-                continue
-            ledger.acknowledge(key, 1)
-            self._change += news
         shown = {(line.origin, line.incarnation): line for line in gossip.digest}
-        for key in self._window.samples:
+        for key in samples:
             line = shown.get(key[:2])
             if line is not None:
                 older = line.newest - 1 - key[2]
                 ledger.acknowledge(key, int(older == -1 or (0 <= older < MASK and bool(line.older >> older & 1))))
         return faults
 
+    def _fault(self, src: str, sample: Sample, now_ns: int) -> str | None:
+        """Why a sample that we do not have does not count."""
+        authority, own = self._me.authority, self._me.key
+        if sample.origin == own[0] and (sample.incarnation >= own[1] or authority.keys is None):
+            if own[1] < sample.incarnation <= now_ns + CLOCKS_NS:
+                self.outlived = max(self.outlived or 0, sample.incarnation)
+            return "own name"  # nobody else makes one; one of ours that we have let go is of no use any more
+        says = partial(sample_bytes, *self._me.subject, self._epoch, sample)
+        fault = self._window.fault(sample, now_ns)
+        return fault or authority.fault(src, sample.origin, sample.signature, says, now_ns)
+
+    def began(self, me: Me) -> None:
+        self._me, self.outlived = me, None
+
+    def distrust(self, origins: Collection[str]) -> None:
+        self._window.drop(frozenset(origins) - {self._me.key[0]})
+        for origin in origins:
+            self._own.pop(origin, None)
+        self._makers, self._agreed = frozenset(), FixedLagFilter()  # what they said is in the agreed track
+        self._change += 1
+
+    def seeing(self, now_ns: int) -> int:
+        return len({key[0] for key, held in self._window.samples.items() if now_ns - held.t_ns <= SEEN_NS})
+
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
 
     def say(self, to: str, now_ns: int) -> Gossip:
-        ledger = self._ledgers[to]
-        chosen = ledger.pending(self._window.sendable(now_ns), self._me.key, SENT)
+        ledger, signed = self._ledgers[to], self._me.authority.keys is not None
+        owed = {key: 1 for key in self._window.sendable(now_ns) if signed or key[0] != to}
+        chosen = ledger.pending(owed, self._me.key, SENT)
         return Gossip(
             self._epoch,
             samples=tuple(self._window.sample(key, now_ns) for key in chosen),

@@ -13,7 +13,7 @@ that lies takes all with it, as far as the tank reaches; who sees the target has
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Letter, Mailbox
@@ -28,6 +28,9 @@ class Paper:
         self.t = 0
         self.valid = False
         self.posterior: Posterior | None = None
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        pass  # a belief has no origin that could sign it
 
     def adopt(self, t: int) -> None:
         # One ahead is a neighbour in the same iteration that ticked first, and who follows ends up beside it, not in
