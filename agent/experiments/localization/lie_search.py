@@ -24,6 +24,7 @@ CHAINS = 4  # searches side by side: the best lie is often one of several far ap
 SAMPLES = 48  # candidates of each, in each generation
 ELITE = 8
 GENERATIONS = 14
+AGAIN = (2, 8)  # chains and generations where the best lie of a moment ago is known
 KEEP = 0.3  # share of the old distribution in the new
 LEAST = 0.02  # spread that is always left
 
@@ -51,15 +52,16 @@ def best_lies(
     last: the lies before, near which one search begins. effort: times as many candidates.
     """
     samples = round(SAMPLES * effort)
-    mean = np.tile(np.tile(START, liars), (CHAINS, 1))
-    spread = np.tile(np.tile(SPREAD, liars), (CHAINS, 1))
+    chains, generations = (CHAINS, GENERATIONS) if last is None else AGAIN
+    mean = np.tile(np.tile(START, liars), (chains, 1))
+    spread = np.tile(np.tile(SPREAD, liars), (chains, 1))
     if last is not None:
         mean[0], spread[0] = last.parameters, 0.2 * spread[0]
     best, moved = mean[0], -1.0
-    for _ in range(GENERATIONS):
-        drawn = mean[:, None] + spread[:, None] * rng.standard_normal((CHAINS, samples, mean.shape[1]))
+    for _ in range(generations):
+        drawn = mean[:, None] + spread[:, None] * rng.standard_normal((chains, samples, mean.shape[1]))
         flat = drawn.reshape(-1, mean.shape[1])
-        values = gain(*spoken(flat, centre_m, root_m)).reshape(CHAINS, samples)
+        values = gain(*spoken(flat, centre_m, root_m)).reshape(chains, samples)
         order = np.argsort(-values, axis=1)[:, :ELITE]
         elite = np.take_along_axis(drawn, order[:, :, None], axis=1)
         mean = KEEP * mean + (1.0 - KEEP) * elite.mean(axis=1)
