@@ -11,51 +11,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from random import Random
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from agent.experiments.localization.draws import WORLD
-from agent.experiments.localization.graphs import Topology, graph
+from agent.experiments.localization.graphs import graph
+from agent.experiments.localization.liar_cases import LiarCase
 from agent.experiments.localization.lie_search import CLAIM_M, Lies, best_lies
 from agent.experiments.localization.lockstep import Swarm, prior, symmetric
 from agent.experiments.localization.many_lies import conclusions
-from agent.experiments.localization.world import Array, MonteCarloWorld, draw_dive, draw_world
-from agent.experiments.result import Row
-from agent.kernel.config import Protocol, Tank
+from agent.experiments.localization.world import Array, draw_dive, draw_world
+from agent.kernel.config import Tank
 from agent.kernel.estimation.evidence_checks import MARGIN_M, R_FLOOR_M
 from agent.kernel.estimation.fuse import LOW
-from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.matrix import apply
-from agent.kernel.messages import Entry, Estimate, Gossip, Symmetric, Vector, upper
+from agent.kernel.messages import Entry, Estimate, Symmetric, Vector, upper
 
 FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on
 SLACK = 1.16  # what a lie may do beyond a bound that is exact to second order only: the largest of 800 lies of 1.16
 GROWTH = 1.1  # of the information that a liar claims, in an iteration: what is added must lie in the tank
 FORGED = 10**6  # samples that a forged entry claims
-
-Then = Literal["silent", "honest", "no key"]
-
-
-class LiarCase(NamedTuple):
-    """Robots 0 to `liars` - 1 lie. `then`: what becomes of them after it."""
-
-    topology: Topology
-    robots: int
-    draws: int
-    liars: int = 1
-    protocol: Protocol = "evidence"
-    clip: bool = False
-    loss: float = 0.1
-    then: Then = "silent"
-    speed_mm_s: float = 0.0  # of the target
-    bumped_mm: float = 0.0  # no lie: robot 0 is wrong by this much for 40 iterations, then repaired
-
-    def named(self) -> Row:
-        """What a row of result.json says of its case."""
-        return self._asdict()
 
 
 class Outcome(NamedTuple):
@@ -184,7 +162,7 @@ class Speech:
 
         root_m = np.linalg.cholesky(centre_m2)
         self._lies = best_lies(gain, centre_m, root_m, self._case.liars, rng, self._lies)
-        before = self._entries or [None] * self._case.liars
+        before: list[Entry | None] = [*self._entries] or [None] * self._case.liars
         self._entries = [
             told(f"r{i}", tuple(self._lies.x_m[i].tolist()), upper(self._lies.cov_m2[i]), before[i])
             for i in range(self._case.liars)
@@ -222,5 +200,3 @@ def told(origin: str, x_m: Vector, cov_m2: Symmetric, before: Entry | None) -> E
     count = count if before is None else max(count, before.count + 1)
     systematic = (xx - sigma2, xy, xz, yy - sigma2, yz, zz - sigma2)
     return Entry(origin, 0, count, information, apply(information, (x, y, z)), systematic)
-
-
