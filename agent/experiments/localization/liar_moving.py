@@ -18,13 +18,13 @@ from agent.experiments.localization.liar import (
     AFTER,
     FIRST,
     LAST,
-    LiarCase,
     Outcome,
     apart_m,
     bound_m,
     fleet_of,
     outcome,
 )
+from agent.experiments.localization.liar_cases import LiarCase
 from agent.experiments.localization.lie_search import Lies, best_lies
 from agent.experiments.localization.lockstep import prior, symmetric
 from agent.experiments.localization.world import Array, circle_m, draw_dive, draw_world
