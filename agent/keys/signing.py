@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
 
 from agent.kernel.estimation.signed import entry_bytes, proposal_bytes, sample_bytes
-from agent.kernel.messages import Entry, Estimate, Proposal, Sample
+from agent.kernel.messages import Entry, Estimate, Sample
 
 KEPT = 1024  # signatures: 48 samples of each of 20 targets, and room for entries and proposals
 
@@ -38,7 +38,7 @@ def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
             return estimate
         fleet, target, epoch, start = estimate.fleet, estimate.target, gossip.epoch, estimate.incarnation
 
-        def own(origin: str, said: Entry | Sample | Proposal) -> bool:
+        def own(origin: str, said: Entry | Sample) -> bool:
             return origin == robot and not said.signature and said.incarnation >= start
 
         return replace(
@@ -54,7 +54,7 @@ def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
                     for s in gossip.samples
                 ),
                 proposals=tuple(
-                    replace(p, signature=signature(proposal_bytes(fleet, target, p))) if own(p.proposer, p) else p
+                    replace(p, signature=signature(proposal_bytes(fleet, target, p))) if p.proposer == robot else p
                     for p in gossip.proposals
                 ),
             ),

@@ -36,7 +36,7 @@ def sample_bytes(fleet: str, target: str, epoch: Epoch, sample: Sample) -> bytes
 
 def proposal_bytes(fleet: str, target: str, proposal: Proposal) -> bytes:
     """What the proposer of an epoch signs."""
-    what = [proposal.proposer, proposal.incarnation, proposal.counter, proposal.moving]
+    what = [proposal.proposer, proposal.since_ns, proposal.counter, proposal.moving]
     return bytes(msgpack.packb(["aucamp.epoch.1", fleet, target, *what]))
 
 
