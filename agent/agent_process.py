@@ -18,7 +18,7 @@ from agent.fleet_clock import fleet_clock
 from agent.kernel.config import ConfigError, Fleet, Robot
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet, load_robot
-from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine
+from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
 from agent.kernel.ranging.calibration import Calibration, load_calibration
 from agent.kernel.step_io import Sighting
 from agent.keys.robot_keys import RobotKeys, robot_keys
@@ -109,7 +109,11 @@ class AgentProcess:
             self._stack.push(links.pop_all())
         self._box = BlackBoxWriter(self.log, self._clock.now_ns, lossless, RateNotes(self._clock))
         self._network = self._stack.enter_context(ConsoleLog(link, tell))
-        self._stack.callback(say_goodbye, self._agent, self._network, self._clock)
+        self._stack.push(self._say_goodbye)
+
+    def _say_goodbye(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        mode: Mode = "stopped" if kind is None or issubclass(kind, (KeyboardInterrupt, SystemExit)) else "failed"
+        say_goodbye(self._agent, self._network, self._clock, mode)
 
     def open_eyes(self) -> None:
         """The camera's thread, and previews of what it sees."""
