@@ -1,14 +1,15 @@
 """One process that takes part in a fleet and says what it hears: to be looked at from outside while others misbehave.
 
-python -m tests.network.hostile.bystander FLEET ROBOT|observer writes a line "src seq" for each message heard and a line
-"refused reason src count" for what was turned away, until its standard input ends. A robot announces itself and drains
-twenty times a second, as an agent does.
+python -m tests.network.hostile.bystander FLEET ROBOT|observer|router [ENDPOINT] writes a line "src seq" for each
+message heard and a line "refused reason src count" for what was turned away, until its standard input ends. A robot
+announces itself and drains twenty times a second, as an agent does; a router listens at the endpoint and says nothing.
 """
 
 import contextlib
 import select
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,7 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate, State
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
+from agent.router import run_router
 from agent.transport import Observer, Transport
 from tests.places import ROOT
 
@@ -54,12 +56,12 @@ class Bystander:
 
 
 @contextlib.contextmanager
-def bystander(fleet: Fleet, name: str, folder: Path) -> Iterator[Bystander]:
-    """A robot `name`, or an observer where that is its name; it ends with the block."""
+def bystander(fleet: Fleet, name: str, folder: Path, *endpoint: str) -> Iterator[Bystander]:
+    """A robot `name`, or what else that names; it ends with the block."""
     path, said = folder / f"{name}.toml", folder / f"{name}.said"
     path.write_text(dump(fleet))
     said.touch()
-    command = [sys.executable, "-m", "tests.network.hostile.bystander", str(path), name]
+    command = [sys.executable, "-m", "tests.network.hostile.bystander", str(path), name, *endpoint]
     with said.open("wb") as out, subprocess.Popen(command, stdin=subprocess.PIPE, stdout=out, cwd=ROOT) as process:
         try:
             yield Bystander(process, said)
@@ -87,8 +89,13 @@ def as_observer(fleet: Fleet) -> Iterator[str]:
             yield ""
 
 
-def main(fleet_path: str, name: str) -> None:
+def main(fleet_path: str, name: str, endpoint: str = "") -> None:
     fleet = load_fleet(Path(fleet_path))
+    if name == "router":
+        stop = threading.Event()
+        threading.Thread(target=lambda: (sys.stdin.read(), stop.set())).start()
+        run_router(fleet, stop, endpoint)
+        return
     with contextlib.closing(as_observer(fleet) if name == "observer" else as_robot(fleet, name)) as lines:
         for line in lines:
             if line:
