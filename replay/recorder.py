@@ -121,7 +121,7 @@ class Arrivals:
         """Queue that a robot came or went."""
         at_ns = self._clock()
         data = b'{"alive":true}' if sample.is_put else b'{"alive":false}'
-        self._put(sample.key, at_ns, data, PRESENCE.encoding, {})
+        self._put(sample.key.rpartition("/")[0], at_ns, data, PRESENCE.encoding, {})  # without the session
 
     def drain(self) -> Iterator[Entry]:
         """Entries of a fleet file for what arrived since the last call: the sender's bytes, time and number."""
@@ -164,7 +164,7 @@ def receiving(fleet: Fleet, arrivals: Arrivals, process: str) -> Iterator[None]:
 
     Topic by topic, so that one that stays mute is seen to be; and to everything, for keys of nobody.
     """
-    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
+    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**", "session": "*"}
     with Session(observer_config(fleet, process), f"fleet '{fleet.fleet}'") as session:
         for topic in topics.TOPICS:
             session.subscribe(topics.key(topic, **anyone), partial(arrivals.message, topic))
