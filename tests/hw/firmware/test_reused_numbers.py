@@ -1,4 +1,4 @@
-"""A host that restarts may use a request number again: an answer is to what was asked, never to what was asked before."""
+"""A request number that is used again: an answer is to what was asked, never to what was asked before."""
 
 from __future__ import annotations
 
