@@ -140,7 +140,12 @@ class AgentProcess:
 
         def faults() -> dict[str, str | None]:
             given_up = GIVEN_UP if arm and not self._module.wants_armed else None
-            return {"not recording": self.log.failed, "no camera": self._eyes.fault, "motors off": given_up}
+            return {
+                "not recording": self.log.failed,
+                "no camera": self._eyes.fault,
+                "frames frozen": self._eyes.frozen,
+                "motors off": given_up,
+            }
 
         return Runtime(
             self._setup.name,
