@@ -44,7 +44,7 @@ class FrozenWatch:
         """Take a frame that came at now_ns; why the pictures are taken for frozen, or None."""
         if frame.still:
             return None
-        seen_print = zlib.crc32(np.ascontiguousarray(frame.image[::EVERY_ROW]))
+        seen_print = zlib.crc32(frame.image[::EVERY_ROW].tobytes())
         before = self._prints.pop(frame.roi, None)
         self._prints[frame.roi] = seen_print
         if len(self._prints) > KEPT:
