@@ -59,5 +59,5 @@ class FrozenWatch:
             self._moved_ns, self._repeats = now_ns, 0
         if self._repeats < FROZEN_FRAMES or now_ns - self._moved_ns < FROZEN_NS:
             return None
-        what = "the same frame" if again else "the same picture in every frame"
-        return f"{what} for {(now_ns - self._moved_ns) * 1e-9:.0f} s; plug the camera in again, or give it light"
+        what = "the same frame again and again" if again else "the same picture in every frame"
+        return f"{what}; plug the camera in again, or give it light"
