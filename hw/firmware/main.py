@@ -31,14 +31,14 @@ class Firmware:
             self.flash.load()
             module.configure(list(self.flash.saved))
         except ValueError as error:
-            line.log(wire.ERROR, str(error))
+            line.complain(str(error))
             module.ladder.latch(failsafe.PARAMETERS)
         try:
             module.plane.tare_pa = self.flash.tare_pa()
         except ValueError as error:
-            line.log(wire.ERROR, str(error))
+            line.complain(str(error))
         if line.reset_cause == wire.BY_WATCHDOG:
-            line.log(wire.ERROR, "reset by watchdog: reboot by order, then arm")
+            line.complain("reset by watchdog: reboot by order, then arm")
             module.ladder.latch(failsafe.WATCHDOG)
         line.event(wire.EV_BOOT, 0, module.ladder.level, wire.INFO, line.reset_cause)
 

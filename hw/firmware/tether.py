@@ -28,6 +28,7 @@ class Tether:
         self._events = []  # [copies left, fields]
         self._event_count = 0
         self._logs = []
+        self._complaints = []  # about this boot, for each host that greets: none was there when it began
         self.faults = 0  # since boot
         self._fault_us = None  # when one was told last
         self.loop_us = self.loop_max_us = self.gc_max_us = 0
@@ -77,6 +78,8 @@ class Tether:
             self.orders.forget()
             if not self.hello:
                 self.log(wire.ERROR, "host speaks another protocol: no arming")
+            for text in self._complaints:
+                self.log(wire.ERROR, text)
         # fmt: off
         self.say(
             wire.HELLO_ACK, wire.PROTOCOL, self._schema, BUILD, self._uid, self.boot_id, self.reset_cause,
@@ -153,6 +156,10 @@ class Tether:
         """A line for people, at most four waiting."""
         if len(self._logs) < 4:
             self._logs.append((level, text.encode()))
+
+    def complain(self, text):
+        """A line about this boot."""
+        self._complaints.append(text)
 
     def fault(self, where, error):
         """Count what broke off and was left out, and tell of the newest once a second. Never raises."""
