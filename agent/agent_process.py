@@ -33,7 +33,8 @@ from agent.stop_signal import until_signal
 from agent.transport import Transport
 from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
-from hw.stm32.driver import Stm32, open_port_path
+from hw.stm32.driver import Stm32
+from hw.stm32.port import open_port_path
 from hw.twin.devices.twin_folder import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.auto_recover import recovering, torn_files
@@ -151,6 +152,7 @@ class AgentProcess:
             return {
                 "not recording": self.log.failed,
                 "no camera": self._eyes.fault,
+                "frames frozen": self._eyes.frozen,
                 "motors off": given_up,
                 "keys": keys.fault(),
             }
