@@ -15,7 +15,7 @@ from agent.kernel.control.target_scheduler import TargetScheduler
 from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.inbox import Inbox
-from agent.kernel.messages import Estimate, Level, State
+from agent.kernel.messages import SCHEMA, Estimate, Level, State
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix, locate
@@ -30,7 +30,10 @@ LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer 
 class Agent:
     """One robot's mind: what it knows between steps."""
 
-    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
+    def __init__(
+        self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, schema: int = SCHEMA
+    ) -> None:
+        """`schema`: that of the messages of others; an older one for a recording that has it."""
         robot = fleet.robot[name]
         self._fleet, self._robot, self._calibration = fleet, robot, calibration
         self._iteration_ns = round(fleet.estimation.iteration_s * 1e9)
@@ -41,7 +44,7 @@ class Agent:
         self.scheduler = TargetScheduler(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
         self.attitude = AttitudeLog()
-        self.inbox = Inbox(self.targets, fleet.tank)
+        self.inbox = Inbox(self.targets, fleet.tank, schema)
         self.status = Status(fleet.fleet, name, incarnation)
 
         self._iterated_ns = self._say_due_ns = self._show_due_ns = 0

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Tank
 from agent.kernel.estimation.evidence_checks import inside
-from agent.kernel.messages import Estimate
+from agent.kernel.messages import SCHEMA, Estimate
 from agent.kernel.status import Status
 from agent.kernel.step_io import DroppedPayloads, Heard
 from agent.kernel.target_state import TargetState
@@ -16,8 +16,8 @@ from agent.kernel.target_state import TargetState
 class Inbox:
     """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
 
-    def __init__(self, targets: Mapping[str, TargetState], tank: Tank) -> None:
-        self._targets, self._tank = targets, tank
+    def __init__(self, targets: Mapping[str, TargetState], tank: Tank, schema: int = SCHEMA) -> None:
+        self._targets, self._tank, self._accepted = targets, tank, frozenset({schema})
         self.refused: dict[str, int] = {}
 
     def receive(
@@ -28,7 +28,7 @@ class Inbox:
             self._count(turned_away.reason, turned_away.count, "transport", "turned away unread", status, now_ns)
         for item in heard:
             try:
-                estimate = decode(item.payload, Estimate)
+                estimate = decode(item.payload, Estimate, accepted=self._accepted)
                 if estimate.x_m is not None and not inside(estimate.x_m, self._tank.size_m):
                     raise Refusal("place", "estimate outside the tank")
                 target = self._targets.get(estimate.target)

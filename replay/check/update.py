@@ -22,6 +22,7 @@ from replay.files.channels import STEP_OUT
 from replay.files.log import info, parts, read
 from replay.files.mcap_file import Part
 from replay.files.names import active
+from replay.files.suspect import suspecting
 
 GIT_S = 10.0
 
@@ -66,11 +67,12 @@ def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
             raise ConfigError(f"{box.path}: is torn, lacks steps or has later parts; only whole recordings are updated")
     updated = []
     for box in boxes:
-        result = reexecute(box)
-        if result.verdict == "cannot check":
-            raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
-        if result.verdict != "identical":
-            updated.append(_rewrite(box, reason.strip()))
+        with suspecting(box.path):
+            result = reexecute(box)
+            if result.verdict == "cannot check":
+                raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
+            if result.verdict != "identical":
+                updated.append(_rewrite(box, reason.strip()))
     return updated
 
 

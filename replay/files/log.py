@@ -13,7 +13,6 @@ import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -24,7 +23,8 @@ from agent.clock import machine
 from replay.files.backlog import Backlog, Drop, Entry
 from replay.files.channels import DROPS, entry_on
 from replay.files.info import ChannelInfo, Info, info
-from replay.files.mcap_file import Channel, Message, Part, Tear, records
+from replay.files.mcap_file import Part
+from replay.files.mcap_walk import Channel, Message, Tear, records
 from replay.files.names import active, part, parts, unused
 
 __all__ = ["ChannelInfo", "Info", "Limits", "LogWriter", "Record", "info", "parts", "read", "unused"]
@@ -73,8 +73,7 @@ class LogWriter:
         self.path = path
         self.failed: str | None = None
         self._attachments = attachments or {}
-        hashes = {f"sha256.{name}": sha256(text.encode()).hexdigest() for name, text in self._attachments.items()}
-        self._run = {**run, **hashes}
+        self._run = run
         self._limits, self._splits_at, self._derive = limits, splits_at, derive
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._dropped: Counter[str] = Counter()
@@ -225,7 +224,9 @@ def read(path: Path) -> Iterator[Record]:
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
             elif isinstance(record, Message):
-                channel = channels[record.channel_id]
+                channel = channels.get(record.channel_id)
+                if channel is None:  # `records` ends with saying so
+                    continue
                 yield Record(channel, record.log_time, record.publish_time, record.sequence, record.data)
             elif isinstance(record, Tear):
                 return
