@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from agent.kernel.codec import decode, encode
 from agent.kernel.config import ConfigError
-from agent.kernel.messages import State, Vector
+from agent.kernel.messages import SCHEMA, State, Vector
 from agent.kernel.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox, open_boxes
 from replay.check.reexecute import reexecute, take
@@ -55,16 +55,18 @@ def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
     """Rewrite the black boxes that today's kernel does not reproduce; returns those.
 
     Raises ConfigError without a reason, in a checkout with uncommitted changes, and for a recording that is torn, has
-    later parts or lacks steps: such a one is evidence, not a reference.
+    later parts, lacks steps or is of an older schema: such a one is evidence, not a reference.
     """
     boxes = open_boxes(paths)
     if not reason.strip():
         raise ConfigError("--update needs --reason: one sentence on why the robots now behave differently")
-    for folder in sorted({box.path.parent for box in boxes}):
-        _refuse_dirty(folder)
     for box in boxes:
+        if box.schema != SCHEMA:
+            raise ConfigError(f"{box.path}: recorded with schema {box.schema}; it stays the reference for that one")
         if not box.complete or len(list(box.steps())) < box.recorded or len(parts(box.path)) > 1:
             raise ConfigError(f"{box.path}: is torn, lacks steps or has later parts; only whole recordings are updated")
+    for folder in sorted({box.path.parent for box in boxes}):
+        _refuse_dirty(folder)
     updated = []
     for box in boxes:
         with suspecting(box.path):

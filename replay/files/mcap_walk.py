@@ -46,6 +46,7 @@ LARGEST = 32 * 1024 * 1024  # bytes of a record, and of what a chunk holds: a lo
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # of every record: opcode, length of what follows
 MESSAGE = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time; its data follow
+INDEX, PLACE = struct.Struct("<HI"), struct.Struct("<QQ")  # an index: channel, bytes that follow: time and place, ...
 KINDS: dict[int, Any] = {
     kind_of: kind
     for kind_of, kind in (
@@ -193,6 +194,11 @@ def parsed(opcode: int, content: bytes) -> Any:
     """A record of the format. Raises one of BROKEN for one that is not of its length, or of no known kind."""
     if opcode == Opcode.MESSAGE:
         return message(content, 0, len(content))
+    if opcode == Opcode.MESSAGE_INDEX:  # there are as many as channels in each chunk, and mcap's own reader is slow
+        channel, length = INDEX.unpack_from(content)
+        if length != len(content) - INDEX.size:
+            raise ValueError("an index of messages of another length than it says")
+        return MessageIndex(channel, list(PLACE.iter_unpack(content[INDEX.size :])))
     stream = _Exact(BytesIO(content))
     record = KINDS[opcode].read(stream) if opcode in KINDS else None
     if record is None or stream.count != len(content):
