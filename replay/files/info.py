@@ -17,6 +17,11 @@ from replay.files.suspect import suspecting
 
 STEP_HZ = 20.0  # of an agent's loop
 SHOWN = ("kind", "fleet", "robot", "protocol", "part", "incarnation", "commit", "dirty", "cpu", "machine", "python")
+COUNTED = {  # entries of the last note, in words
+    "dropped": "dropped because the disk did not keep up",
+    "not_recorded": "of what came, not recorded or no message",
+    "not_derived": "not shown to viewers",
+}
 
 
 class ChannelInfo(NamedTuple):
@@ -165,8 +170,9 @@ def _lines(about: Info) -> Iterator[str]:
     if about.channels or facts:
         yield ", ".join(facts) or "written by something else: no aucamp.run in it"
     yield ending(about)
-    if dropped := _dropped(about.end.get("dropped", "{}")):
-        yield "dropped because the disk did not keep up: " + ", ".join(f"{name} {n}" for name, n in dropped.items())
+    for entry, what in COUNTED.items():
+        if counts := _counts(about.end.get(entry, "{}")):
+            yield f"{what}: " + ", ".join(f"{name} {n}" for name, n in counts.items())
     if about.channels:
         first_ns = min(channel.first_ns for channel in about.channels.values())
         last_ns = max(channel.last_ns for channel in about.channels.values())
@@ -182,8 +188,8 @@ def _lines(about: Info) -> Iterator[str]:
         yield row + (f"  ({channel.schema})" if channel.schema else "") + (f"  expected {hz:g} Hz" if slow else "")
 
 
-def _dropped(text: str) -> dict[str, object]:
-    """Lost messages by channel, as the last note has them; none of a note that says something else."""
+def _counts(text: str) -> dict[str, object]:
+    """Messages by channel or reason, as the last note has them; none of a note that says something else."""
     try:
         counts = json.loads(text)
     except (ValueError, RecursionError):

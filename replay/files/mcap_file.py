@@ -68,6 +68,10 @@ class Part:
         """Add a metadata record, with a digest of itself."""
         self._writer.add_metadata(name, stamped(name, facts))
 
+    def has_room(self, channel: str, most: int) -> bool:
+        """Whether a message on this channel leaves the file with no more than so many channels."""
+        return channel in self._channels or len(self._channels) < most
+
     def add(self, entry: Entry) -> None:
         """Append one message; its channel and schema are registered as they come."""
         channel = self._channels.get(entry.channel)
