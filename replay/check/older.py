@@ -10,9 +10,12 @@ from replay.check.compare import ABSENT, Difference
 
 NUMBERED = ("says.schema", "state.schema", "log.schema")  # fields that say the schema itself
 # What later schemas added, by the older one that lacks it: `common`; proposals, which end a gossip; the signature that
-# ends an entry; time and signature, which end a sample. Another entry or sample is none of these.
-ADDED = {1: r"says\[\d+\]\.(common|gossip\[4\]|gossip\[1\]\[\d+\]\[6\]|gossip\[2\]\[\d+\]\[[67]\])"}
-IN_WORDS = {1: "the schema itself, signatures, times of exposure, proposals and `common`"}
+# ends an entry; time and signature, which end a sample; of a state, what keys and doubts came to. Another entry is none.
+ADDED = {
+    1: r"says\[\d+\]\.(common|gossip\[4\]|gossip\[1\]\[\d+\]\[6\]|gossip\[2\]\[\d+\]\[[67]\])"
+    r"|state\.(signed|explain\.sway_m)"
+}
+IN_WORDS = {1: "the schema itself, signatures, times of exposure, proposals, `common`, `signed` and `sway_m`"}
 
 
 def must_differ(schema: int, difference: Difference) -> bool:
