@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from threading import Event
 from typing import Protocol, TypeVar
 
@@ -53,15 +53,15 @@ class Runtime:
         record: Record,
         clock: Clock,
         *,
-        faults: Callable[[], Mapping[str, str | None]] = dict,
+        faults: Callable[[], tuple[str, ...]] = tuple,
         resume: Callable[[], None] = lambda: None,
         sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
         keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
     ) -> None:
-        """`faults`: what is wrong now with what the agent does not see, by kind; None: nothing. It goes into the step,
-        and from there into State and the log. `resume` is called when
-        a robot rises for no other reason than our silence. `sign`: what it says as it shall leave; the recording has it
-        as the kernel gave it. `keys`: the robots' public keys at the first call and when they have changed, else None.
+        """`faults`: what is wrong now with what the agent does not see, each as "kind: what"; it goes into the step,
+        and from there into State and the log. `resume` is called when a robot rises for no other reason than our
+        silence. `sign`: what it says as it shall leave; the recording has it as the kernel gave it. `keys`: the
+        robots' public keys at the first call and when they have changed, else None.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
@@ -90,7 +90,8 @@ class Runtime:
         sightings = tuple(self._part("vision", self._eyes.drain) or ())
         now_ns = self._clock.now_ns()
         keys = self._part("keys", lambda: self._keys(now_ns))
-        faults = tuple(f"{kind}: {what}" for kind, what in {**self._faults(), **self._broken}.items() if what)
+        told = self._part("faults", self._faults) or ()
+        faults = (*told, *(f"{name}: {what}" for name, what in self._broken.items()))
         inputs = Inputs(
             telemetry=tuple(telemetry),
             sightings=sightings,
