@@ -1,15 +1,21 @@
 """Robots that lie: the search finds what moves a fleet, the fleet bears it, and both are what they are said to be."""
 
+import math
+from random import Random
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.experiments.localization.criteria import verdict
+from agent.experiments.localization.graphs import graph
 from agent.experiments.localization.liar import FIRST, LAST, attacked, bound_m, fleet_of, told
 from agent.experiments.localization.liar_bumped import bumped
 from agent.experiments.localization.liar_cases import LiarCase, liar_cases
 from agent.experiments.localization.liar_moving import attacked_moving
 from agent.experiments.localization.liar_rows import TARGETS, attack_draws, liar_row, liar_verdicts
 from agent.experiments.localization.lie_search import CLAIM_M, best_lies
+from agent.experiments.localization.lockstep import Swarm, prior, symmetric
 from agent.experiments.localization.many_lies import conclusions
 from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify
 from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
@@ -17,8 +23,8 @@ from agent.kernel.estimation.evidence_checks import Bounds, entry_fault
 from agent.kernel.estimation.evidence_table import opinion as opinion_of
 from agent.kernel.estimation.fuse import Opinion, fuse
 from agent.kernel.estimation.matrix import inverse
-from agent.kernel.estimation.signed import entry_bytes
 from agent.kernel.messages import Epoch, Gossip, upper
+from agent.kernel.trust.signed import entry_bytes
 from tests.sample_messages import estimate
 
 SECOND_NS = 1_000_000_000
@@ -134,29 +140,15 @@ def test_without_signatures_one_message_would_have_moved_them_for_ever() -> None
 
 
 def forged_once(case, world, signed):
-    from random import Random
-
-    from msgspec.structs import replace
-
-    from agent.experiments.localization.graphs import graph
-    from agent.experiments.localization.liar import FORGED
-    from agent.experiments.localization.lockstep import Swarm, prior, symmetric
-
-    swarm = Swarm("evidence", graph(case.topology, 5), 0.0, Random(0), signed=signed)
+    """Metres that the worst of the honest is off after a dozen forged messages."""
+    swarm = Swarm("evidence", graph(case.topology, case.robots), 0.0, Random(0), signed=signed)
     own, fixed = symmetric(world.random_m2), symmetric(world.systematic_m2)
-    lie = told("r0", (1.4, 1.1, 0.07), (1e-8, 0.0, 0.0, 1e-8, 0.0, 1e-8), None)
-    entries = tuple(replace(lie, origin=f"r{j}", count=4000, incarnation=1) for j in range(5))
-
-    def tampered(i, said):
-        return said if i else replace(said, gossip=replace(said.gossip, entries=entries))
-
-    assert FORGED > 4000
+    lie = told("r0", (1.4, 1.1, 0.07), (2e-8, 0.0, 0.0, 2e-8, 0.0, 2e-8), None)
+    entries = tuple(replace(lie, origin=f"r{j}", count=4000, incarnation=1) for j in range(case.robots))
+    swarm.tamper = lambda i, said: said if i else replace(said, gossip=replace(said.gossip, entries=entries))
     for _ in range(12):
-        priors = [None] + [prior(TARGET_M, own[i], fixed[i], swarm.now_ns) for i in range(1, 5)]
-        swarm.tick(priors)
-        swarm.tamper = tampered
-        swarm.speak()
-    return max(float(np.linalg.norm(np.subtract(robot.posterior.x_m, TARGET_M))) for robot in swarm.robots[1:])
+        swarm.iterate([None, *(prior(TARGET_M, own[i], fixed[i], swarm.now_ns) for i in range(1, case.robots))])
+    return max(math.dist(robot.posterior.x_m, TARGET_M) for robot in swarm.robots[1:])
 
 
 def test_a_lie_goes_with_its_key_and_fades_where_the_truth_is_told_again() -> None:

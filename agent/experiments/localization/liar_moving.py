@@ -32,7 +32,8 @@ from agent.kernel.estimation.evidence_checks import R_FLOOR_M
 from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.fuse import Opinion, doubts, mixture, vote
 from agent.kernel.estimation.matrix import apply, inverse, invert, times, trace
-from agent.kernel.estimation.track import Track, correct, predict
+from agent.kernel.estimation.track import Track, begin, correct, predict
+from agent.kernel.estimation.track_distance import distances2
 from agent.kernel.estimation.window import WINDOW
 from agent.kernel.messages import Estimate, Sample, Symmetric, Vector, upper
 
@@ -91,19 +92,19 @@ class MovingSpeech:
         without = {j: self._track([i for i in range(len(self._held)) if i != j], now_ns) for j in others}
         assert truth is not None
         assert everybody is not None
-        opinions = [opinion(j, track) for j in others if (track := tracks[j]) is not None]
+        honest = {f"r{j}": track for j in others if (track := tracks[j]) is not None}
+        opinions = [opinion(name, track) for name, track in honest.items()]
 
         def moved_m(x_m: Vector, cov_m2: Symmetric) -> float:
             information = inverse(cov_m2)
             if information is None:
                 return 0.0
             vector = apply(information, x_m)
-            mine = tracks[0]
-            here = Track(now_ns, x_m, (0.0,) * 3, cov_m2, (0.0,) * 9, cov_m2) if mine is None else None
-            lie = opinion(0, here or correct(mine or truth, information, vector))
-            if "r0" not in vote([lie, *opinions]).group:
+            mine = begin(now_ns, information, vector) if tracks[0] is None else correct(tracks[0], information, vector)
+            said = [opinion("r0", mine), *opinions]
+            if "r0" not in vote(said).group:
                 return 0.0
-            doubt = doubts([lie, *opinions])
+            doubt = doubts(said, beside=distances2({"r0": mine, **honest}))
             track = correct(everybody, information, vector)
             places = [(1.0 - doubt.strength, track.x_m, track.A)]
             for p, way in doubt.ways:
@@ -147,9 +148,9 @@ class MovingSpeech:
         return None if track is None else predict(track, now_ns)
 
 
-def opinion(j: int, track: Track) -> Opinion:
+def opinion(name: str, track: Track) -> Opinion:
     """Where a robot's own samples place the target."""
-    return Opinion(f"r{j}", track.x_m, track.A, invert(track.A))
+    return Opinion(name, track.x_m, track.A, invert(track.A))
 
 
 def floored(cov_m2: Symmetric) -> Symmetric:

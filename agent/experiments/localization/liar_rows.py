@@ -38,8 +38,10 @@ def liar_cost(case: LiarCase) -> int:
 
 
 def liar_row(case: LiarCase, found: Sequence[Outcome]) -> Row:
-    """The row of a case. Millimetres; `moved` at any iteration of the lie, `after` so many iterations after it."""
+    """The row of a case. Millimetres, of whom is moved most: `moved` when it is most, of all iterations of the lie,
+    `end` at the last of them, `after` so many iterations later."""
     moved, after = np.array([o.moved_m for o in found]), np.array([o.after_m for o in found])
+    ends = np.array([o.end_m for o in found])
     bounds = [o.bound_m for o in found if o.bound_m is not None]
     ratios = [o.ratio for o in found if o.ratio is not None]
     shares = [o.share for o in found if o.share is not None]
@@ -48,6 +50,8 @@ def liar_row(case: LiarCase, found: Sequence[Outcome]) -> Row:
         "moved_median_mm": 1e3 * float(np.median(moved)),
         "moved_p95_mm": 1e3 * float(np.quantile(moved, 0.95)),
         "moved_max_mm": 1e3 * float(moved.max()),
+        "end_median_mm": 1e3 * float(np.median(ends)),
+        "end_p95_mm": 1e3 * float(np.quantile(ends, 0.95)),
         "bound_median_mm": 1e3 * float(np.median(bounds)) if bounds else None,
         "ratio_max": max(ratios, default=None),
         "after_2_max_mm": 1e3 * float(after[:, 1].max()),
@@ -95,7 +99,13 @@ TARGETS = (
         always(None),
         lambda row: AT_REST[row["robots"]],
     ),
-    Target("one liar, over its bound, any draw", _told, lambda row: row["ratio_max"], always(None), always(BEYOND)),
+    Target(
+        "one liar, over its bound, any draw",
+        lambda row: _told(row) or bool(row["speed_mm_s"]),
+        lambda row: row["ratio_max"],
+        always(None),
+        always(BEYOND),
+    ),
     Target(
         "one liar and a target that moves, 95 % of draws, mm",
         lambda row: bool(row["speed_mm_s"]),
