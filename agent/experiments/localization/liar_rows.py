@@ -128,9 +128,9 @@ TARGETS = (
         always(KEY_GONE_MM),
     ),
     Target(
-        "bumped and repaired, share of one never bumped, any draw",
+        "bumped and repaired, share of one never bumped, median",
         lambda row: bool(row["bumped_mm"]),
-        lambda row: row["share_least"],
+        lambda row: row["share_median"],
         always(SHARE_AGAIN),
         always(None),
     ),

@@ -40,7 +40,7 @@ def liars_table(rows: list[Row]) -> Table:
         names = (row["protocol"], row["topology"], str(row["robots"]), lie(row).removeprefix(", ") or "one liar")
         moved = (number(row[f"moved_{which}_mm"], 1) for which in ("median", "p95", "max"))
         against = (number(row["bound_median_mm"], 1), number(row["ratio_max"]))
-        later = (number(row["after_10_max_mm"], 1), number(row["share_least"]))
+        later = (number(row["after_10_max_mm"], 1), number(row["share_median"]))
         shown.add_row(*names, str(row["draws"]), *moved, *against, *later)
     return shown
 
