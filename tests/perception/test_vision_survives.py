@@ -111,7 +111,10 @@ def test_a_thread_that_has_ended_is_told(worker, images):
 
     out = worker(ScriptedCamera(images=images), on_frame=on_frame)
     fault = until(lambda: out.fault)
-    assert fault.startswith("vision has ended: SystemExit in test_vision_survives.py:") and "start the agent again" in fault
+    assert (
+        fault.startswith("vision has ended: SystemExit in test_vision_survives.py:")
+        and "start the agent again" in fault
+    )
 
 
 class FastClock(SystemClock):
