@@ -1,0 +1,110 @@
+"""What must hold after every step of a robot, whatever it was told. Each check gives a name to count by and a figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from agent.kernel.codec import Refusal, decode, encode
+from agent.kernel.estimation.matrix import semidefinite, trace
+from agent.kernel.messages import Estimate, State
+from agent.kernel.step_io import Outputs
+from tests.fuzz.sizes import largest
+from tests.fuzz.swarm import STEP_NS, Known, Recording, Robot
+
+MOVED_M = 0.06  # coarse: what one liar of three may move who sees the target; the experiment has the exact bars
+AHEAD = 3  # iterations before what an honest swarm had reached
+EPOCHS_PER_S = 0.1  # counters of epochs that time allows
+KINDS = 40  # of refusals
+LONGEST = 3000  # entries of any container of an agent
+LINES = 40  # of the log, of one step
+PLACE_M = 10.0  # no tank is larger
+SEEN = 4  # own samples of each robot from which on one liar of three is outvoted
+SIZES_EVERY = 50  # steps: the walk through all of an agent costs as much as ten of them
+
+
+class Broken(NamedTuple):
+    """A promise that was not kept."""
+
+    name: str  # the same for the same fault
+    detail: str
+
+
+class Watch:
+    """Follows one robot of a recording from the step at which it was woken."""
+
+    def __init__(self, recording: Recording, robot: Robot, alone: bool) -> None:
+        """alone: one neighbour lies and the other is honest, so that more can be promised."""
+        self._recording, self._robot, self._alone = recording, robot, alone
+        self._last_epoch = {
+            name: max(step[name].epoch for step in recording.known[robot.name]) for name in recording.fleet.target
+        }
+        self._own: dict[str, tuple[object, int]] = {}  # target -> the table with an own entry, and its count
+
+    def check(self, outputs: Outputs, step: int) -> Iterator[Broken]:
+        """What the step broke that was the recording's `step`."""
+        robot = self._robot
+        if outputs.set_point.depth_m != self._recording.fleet.robot[robot.name].depth_m:
+            yield Broken("depth", f"set-point {outputs.set_point.depth_m} m")
+        if len(outputs.log) > LINES:
+            yield Broken("babble", f"{len(outputs.log)} lines in one step")
+        for said in outputs.says:
+            yield from self._said(said, self._recording.known[robot.name][step][said.target], step)
+        if outputs.state is not None:
+            yield from _travels(outputs.state, State)
+        if len(robot.agent.inbox.refused) > KINDS:
+            yield Broken("kinds", f"{len(robot.agent.inbox.refused)} kinds of refusals")
+        yield from self._own_entries()
+        if step % SIZES_EVERY == 0:
+            length, where = largest(robot.agent)
+            if length > LONGEST:
+                yield Broken("size", f"{where} has {length} parts")
+
+    def _said(self, said: Estimate, honest: Known, step: int) -> Iterator[Broken]:
+        yield from _travels(said, Estimate)
+        if said.cov_m2 is not None and not semidefinite(said.cov_m2, 1e-9 * abs(trace(said.cov_m2))):
+            yield Broken("covariance", f"{said.cov_m2}")
+        if said.x_m is not None and max(map(abs, said.x_m)) > PLACE_M:
+            yield Broken("place", f"{said.x_m} m")
+        allowed = honest.t + AHEAD if self._alone else 10**8 + honest.t + AHEAD
+        if said.t > allowed:
+            yield Broken("iteration", f"{said.t}, where {allowed} would be the most")
+        if self._alone and said.t < honest.t - AHEAD:
+            yield Broken("held back", f"iteration {said.t}, where an honest swarm has {honest.t}")
+        if said.gossip is None:
+            return
+        may = self._last_epoch[said.target] + 2 + (step * STEP_NS * 1e-9) * (EPOCHS_PER_S if self._alone else 20.0)
+        if said.gossip.epoch.counter > may:
+            yield Broken("epoch", f"{said.gossip.epoch}, where {may:.0f} would be the most")
+        if self._alone and said.x_m is not None and honest.x_m is not None and self._all_see(said.target, step):
+            moved_m = math.dist(said.x_m, honest.x_m)
+            if moved_m > MOVED_M:
+                yield Broken("moved", f"by {moved_m * 1e3:.0f} mm")
+
+    def _all_see(self, target: str, step: int) -> bool:
+        robot, known = self._robot, self._recording.known
+        if robot.agent.targets[target].measurements < SEEN:
+            return False
+        return all(known[name][step][target].measurements >= SEEN for name in known)
+
+    def _own_entries(self) -> Iterator[Broken]:
+        """An entry of one's own is never lost, and never becomes less, while its epoch lasts."""
+        for name, target in self._robot.agent.targets.items():
+            mode = getattr(target.estimator, "_mode", None)
+            entries = getattr(getattr(mode, "_table", None), "entries", {})
+            count = sum(entry.count for key, entry in entries.items() if key[0] == self._robot.name)
+            table, before = self._own.get(name, (mode, 0))
+            if table is mode and count < before:
+                yield Broken("own entry", f"{before} own samples became {count}")
+            self._own[name] = (mode, max(count, before) if table is mode else count)
+
+
+def _travels(message: Estimate | State, kind: type[Estimate] | type[State]) -> Iterator[Broken]:
+    """What is said can be read by others."""
+    try:
+        payload = encode(message)
+        if decode(payload, kind) != message:
+            yield Broken("encoding", f"{message} comes back as another")
+    except (Refusal, ValueError, OverflowError) as error:
+        yield Broken("unreadable", f"own {kind.__name__}: {error}")
