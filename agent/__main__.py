@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from agent.commands import calibrating, diving, experimenting, replaying, seeing
+from agent.commands import calibrating, diving, experimenting, operating, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -24,6 +24,7 @@ app = typer.Typer(
     help="Small groups of low-cost underwater robots that find a target together.",
 )
 app.add_typer(diving.app)
+app.add_typer(operating.app)
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(experimenting.app, name="experiment")

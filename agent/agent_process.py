@@ -21,6 +21,7 @@ from agent.kernel.fleet_reader import load_fleet, load_robot
 from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine
 from agent.kernel.ranging.calibration import Calibration, load_calibration
 from agent.kernel.step_io import Sighting
+from agent.keys.robot_keys import RobotKeys, robot_keys
 from agent.perception.detection.detectors import Detector, load_detectors
 from agent.perception.enhancement.enhance import default
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
@@ -50,6 +51,7 @@ class Setup(NamedTuple):
     robot: Robot
     calibration: Calibration
     detectors: Mapping[str, Detector]
+    keys: RobotKeys
 
 
 def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool = False, views: bool = True) -> None:
@@ -80,7 +82,8 @@ def load_setup(fleet_path: Path, name: str) -> Setup:
     robot = load_robot(fleet, name, fleet_path)
     known_scheme(robot.camera)
     calibration = own_calibration(fleet, name, fleet_path)
-    return Setup(fleet, name, robot, calibration, load_detectors(fleet, calibration.camera))
+    keys = robot_keys(fleet, name, fleet_path)
+    return Setup(fleet, name, robot, calibration, load_detectors(fleet, calibration.camera), keys)
 
 
 class AgentProcess:
@@ -137,10 +140,16 @@ class AgentProcess:
 
     def runtime(self, arm: bool) -> Runtime:
         """The loop over all of this."""
+        keys = self._setup.keys
 
         def faults() -> dict[str, str | None]:
             given_up = GIVEN_UP if arm and not self._module.wants_armed else None
-            return {"not recording": self.log.failed, "no camera": self._eyes.fault, "motors off": given_up}
+            return {
+                "not recording": self.log.failed,
+                "no camera": self._eyes.fault,
+                "motors off": given_up,
+                "keys": keys.fault(),
+            }
 
         return Runtime(
             self._setup.name,
@@ -152,6 +161,8 @@ class AgentProcess:
             self._clock,
             faults=faults,
             resume=self._module.arm if arm else lambda: None,
+            sign=keys.sign,
+            keys=keys.changed,
         )
 
     def _open_enhancer(self) -> OnDemandEnhancer:

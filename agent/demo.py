@@ -25,11 +25,13 @@ from agent.console_log import hears
 from agent.fleet_clock import fleet_clock
 from agent.fleet_files import fleet_file, shipped_fleet
 from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import ConfigError, Fleet, Protocol
+from agent.kernel.config import Access, ConfigError, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
+from agent.keys.make import FOLDER, make_keys
+from agent.keys.robot_keys import VARIABLE
 from agent.launch import Crew, crew, free_ports, wait_for
 from agent.progress import with_spinner
 from agent.run_folder import run_folder, temporary_folder
@@ -61,15 +63,21 @@ def demo(
 
     `fleet_name`: a fleet file, or the name of one that comes with the package. `speed`: of the dive's clock against the
     wall's, at most.
+
+    The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's
+    folder is given to others, and may lie where files have no modes. The fleet file as used names the folder `keys`
+    beside it, where whoever wants to run it again puts new ones.
     """
     started_s = machine.monotonic_s()
     with temporary_folder() as folder:
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, fleet_file(fleet_name))
         fleet_clock(fleet)  # refuses a fleet of two worlds before anything is calibrated
+        fleet = msgspec.structs.replace(fleet, access=Access(keys=FOLDER))
+        make_keys(fleet.robot, folder / FOLDER)
         run = run_folder(out)
         path = run / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")
-        with crew(run / "logs") as processes:
+        with crew(run / "logs", {VARIABLE: str(folder / FOLDER)}) as processes:
             calibrate(fleet, path, processes, console)
             histories, truth = dive(fleet, path, run, duration_s, speed, processes, console)
     summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s)
@@ -89,7 +97,10 @@ def demo_fleet(
     folder: Path,
     path: Path | None = None,
 ) -> Fleet:
-    """A fleet file, that of the tank if not given, with its first robots only, on ports that are free now."""
+    """A fleet file, that of the tank if not given, with its first robots only, on ports that are free now.
+
+    It signs nothing: the keys that the file names are of other computers.
+    """
     path = path or shipped_fleet()
     fleet = load_fleet(path)
     if not 1 <= robots <= len(fleet.robot):
@@ -110,6 +121,7 @@ def demo_fleet(
     return replace(
         fleet,
         robot=kept,
+        access=Access(),
         estimation=replace(fleet.estimation, protocol=protocol),
         link=replace(fleet.link, loss=loss, loss_seed=seed),
         camera=replace(fleet.camera, enhance=enhance),

@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,8 +32,9 @@ class Child(NamedTuple):
 class Crew:
     """The processes of one run, in order of start; stopped in the opposite order."""
 
-    def __init__(self, logs: Path) -> None:
-        self._logs = logs
+    def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
+        """`environment`: variables that these processes have beside ours, or in the place of ours."""
+        self._logs, self._environment = logs, environment or {}
         self._children: list[Child] = []
         self._watch: ParentWatch | None = None
 
@@ -50,7 +51,7 @@ class Crew:
                 stdout=out,
                 stderr=out,
                 pass_fds=(self._watch.given,),
-                env=self._watch.environment(),
+                env={**self._watch.environment(), **self._environment},
                 process_group=0,  # Ctrl-C is for us; we then end the crew in order
             )
         self._children.append(Child(name, process, log))
@@ -100,9 +101,9 @@ class Crew:
 
 
 @contextlib.contextmanager
-def crew(logs: Path) -> Iterator[Crew]:
+def crew(logs: Path, environment: Mapping[str, str] | None = None) -> Iterator[Crew]:
     """A crew whose processes do not outlive the block."""
-    processes = Crew(logs)
+    processes = Crew(logs, environment)
     try:
         yield processes
     finally:

@@ -7,13 +7,14 @@ from threading import Event
 from typing import Protocol
 
 import msgspec
+from msgspec import UNSET
 
 from agent.clock.clock import Clock, Part
 from agent.clock.part_names import LOOP, part_name
 from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
-from agent.kernel.messages import MAX_TEXT, Level, LogLine
+from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, SweepPlan, Telemetry
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
@@ -53,13 +54,16 @@ class Runtime:
         *,
         faults: Callable[[], Mapping[str, str | None]] = dict,
         resume: Callable[[], None] = lambda: None,
+        sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
+        keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
     ) -> None:
         """`faults`: what is wrong now with what the agent does not see, by kind; None: nothing. `resume` is called when
-        a robot rises for no other reason than our silence.
+        a robot rises for no other reason than our silence. `sign`: what it says as it shall leave; the recording has it
+        as the kernel gave it. `keys`: the robots' public keys at the first call and when they have changed, else None.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
-        self._faults, self._resume = faults, resume
+        self._faults, self._resume, self._sign, self._keys = faults, resume, sign, keys
         self._told: dict[str, str | None] = {}  # faults, as they were last told
 
     def run(self, stop: Event) -> None:
@@ -82,8 +86,15 @@ class Runtime:
             self._resume()
         heard, refused = self._network.drain()
         sightings = tuple(self._eyes.drain())
-        inputs = Inputs(telemetry=tuple(telemetry), sightings=sightings, heard=heard, refused=refused)
         now_ns = self._clock.now_ns()
+        keys = self._keys(now_ns)
+        inputs = Inputs(
+            telemetry=tuple(telemetry),
+            sightings=sightings,
+            heard=heard,
+            refused=refused,
+            keys=UNSET if keys is None else keys,
+        )
         try:
             outputs = self._agent.step(inputs, now_ns)
         except Exception:
@@ -101,7 +112,7 @@ class Runtime:
         if outputs.sweep is not None:
             self._eyes.plan(outputs.sweep)
         for estimate in outputs.says:
-            self._network.say(estimate)
+            self._network.say(self._sign(estimate))
         if outputs.state is not None:
             self._network.show(outputs.state)
         for line in outputs.log:

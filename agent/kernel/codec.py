@@ -12,7 +12,9 @@ from agent.kernel.messages import MAX_PAYLOAD, SCHEMA, Message
 
 M = TypeVar("M", bound=Message)
 
-RefusalKind = Literal["size", "garbage", "schema", "content", "address", "order", "place", "target"]
+RefusalKind = Literal[
+    "size", "garbage", "schema", "content", "address", "order", "place", "target", "clock", "fleet file", "quarantine"
+]
 
 
 class Refusal(ValueError):
@@ -43,11 +45,12 @@ def decode(
         raise Refusal("garbage", "not msgpack") from None
     if not isinstance(fields, dict):
         raise Refusal("garbage", "not a map")
-    if "schema" in kind.__struct_fields__ and (said := fields.get("schema")) not in accepted:
-        shown = (
-            said if isinstance(said, int) else f"of type {type(said).__name__}"
-        )  # a repr may be as deep as it is told
-        raise Refusal("schema", f"schema {shown}, ours is {SCHEMA}")
+    if "schema" in kind.__struct_fields__:
+        said = fields.get("schema")
+        if type(said) is not int:
+            raise Refusal("schema", f"schema of type {type(said).__name__}, ours is {SCHEMA}")  # a repr has no end
+        if said not in accepted:
+            raise Refusal("schema", f"schema {said}, ours is {SCHEMA}")
     try:
         return msgspec.convert(fields, kind, builtin_types=(bytes,))
     except msgspec.ValidationError as error:

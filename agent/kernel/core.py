@@ -1,10 +1,12 @@
 """Agent.step: the order of work and nothing else. No clock, no random numbers, no thread, no I/O.
 
-The same inputs at the same times give the same bytes, which is what replay relies on.
+The same inputs at the same times give the same bytes, which is what replay relies on. Under it is a net (net.py): a
+step that raises is undone, and done again without what broke it.
 """
 
 from __future__ import annotations
 
+import msgspec
 from msgspec import UNSET, UnsetType
 
 from agent.kernel.config import Fleet
@@ -14,8 +16,10 @@ from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.control.target_scheduler import TargetScheduler
 from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
+from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
-from agent.kernel.messages import Estimate, Level, State
+from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
+from agent.kernel.net import Net
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix, locate
@@ -30,19 +34,25 @@ LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer 
 class Agent:
     """One robot's mind: what it knows between steps."""
 
-    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
+    def __init__(
+        self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, schema: int = SCHEMA
+    ) -> None:
+        """schema: of the messages that are taken in; an older one is for replay alone."""
         robot = fleet.robot[name]
         self._fleet, self._robot, self._calibration = fleet, robot, calibration
         self._iteration_ns = round(fleet.estimation.iteration_s * 1e9)
         self._say_ns = round(1e9 / fleet.link.send_hz)
         self._show_ns = STATE_NS // len(fleet.target)
 
-        self.targets = {target: TargetState(fleet, name, target, incarnation) for target in fleet.target}
+        shared = common(fleet)
+        self.targets = {target: TargetState(fleet, name, target, incarnation, shared) for target in fleet.target}
         self.scheduler = TargetScheduler(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
         self.attitude = AttitudeLog()
-        self.inbox = Inbox(self.targets, fleet.tank)
+        self.inbox = Inbox(self.targets, fleet.tank, shared, schema)
         self.status = Status(fleet.fleet, name, incarnation)
+        self.net = Net()
+        self._signed = False
 
         self._iterated_ns = self._say_due_ns = self._show_due_ns = 0
         self._said = self._shown = 0
@@ -57,16 +67,26 @@ class Agent:
 
         `now_ns` never decreases and is later than every time stamp in `inputs`.
         """
+        outputs = self.net.step(self, self._step, inputs, now_ns)
+        if not self.net.holds:
+            return outputs
+        return msgspec.structs.replace(outputs, state=self._last_state(now_ns))
+
+    def _step(self, inputs: Inputs, now_ns: int) -> Outputs:
         if self._iterated_ns == 0:
             self._iterated_ns = now_ns
             self.status.start(now_ns)
+        if inputs.keys is not UNSET:
+            self._signed = True
+            for each in self.targets.values():
+                each.estimator.trust(inputs.keys)
         self.inbox.receive(inputs.heard, inputs.refused, self.status, now_ns)
         for telemetry in inputs.telemetry:
             self.attitude.add(telemetry)
             self.seek.add_telemetry(telemetry)
         for sighting in inputs.sightings:
             self.seek.add_sighting(sighting)
-        self.status.devices(inputs, self.attitude, now_ns)
+        self.status.devices(self._with_faults(inputs, now_ns), self.attitude, now_ns)
         outcome = self._measure(now_ns)
         self._iterate(now_ns)
         sweep = self._act(now_ns)
@@ -150,8 +170,28 @@ class Agent:
         target = tuple(self.targets.values())[self._shown % len(self.targets)]
         self._shown += 1
         gimbal_deg = self.seek.gimbal_deg()
-        target.last_state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
+        state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
+        mode: Mode = "running" if self.net.fault(now_ns) is None else "degraded"
+        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed)
         return target.last_state
+
+    def _last_state(self, now_ns: int) -> State | None:
+        """What can be shown while no step succeeds: the newest state there was, and that it is no longer true."""
+        if now_ns < self._show_due_ns or self.current.last_state is None:
+            return None
+        self._show_due_ns = next_due_ns(self._show_due_ns, self._show_ns, now_ns)
+        last, why = self.current.last_state, self.net.fault(now_ns) or ""
+        self.current.last_state = msgspec.structs.replace(
+            last, seq=last.seq + 1, sent_ns=now_ns, mode="degraded", faults=(why,)
+        )
+        return self.current.last_state
+
+    def _with_faults(self, inputs: Inputs, now_ns: int) -> Inputs:
+        """What is wrong by the kernel's own account, beside what the host says."""
+        told = () if inputs.faults is UNSET else inputs.faults
+        ours = self.net.fault(now_ns)
+        faults = (*told, *self.inbox.faults(now_ns), *(() if ours is None else (ours,)))
+        return msgspec.structs.replace(inputs, faults=faults) if faults else inputs
 
     def _note(self, level: Level, text: str, now_ns: int) -> None:
         """A line of the log about the target that the camera is at; its name is needless where it is the only one."""

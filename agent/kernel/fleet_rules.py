@@ -26,6 +26,8 @@ def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         yield "target", "nothing to look for; add a table [target.ball]"
     yield from _tank_rules(fleet)
     yield from _rate_rules(fleet)
+    if fleet.access.keys == "":
+        yield "access.keys", "no folder; write its name, or remove the key: then nothing is signed"
     for limits in ("pan_limit_deg", "tilt_limit_deg"):
         lowest, highest = getattr(fleet.body, limits)
         if lowest >= highest:

@@ -26,6 +26,7 @@ Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
 Signature = Annotated[bytes, Meta(max_length=64)]  # Ed25519 by the origin, of what signed.py makes of it; empty: none
 Level = Literal["info", "warning", "error"]
+Mode = Literal["running", "degraded", "stopped", "failed"]  # a step broke of late; ended as planned; ended by a fault
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -41,11 +42,11 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Epoch(msgspec.Struct, frozen=True, array_like=True, order=True):
-    """Which stretch of a target's history evidence belongs to: the larger one wins, and older evidence is let go."""
+    """Which stretch of a target's history evidence belongs to. With a new one older evidence is let go."""
 
     counter: Annotated[int, Meta(ge=0, le=10**9)] = 0
     moving: bool = False  # in this epoch the target moves: samples travel, not sums
-    proposer: Annotated[str, Meta(max_length=16)] = ""  # breaks ties
+    proposer: Annotated[str, Meta(max_length=16)] = ""  # of schema 1; empty
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
@@ -74,10 +75,10 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Proposal(msgspec.Struct, frozen=True, array_like=True):
-    """One robot's word that a new epoch should begin. An epoch begins with two of them, or with one's own alarm."""
+    """One robot's word that a new epoch should begin; of two, as a rule, it begins (epoch_vote.py)."""
 
     proposer: Id
-    incarnation: Count
+    since_ns: Count  # when its own samples said so first, on its clock; tells this alarm from one before
     counter: Annotated[int, Meta(ge=1, le=10**9)]
     moving: bool
     signature: Signature = b""
@@ -89,7 +90,7 @@ class Holding(msgspec.Struct, frozen=True, array_like=True):
     origin: Id
     incarnation: Count
     newest: Count  # count of its entry, or number of its newest sample
-    older: Annotated[int, Meta(ge=0, lt=2**32)] = 0  # bit k: sample `newest - 1 - k` is here too
+    older: Annotated[int, Meta(ge=0, lt=2**32)] = 0  # bit k: sample `newest - 1 - k` is here too; checksum of an entry
 
 
 class Gossip(msgspec.Struct, frozen=True, array_like=True):
@@ -145,6 +146,7 @@ class Explain(Message, frozen=True, kw_only=True):
     epoch: Epoch = Epoch()
     nis: float | None = None  # normalised innovation squared of the own prior; mean 3 when all is well
     speed_m_s: float | None = None  # of a target that moves
+    sway_m: dict[str, float] = {}  # `evidence`: from the posterior to where it would be without this origin
 
 
 class State(Message, frozen=True, kw_only=True):
@@ -156,7 +158,8 @@ class State(Message, frozen=True, kw_only=True):
     incarnation: Count
     seq: Count
     sent_ns: Count
-    mode: Literal["running", "degraded", "stopped", "failed"] = "running"  # stopped as planned, or ended by a fault
+    mode: Mode = "running"
+    signed: bool = False  # entries of others count by their signatures; without, by whose mouth they came from
     target: Id
     knows: Literal["blind", "told", "sees"]
     t: Count

@@ -11,9 +11,11 @@ from typing import Literal
 
 from agent.kernel.config import Fleet
 from agent.kernel.estimation.choice import estimator
+from agent.kernel.estimation.evidence_checks import inside, widest_m2
 from agent.kernel.estimation.interface import Estimator, Prior, Update
 from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.messages import Estimate, State
+from agent.kernel.estimation.matrix import times, trace
+from agent.kernel.messages import Estimate, State, Symmetric, Vector
 
 Knows = Literal["blind", "told", "sees"]
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
@@ -22,8 +24,9 @@ HELD = 2  # iterations in a row: where the camera is slow, every other sweep com
 class TargetState:
     """What one robot keeps about one target between steps."""
 
-    def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int) -> None:
+    def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int, common: str = "") -> None:
         self._fleet, self._robot, self._incarnation = fleet.fleet, robot, incarnation
+        self._common, self._tank_m = common, fleet.tank.size_m
         self.name = target
         self.ball = fleet.target[target]
         self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
@@ -48,7 +51,7 @@ class TargetState:
 
     def catch_up(self, now_ns: int) -> None:
         """Take over the iteration index of neighbours that are ahead."""
-        self.estimator.adopt(self.mailbox.newest_t(now_ns, self._validity_ns))
+        self.estimator.adopt(self.mailbox.swarm_t(now_ns, self._validity_ns))
 
     def iterate(self, now_ns: int) -> bool:
         """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it
@@ -72,6 +75,9 @@ class TargetState:
 
     def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
         """What the protocol has for a neighbour; without news it is still the heartbeat."""
+        word = self.estimator.say(neighbour, now_ns)
+        if word.x_m is None or not inside(word.x_m, self._tank_m):  # nobody would believe it
+            word = word._replace(x_m=None, cov_m2=None)
         return Estimate(
             fleet=self._fleet,
             src=self._robot,
@@ -82,5 +88,14 @@ class TargetState:
             target=self.name,
             t=self.estimator.t,
             valid=self.estimator.valid,
-            **self.estimator.say(neighbour, now_ns)._asdict(),
+            common=self._common,
+            **word._replace(cov_m2=sayable(word.cov_m2, self._tank_m))._asdict(),
         )
+
+
+def sayable(covariance_m2: Symmetric | None, tank_m: Vector) -> Symmetric | None:
+    """A covariance as it can be told: nobody is less sure than that the target is in the tank."""
+    if covariance_m2 is None:
+        return None
+    excess = trace(covariance_m2) / widest_m2(tank_m)
+    return covariance_m2 if excess <= 1.0 else times(1.0 / excess, covariance_m2)

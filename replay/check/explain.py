@@ -203,6 +203,8 @@ def _share(robot: str, why: Explain) -> str:
     if robot in why.doubted:
         factor = why.doubted[robot]
         text += "; left out" if factor == 0.0 else f"; counts {factor:.2f} of what it claims"
+    if robot in why.sway_m:
+        text += f"; without it {1e3 * why.sway_m[robot]:.2f} mm away"
     return text
 
 

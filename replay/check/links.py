@@ -1,6 +1,7 @@
 """Who heard whom: every message that a robot took in must be one that its sender gave out, byte for byte.
 
-One that is not was forged or damaged on the way, or the sender's recording is not whole.
+One that is not was forged or damaged on the way, or the sender's recording is not whole. The signatures under what the
+sender itself measured are the exception: it puts them there as a message leaves, so its recording is without.
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ class Correspondence:
 
     def add(self, robot: str, step: Step) -> None:
         for src, payload in _heard(step.inputs):
-            self._heard.setdefault((src, robot), Counter())[payload] += 1
+            self._heard.setdefault((src, robot), Counter())[as_said(payload, src)] += 1
         if step.outputs is not None:
             self._last_ns[robot] = max(step.now_ns, self._last_ns.get(robot, 0))
             for estimate in msgpack.unpackb(step.outputs).get("says", ()):
-                self._said.setdefault((robot, estimate["dst"]), Counter())[bytes(msgpack.packb(estimate))] += 1
+                said = as_said(bytes(msgpack.packb(estimate)), robot)
+                self._said.setdefault((robot, estimate["dst"]), Counter())[said] += 1
 
     def links(self) -> list[Link]:
         """One for each pair that spoke or heard."""
@@ -61,6 +63,19 @@ def links(boxes: Iterable[BlackBox]) -> list[Link]:
         for step in box.steps():
             correspondence.add(box.robot, step)
     return correspondence.links()
+
+
+def as_said(payload: bytes, src: str) -> bytes:
+    """A message without the signatures of its sender's own word; payloads that are none stay as they are."""
+    try:
+        estimate = msgpack.unpackb(payload)
+        _, entries, samples, _, proposals = estimate["gossip"]  # in the order of messages.Gossip
+        for said in (*entries, *samples, *proposals):
+            if said[0] == src and isinstance(said[-1], bytes):  # first its origin, last its signature
+                said[-1] = b""
+        return bytes(msgpack.packb(estimate))
+    except (ValueError, TypeError, LookupError, msgpack.UnpackException, RecursionError):
+        return payload
 
 
 def _heard(inputs: bytes) -> list[tuple[str, bytes]]:

@@ -56,6 +56,11 @@ MISTAKES = {
     "messages too seldom": (("[estimation]", "[link]\nsend_hz = 1\n[estimation]"), "validity_s", "1.00 s", "longer"),
     "faster than steps": (("[estimation]", "[link]\nsend_hz = 50\n[estimation]"), "'link.send_hz'", "<= 20"),
     "previews like a film": (("[estimation]", "[link]\npreview_hz = 25\n[estimation]"), "'link.preview_hz'", "<= 5"),
+    "keys nowhere": (
+        ("[estimation]", "[access]\nkeys = ''\n[estimation]"),
+        "'access.keys'",
+        "write its name, or remove",
+    ),
     "another's twin": (('camera = "twin:r2"', 'camera = "twin:r1"'), "'robot.r2.camera'", "write twin:r2"),
     "one board for two": (
         ('serial = "twin:r1"', 'serial = "/dev/ttyACM0"', 'serial = "twin:r2"', 'serial = "/dev/ttyACM0"'),

@@ -1,7 +1,7 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
 The script knows where the targets are and answers each sweep with the clarity curve that a lens would give.
-It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much.
+It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much, and signs if its fleet does.
 Usage: python -m tests.network.scripted_agent FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
@@ -20,6 +20,7 @@ from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
 from agent.kernel.step_io import Sighting
 from agent.kernel.toml_files import dump
+from agent.keys.robot_keys import robot_keys
 from agent.runtime import Runtime, say_goodbye
 from agent.stop_signal import until_signal
 from agent.transport import Transport
@@ -130,6 +131,7 @@ def main(fleet_path: Path, name: str, out: Path, ahead_s: float | None = None) -
     clock = fleet_clock(fleet) if ahead_s is None else wrong_clock(ahead_s)
     incarnation = clock.now_ns()
     agent = Agent(fleet, name, CALIBRATION, incarnation)
+    keys = robot_keys(fleet, name, fleet_path)
     script = Script(fleet, name, clock.now_ns)
     attachments = {"fleet.toml": dump(fleet), "calibration.toml": dump(CALIBRATION)}
     with ExitStack() as stack:
@@ -138,7 +140,19 @@ def main(fleet_path: Path, name: str, out: Path, ahead_s: float | None = None) -
         network = stack.enter_context(Transport(fleet, name, clock.now_ns))
         stack.callback(say_goodbye, agent, network, clock)
         box = BlackBoxWriter(log, clock.now_ns)
-        Runtime(name, agent, script, Motors(script), network, box.step, clock).run(stop)
+        loop = Runtime(
+            name,
+            agent,
+            script,
+            Motors(script),
+            network,
+            box.step,
+            clock,
+            faults=lambda: {"keys": keys.fault()},
+            sign=keys.sign,
+            keys=keys.changed,
+        )
+        loop.run(stop)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ class Swarm:
         """What each robot measured, and its conclusion."""
         updates = []
         for robot, box, prior in zip(self.robots, self._boxes, priors, strict=True):
-            robot.adopt(box.newest_t(self.now_ns, self._validity_ns))
+            robot.adopt(box.swarm_t(self.now_ns, self._validity_ns))
             updates.append(robot.tick(prior, box, self.now_ns))
         return updates
 

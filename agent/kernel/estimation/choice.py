@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from agent.kernel.config import Fleet
+from agent.kernel.estimation.authority import Verify
 from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Estimator
 from agent.kernel.estimation.metropolis import Metropolis
 from agent.kernel.estimation.paper import Paper
+from agent.kernel.estimation.signed import verify
 
 
-def estimator(fleet: Fleet, me: str, target: str, incarnation: int) -> Estimator:
-    """A fresh estimator of `target` for the robot `me`; `incarnation` tells this start from the ones before."""
+def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Verify = verify) -> Estimator:
+    """A fresh estimator of `target` for the robot `me`; `incarnation` tells this start from the ones before.
+
+    verify: how the signatures of others are checked; an experiment may take perfect ones that cost nothing.
+    """
     assert target in fleet.target
     validity_ns = round(fleet.estimation.validity_s * 1e9)
     neighbours = fleet.robot[me].neighbours
@@ -19,7 +24,10 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int) -> Estimator
         case "paper":
             return Paper(validity_ns)
         case "metropolis":
-            return Metropolis(me, validity_ns, len(neighbours))
+            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
         case "evidence":
             bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, round(fleet.estimation.iteration_s * 1e9))
-            return Evidence(me, incarnation, neighbours, validity_ns, bounds)
+            subject, liars = (fleet.fleet, target), fleet.estimation.liars
+            return Evidence(
+                me, incarnation, neighbours, validity_ns, bounds, liars=liars, subject=subject, verify=verify
+            )

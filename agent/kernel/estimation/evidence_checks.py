@@ -1,4 +1,8 @@
-"""What of a neighbour's evidence is believed: each entry and each sample is judged alone, and refused alone."""
+"""What of a neighbour's evidence can be: limits that follow from cameras, tank and clocks, not from what is usual.
+
+Each entry and each sample is judged alone, by itself and the time, and never by what came before it: robots that hear
+the same in another order believe the same. Who said it is authority.py's question.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,11 @@ from agent.kernel.messages import Entry, Sample, Symmetric, Vector
 
 R_FLOOR_M = 0.001  # no camera of ours knows the target better than this in one sample; guards over-confident vision
 MARGIN_M = 0.2  # a place may lie this far outside the tank before it is nonsense
+LEAST = 1e-6  # 1/m^2, trace of an information that says anything: a sigma of a kilometre
 SLACK = 1e-9  # of the trace: rounding of sums that travelled
-RATE = 3.0  # samples for each iteration of the origin, at most: iterations are not exactly even
-BURST = 600  # samples that may come at once after a partition or through a late relay: ten minutes at 1 Hz
+RATE = 1.25  # samples for each iteration of the origin, at most: iterations are not exactly even
+FIRST = 2  # samples that may come before the first iteration is over
+CLOCKS_NS = 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
 
 
 class Bounds(NamedTuple):
@@ -23,45 +29,36 @@ class Bounds(NamedTuple):
     iteration_ns: int
 
 
-class First(NamedTuple):
-    """When an origin's incarnation was first heard of, and how far it was then."""
-
-    samples: int
-    now_ns: int
-
-
-def entry_fault(entry: Entry, old: Entry | None, first: First | None, bounds: Bounds, now_ns: int) -> str | None:
-    """Why a newer entry cannot replace the older, in a word to count by; None when it can."""
-    size = trace(entry.information)
-    if not finite(entry.information, entry.vector, entry.systematic_m2):
-        return "not finite"
-    if entry.origin not in bounds.origins:
-        return "unknown origin"
-    if not semidefinite(entry.information, SLACK * size) or not semidefinite(entry.systematic_m2, 0.0):
-        return "not a covariance"
-    if size > 3.0 * entry.count / (R_FLOOR_M * R_FLOOR_M) * (1.0 + SLACK):
-        return "too sure"
-    if old is not None and not semidefinite(minus(entry.information, old.information), SLACK * size):
-        return "information lost"
-    if first is not None:
-        allowed = BURST + RATE * (now_ns - first.now_ns) / bounds.iteration_ns
-        if entry.count - first.samples > allowed:
-            return "too fast"
-    return _place_fault(entry.information, entry.vector, bounds.tank_m)
+def entry_fault(entry: Entry, bounds: Bounds, now_ns: int) -> str | None:
+    """Why an entry is not believed, in a word to count by; None when it is."""
+    return (
+        _sums_fault(entry.origin, entry.count, entry.information, entry.vector, bounds)
+        or (None if is_covariance(entry.systematic_m2, bounds.tank_m) else "not a covariance")
+        or _time_fault(entry.incarnation, entry.count, bounds, now_ns)
+    )
 
 
-def sample_fault(sample: Sample, bounds: Bounds) -> str | None:
+def sample_fault(sample: Sample, bounds: Bounds, now_ns: int) -> str | None:
     """Why a sample is not believed; None when it is."""
-    if not finite(sample.information, sample.vector):
-        return "not finite"
-    if sample.origin not in bounds.origins:
-        return "unknown origin"
-    size = trace(sample.information)
-    if inverse(sample.information) is None:
-        return "not a covariance"
-    if size > 3.0 / (R_FLOOR_M * R_FLOOR_M) * (1.0 + SLACK):
-        return "too sure"
-    return _place_fault(sample.information, sample.vector, bounds.tank_m)
+    return (
+        _sums_fault(sample.origin, 1, sample.information, sample.vector, bounds)
+        or (None if inverse(sample.information) is not None else "not a covariance")
+        or _time_fault(sample.incarnation, sample.number, bounds, now_ns)
+    )
+
+
+def is_covariance(covariance_m2: Symmetric, tank_m: Vector) -> bool:
+    """Whether this can be a covariance of a place: semidefinite, and not less sure than that it is in the tank."""
+    return (
+        finite(covariance_m2)
+        and semidefinite(covariance_m2, 0.0)
+        and trace(covariance_m2) <= widest_m2(tank_m) * (1.0 + SLACK)
+    )
+
+
+def widest_m2(tank_m: Vector) -> float:
+    """Trace of the widest covariance that a place can have which is inside the tank."""
+    return sum((size + 2.0 * MARGIN_M) ** 2 for size in tank_m)
 
 
 def floored(random_m2: Symmetric) -> Symmetric:
@@ -82,8 +79,31 @@ def inside(place_m: Vector, tank_m: Vector) -> bool:
     return all(-MARGIN_M <= x <= size + MARGIN_M for x, size in zip(place_m, tank_m, strict=True))
 
 
-def _place_fault(information: Symmetric, vector: Vector, tank_m: Vector) -> str | None:
+def _sums_fault(origin: str, count: int, information: Symmetric, vector: Vector, bounds: Bounds) -> str | None:
+    """Whether a robot of the fleet can know so much from so many samples, of a place in the tank."""
+    size = trace(information)
+    if not finite(information, vector):
+        return "not finite"
+    if origin not in bounds.origins:
+        return "unknown origin"
+    if size > 3.0 * count / (R_FLOOR_M * R_FLOOR_M) * (1.0 + SLACK):
+        return "too sure"
+    if size < LEAST or not semidefinite(information, SLACK * size):
+        return "not a covariance"
+    reach_m = math.sqrt(widest_m2(bounds.tank_m))
+    if max(map(abs, vector)) > size * reach_m:
+        return "outside the tank"
     covariance = inverse(information)
     if covariance is None:
         return None  # a direction not yet seen: nothing to place
-    return None if inside(apply(covariance, vector), tank_m) else "outside the tank"
+    return None if inside(apply(covariance, vector), bounds.tank_m) else "outside the tank"
+
+
+def _time_fault(incarnation: int, count: int, bounds: Bounds, now_ns: int) -> str | None:
+    """Whether an origin that started at `incarnation` can have taken so many samples by now. True after any partition,
+    whatever was heard before."""
+    if incarnation > now_ns + CLOCKS_NS:
+        return "from the future"
+    if count > RATE * (now_ns - incarnation + CLOCKS_NS) / bounds.iteration_ns + FIRST:
+        return "too many samples"
+    return None

@@ -2,30 +2,37 @@
 
 Each robot writes one entry for each of its starts (its incarnation), the sum of all it measured since. Newer replaces
 older, so merging is commutative, associative and idempotent: loss, repeats, reordering and loops among the relays
-cannot count a sample twice. After a restart a robot writes under a new incarnation, and its old entry comes back to
-it from the neighbours.
+cannot count a sample twice. Of two entries with the same count, which no honest robot writes, the one with the larger
+numbers stands, everywhere. After a restart a robot writes under a new incarnation, and its old entry comes back to it
+from the neighbours.
 """
 
 from __future__ import annotations
 
-from agent.kernel.estimation.evidence_checks import Bounds, First, entry_fault, floored
-from agent.kernel.estimation.fuse import Opinion
+from struct import pack
+from typing import Any
+from zlib import crc32
+
+from agent.kernel.estimation.evidence_checks import floored
+from agent.kernel.estimation.fuse import AGREE, Opinion
 from agent.kernel.estimation.interface import Prior
-from agent.kernel.estimation.matrix import ZERO, apply, inverse, plus, times
+from agent.kernel.estimation.matrix import ZERO, apply, distance2, inverse, plus, times
 from agent.kernel.messages import Entry, Symmetric, Vector
 
 Key = tuple[str, int]  # origin, incarnation
 
-INCARNATIONS = 16  # of one origin, the newest: a robot that restarts all day must not fill everybody's memory
+INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day must not fill everybody's memory
 
 
 class Table:
     """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
 
-    def __init__(self, bounds: Bounds) -> None:
-        self._bounds = bounds
+    def __init__(self, me: str) -> None:
+        self._me = me
         self.entries: dict[Key, Entry] = {}
-        self._first: dict[Key, First] = {}
+        self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
+        self.hearsay: set[Key] = set()  # entries of which only others told
+        self._own: Key | None = None  # the one that we add to
         self._opinions: dict[str, Opinion | None] = {}  # None: to be made again, or not yet possible
 
     def measure(self, key: Key, prior: Prior) -> Symmetric:
@@ -45,58 +52,102 @@ class Table:
             drift = times((count - 1) / count, old.systematic_m2)
             systematic = plus(drift, times(1.0 / count, prior.systematic_m2))
             entry = Entry(*key, count, plus(old.information, information), (ox + x, oy + y, oz + z), systematic)
-        self._put(key, entry)
+        self._own = key
+        self._put(entry)
         return information
 
-    def merge(self, entry: Entry, now_ns: int) -> tuple[bool, str | None]:
-        """Take in an entry from a neighbour: (whether it was news, why it was not believed)."""
+    def is_news(self, entry: Entry) -> bool:
+        """Whether merging it would change anything."""
+        old = self.entries.get((entry.origin, entry.incarnation))
+        if old is not None:
+            return _rank(entry) > _rank(old)
+        newest = self._newest(entry.origin)
+        return len(newest) < INCARNATIONS or entry.incarnation > newest[-1][1]
+
+    def merge(self, entry: Entry, hearsay: bool = False) -> str | None:
+        """Take in a neighbour's entry that is news and is believed; returns what is strange about it, or None."""
         key = (entry.origin, entry.incarnation)
         old = self.entries.get(key)
-        if old is not None and entry.count <= old.count:
-            return False, None
-        fault = entry_fault(entry, old, self._first.get(key), self._bounds, now_ns)
-        if fault is not None:
-            return False, fault
-        self._first.setdefault(key, First(entry.count, now_ns))
-        self._put(key, entry)
-        return key in self.entries, None
+        self._put(entry)
+        if hearsay:
+            self.hearsay.add(key)
+        else:
+            self.hearsay.discard(key)
+        return "equivocates" if old is not None and old.count == entry.count else None
+
+    def drop(self, key: Key) -> None:
+        """An entry is believed no more."""
+        del self.entries[key], self.marks[key]
+        self.hearsay.discard(key)
+        if any(origin == key[0] for origin, _ in self.entries):
+            self._opinions[key[0]] = None
+        else:
+            del self._opinions[key[0]]
 
     def opinions(self) -> list[Opinion]:
         """What each origin says by itself, in the order of their names; those that cannot place the target yet not."""
         return [opinion for name in sorted(self._opinions) if (opinion := self._opinion(name)) is not None]
 
-    def _put(self, key: Key, entry: Entry) -> None:
-        self.entries[key] = entry
+    def _put(self, entry: Entry) -> None:
+        key = (entry.origin, entry.incarnation)
+        self.entries[key], self.marks[key] = entry, mark(entry)
         self._opinions[key[0]] = None
-        mine = sorted(k for k in self.entries if k[0] == key[0]) if len(self.entries) > INCARNATIONS else []
-        for old in mine[:-INCARNATIONS]:
-            del self.entries[old]
-            self._first.pop(old, None)
+        for old in self._newest(key[0])[INCARNATIONS:]:
+            del self.entries[old], self.marks[old]
+            self.hearsay.discard(old)
+
+    def _newest(self, origin: str) -> list[Key]:
+        """Entries of an origin, the newest first; the one that we add to is not among them, it is never let go."""
+        return sorted((key for key in self.entries if key[0] == origin and key != self._own), key=lambda k: -k[1])
 
     def _opinion(self, origin: str) -> Opinion | None:
         if self._opinions[origin] is None:
             keys = sorted(key for key in self.entries if key[0] == origin)
-            self._opinions[origin] = opinion(origin, [self.entries[key] for key in keys])
+            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)])
         return self._opinions[origin]
 
 
 def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
-    """One origin's mean over all its incarnations; None while some direction is unseen.
+    """One origin's mean over its incarnations, given newest first; None while some direction is unseen.
+
+    The newest counts; older ones are added as long as their means agree with it. A robot that was knocked, repaired and
+    started again is believed at once, and one that merely started again has lost nothing.
 
     Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
     """
-    information, vector, total = ZERO, (0.0, 0.0, 0.0), sum(entry.count for entry in entries)
-    systematic = ZERO
+    information, vector, systematic, total = ZERO, (0.0, 0.0, 0.0), ZERO, 0
     for entry in entries:
+        if total and not _agrees(information, vector, entry):
+            break
         information = plus(information, entry.information)
         vector = _sum(vector, entry.vector)
-        systematic = plus(systematic, times(entry.count / total, entry.systematic_m2))
+        systematic = plus(systematic, times(entry.count, entry.systematic_m2))
+        total += entry.count
     random = inverse(information)
     if random is None:
         return None
-    covariance = plus(random, systematic)
+    covariance = plus(random, times(1.0 / total, systematic))
     precision = inverse(covariance)
     return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision)
+
+
+def _agrees(information: Symmetric, vector: Vector, older: Entry) -> bool:
+    """Whether what an origin measured before may be the same place as what it measured since."""
+    random, before = inverse(information), inverse(older.information)
+    if random is None or before is None:
+        return True  # nothing is known against it
+    x, y, z = apply(random, vector)
+    ox, oy, oz = apply(before, older.vector)
+    return distance2(plus(random, before), (x - ox, y - oy, z - oz)) < AGREE
+
+
+def mark(entry: Entry) -> int:
+    """A checksum of what an entry says, 32 bits."""
+    return crc32(pack("<15d", *entry.information, *entry.vector, *entry.systematic_m2))
+
+
+def _rank(entry: Entry) -> tuple[Any, ...]:
+    return entry.count, entry.information, entry.vector, entry.systematic_m2
 
 
 def _sum(a: Vector, b: Vector) -> Vector:

@@ -19,6 +19,8 @@ class Held(NamedTuple):
     t_ns: int  # of exposure, on this robot's clock
     information: Symmetric  # R^-1, 1/m^2
     vector: Vector  # R^-1 x̂, 1/m
+    exposed_ns: int = 0  # of exposure, on the clock of its origin; 0: not told
+    signature: bytes = b""
 
 
 class FixedLagFilter:

@@ -1,15 +1,21 @@
-"""Fuse what each robot says into one place: a vote finds those that agree, Huber's weights soften the rest.
+"""Fuse what each robot says into one place: a vote finds those that agree, then each is left out in turn.
 
 One robot that is wrong must not move the others, and nobody knows beforehand which one it is. Two opinions agree when
-their distance is likely under the sum of their covariances. The opinion consistent with most others leads; only these
-enter the mean, and those of them that stand apart enter with less weight (Huber, Robust Statistics, 1981).
-Covariances hold the systematic error of their robot, so no robot grows surer than its survey and calibration allow.
+their distance is likely under the sum of their covariances; the largest group that agrees with one of its members
+enters. Inside it a liar may still stand, just near enough to one honest robot, and with a covariance so small that it
+would be the mean. So every origin is asked how far it stands from what the others say without it. While nobody stands
+out, all count as they claim. Where somebody does, the place is a mean over the ways to leave one out, each weighted by
+how plausible it is that all are right but this one: who stands apart takes itself out, and where two are equally
+suspect, the place lies between what follows from either.
+
+No weight depends on what was said before: who speaks the truth again is believed at once. Covariances hold the
+systematic error of their robot, so no robot grows surer than its survey and calibration allow.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
@@ -17,12 +23,17 @@ from agent.kernel.estimation.matrix import ZERO, apply, distance2, invert, plus,
 from agent.kernel.messages import Symmetric, Vector
 
 Verdict = Literal["none", "single", "ok", "ambiguous", "outlier"]
+Word = tuple[Symmetric, Vector]  # (P^-1, P^-1 x), which add up
 
 AGREE = 16.27  # chi^2, 3 degrees of freedom, 0.999: honest robots disagree once in a thousand pairs
-HUBER = 1.5  # sigma; smaller attenuates small biases more, at 1 to 5 % of the accuracy when all are honest
-ROUNDS = 10  # of reweighting
-SETTLED = 1e-9  # change of a weight at which reweighting ends early
-VOTERS = 64  # beyond this many the vote (pairs) costs more than a tick has; then who is consistent with the median
+VOTERS = 64  # beyond this many, pairs cost more than a tick has: then who is consistent with the median
+DOUBTED = 3  # opinions from which on one can be left out and two still compared
+PAIRS = (7, 32)  # fewest opinions among which two liars can be told, and most of whose pairs a tick has the time
+
+# Of honest opinions one in ten stands farther than LOW from the others, and one in nine hundred farther than HIGH.
+LOW = 2.5  # sigma; up to here nobody stands out. What one robot can move unseen grows with it
+HIGH = 4.0  # sigma; from here on somebody is wrong
+TEMPER = 0.5  # of the likelihoods: covariances are themselves only estimates
 
 
 class Opinion(NamedTuple):
@@ -42,6 +53,26 @@ class Ballot(NamedTuple):
     votes: dict[str, int]  # origins consistent with each, itself included
 
 
+class Without(NamedTuple):
+    """What a group says without some of its members, and how far these stand from it."""
+
+    out: frozenset[str]
+    x_m: Vector
+    cov_m2: Symmetric
+    d2: float  # by which chi^2 of the group falls when they go
+
+
+class Doubt(NamedTuple):
+    """Whether somebody in a group stands out, and who."""
+
+    strength: float  # 0: nobody does, 1: somebody is wrong for certain
+    ways: list[tuple[float, Without]]  # "all are right but these", with probabilities of sum 1; empty at strength 0
+
+    def factor(self, origin: str) -> float:
+        """What is left of an origin's weight."""
+        return 1.0 - self.strength * math.fsum(p for p, without in self.ways if origin in without.out)
+
+
 class Fused(NamedTuple):
     """The agreed place, and how it came about."""
 
@@ -49,41 +80,134 @@ class Fused(NamedTuple):
     cov_m2: Symmetric
     verdict: Verdict
     votes: dict[str, int]  # origins consistent with each, itself included
-    factors: dict[str, float]  # Huber's weight of each origin; 0: left out
+    factors: dict[str, float]  # what counts of each origin's claim; 0: left out
     shares: dict[str, float]  # of each origin in the mean, by trace of information; sum 1
+    sway_m: dict[str, float]  # of each in the group: from here to where the others would be without it
 
 
-def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO) -> Fused | None:
+def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO, liars: int = 1) -> Fused | None:
     """Fuse opinions given in the order of their names; None without any.
 
     `common_m2`: covariance of errors that all robots share (tank frame, water), which no vote can see.
+    `liars`: how many may be wrong at once, 1 or 2; two are looked for where as many agree as PAIRS says.
     """
     if not opinions:
         return None
     ballot = vote(opinions)
-    agreeing = [opinion for opinion in opinions if opinion.origin in ballot.group]
-    x, weights, information = _huber(agreeing)
-    factors = {opinion.origin: w for opinion, w in zip(agreeing, weights, strict=True)}
-    sizes = {opinion.origin: w * trace(opinion.precision) for opinion, w in zip(agreeing, weights, strict=True)}
+    group = [opinion for opinion in opinions if opinion.origin in ballot.group]
+    information, vector = _sum(map(_word, group))
+    covariance = invert(information)
+    everybody = (apply(covariance, vector), covariance)
+    singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
+    doubt = _doubt(group, singles, liars)
+    certain = 1.0 - doubt.strength
+    places = [(certain, *everybody), *((doubt.strength * p, way.x_m, way.cov_m2) for p, way in doubt.ways)]
+    x, covariance = mixture(places) if doubt.ways else everybody
+    factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
+    sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
     total = math.fsum(sizes.values())
     return Fused(
         x,
-        plus(invert(information), common_m2),
+        plus(covariance, common_m2),
         ballot.verdict,
         ballot.votes,
         {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
         {name: size / total for name, size in sizes.items()},
+        {name: math.dist(x, single.x_m) for single in singles for name in single.out},
     )
 
 
+def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, Symmetric]:
+    """Mean and covariance of places (weight, x, P) whose weights sum to 1: their disagreement widens it."""
+    found = list(places)
+    x = (
+        math.fsum(w * at[0] for w, at, _ in found),
+        math.fsum(w * at[1] for w, at, _ in found),
+        math.fsum(w * at[2] for w, at, _ in found),
+    )
+    covariance = ZERO
+    for w, at, cov in found:
+        a, b, c = _minus(at, x)
+        covariance = plus(covariance, times(w, plus(cov, (a * a, a * b, a * c, b * b, b * c, c * c))))
+    return x, covariance
+
+
+# --- who stands out -------------------------------------------------------------------------------------------
+
+
+def doubts(group: Sequence[Opinion], liars: int = 1) -> Doubt:
+    """Who of a group that agrees may still be wrong; nobody in a group too small to tell."""
+    return _doubt(group, list(_leaving_one_out(group)) if len(group) >= DOUBTED else [], liars)
+
+
+def _doubt(group: Sequence[Opinion], singles: list[Without], liars: int) -> Doubt:
+    """singles: the group without each of its members."""
+    ways, scale = singles, 1.0
+    if liars > 1 and PAIRS[0] <= len(group) <= PAIRS[1]:
+        ways, scale = list(_leaving_two_out(group)), math.sqrt(2.0)  # two are twice as many degrees of freedom
+    largest = max((way.d2 for way in ways), default=0.0)
+    strength = min(1.0, (math.sqrt(largest) / scale - LOW) / (HIGH - LOW))
+    if strength <= 0.0:
+        return Doubt(0.0, [])
+    odds = [math.exp(-0.5 * TEMPER * (largest - way.d2)) for way in ways]
+    total = math.fsum(odds)
+    return Doubt(strength, [(odd / total, way) for odd, way in zip(odds, ways, strict=True)])
+
+
+def _leaving_one_out(group: Sequence[Opinion]) -> Iterator[Without]:
+    """The others are summed, not taken from the sum of all: next to one that boasts nothing would be left of them."""
+    before, after = _partial_sums(group)
+    for j, opinion in enumerate(group):
+        information, vector = _both(before[j], after[j + 1])
+        covariance = invert(information)
+        x = apply(covariance, vector)
+        d2 = distance2(plus(opinion.cov_m2, covariance), _minus(opinion.x_m, x))
+        yield Without(frozenset((opinion.origin,)), x, covariance, d2)
+
+
+def _leaving_two_out(group: Sequence[Opinion]) -> Iterator[Without]:
+    before, after = _partial_sums(group)
+    words = [_word(opinion) for opinion in group]
+    for j, one in enumerate(group):
+        between: Word = (ZERO, (0.0, 0.0, 0.0))
+        for k in range(j + 1, len(group)):
+            two = group[k]
+            information, vector = _both(_both(before[j], between), after[k + 1])
+            covariance = invert(information)
+            x = apply(covariance, vector)
+            information, vector = _both(words[j], words[k])
+            pair = invert(information)
+            apart = distance2(plus(one.cov_m2, two.cov_m2), _minus(one.x_m, two.x_m))
+            d2 = apart + distance2(plus(pair, covariance), _minus(apply(pair, vector), x))
+            yield Without(frozenset((one.origin, two.origin)), x, covariance, d2)
+            between = _both(between, words[k])
+
+
+def _partial_sums(group: Sequence[Opinion]) -> tuple[list[Word], list[Word]]:
+    """Sums of the first k, and sums from the k-th on."""
+    words, nothing = [_word(opinion) for opinion in group], (ZERO, (0.0, 0.0, 0.0))
+    before = list(accumulate(words, _both, initial=nothing))
+    after = list(accumulate(reversed(words), _both, initial=nothing))
+    return before, after[::-1]
+
+
+# --- the vote -------------------------------------------------------------------------------------------------
+
+
 def vote(opinions: Sequence[Opinion]) -> Ballot:
-    """Who agrees with whom, of opinions given in the order of their names; at least one."""
-    consistent = _consistent(opinions)
-    leader = max(range(len(opinions)), key=lambda j: (_score([opinions[i] for i in consistent[j]]), -j))
+    """Who agrees with whom, of opinions given in the order of their names; at least one.
+
+    The most numerous group wins; of equals the one that is closest in itself, by the mean distance of its pairs:
+    to be sure of oneself is no merit here, or a liar would only have to boast.
+    """
+    groups, distances2 = _consistent(opinions)
+    most = max(map(len, groups))
+    tied = list(dict.fromkeys(tuple(group) for group in groups if len(group) == most))
+    group = tied[0] if len(tied) == 1 else min(tied, key=lambda each: _spread(each, distances2))
     return Ballot(
-        frozenset(opinions[j].origin for j in consistent[leader]),
-        _verdict(len(consistent[leader]), len(opinions)),
-        {opinion.origin: len(each) for opinion, each in zip(opinions, consistent, strict=True)},
+        frozenset(opinions[j].origin for j in group),
+        _verdict(most, len(opinions)),
+        {opinion.origin: len(each) for opinion, each in zip(opinions, groups, strict=True)},
     )
 
 
@@ -95,53 +219,29 @@ def _verdict(agreeing: int, all_: int) -> Verdict:
     return "ok" if agreeing == all_ else "outlier"
 
 
-def _consistent(opinions: Sequence[Opinion]) -> list[list[int]]:
-    """Indices of those that agree with each opinion, itself included, in order."""
+def _consistent(opinions: Sequence[Opinion]) -> tuple[list[list[int]], list[list[float]]]:
+    """Indices of those that agree with each opinion, itself included, in order; d^2 of [k][j], j < k, none if many."""
     n = len(opinions)
     if n > VOTERS:
         median = _median(opinions)
         near = [j for j, o in enumerate(opinions) if quadratic(o.precision, _minus(o.x_m, median)) < AGREE]
-        return [near if j in near else [j] for j in range(n)]
+        return [near if j in near else [j] for j in range(n)], []
     consistent: list[list[int]] = [[j] for j in range(n)]
+    distances2: list[list[float]] = []
     for j in range(n):
         _, xj, pj, _ = opinions[j]
-        for k in range(j):
-            _, xk, pk, _ = opinions[k]
-            if distance2(plus(pj, pk), _minus(xj, xk)) < AGREE:
+        row = [distance2(plus(pj, o.cov_m2), _minus(xj, o.x_m)) for o in opinions[:j]]
+        for k, d2 in enumerate(row):
+            if d2 < AGREE:
                 consistent[j].append(k)
                 consistent[k].append(j)
-    return [sorted(each) for each in consistent]
+        distances2.append(row)
+    return [sorted(each) for each in consistent], distances2
 
 
-def _score(group: Sequence[Opinion]) -> tuple[int, float]:
-    """The most numerous first; among equals, those that know more together."""
-    return len(group), math.fsum(trace(opinion.precision) for opinion in group)
-
-
-def _huber(opinions: Sequence[Opinion]) -> tuple[Vector, list[float], Symmetric]:
-    """Reweighted mean: place, weight of each, and the sum of weighted information in 1/m^2."""
-    weights = [1.0] * len(opinions)
-    vectors = [apply(opinion.precision, opinion.x_m) for opinion in opinions]
-    x, information = _mean(opinions, vectors, weights)
-    for _ in range(ROUNDS):
-        before = weights
-        weights = [_weight(quadratic(opinion.precision, _minus(opinion.x_m, x))) for opinion in opinions]
-        if max(abs(a - b) for a, b in zip(weights, before, strict=True)) < SETTLED:
-            break
-        x, information = _mean(opinions, vectors, weights)
-    return x, weights, information
-
-
-def _weight(d2: float) -> float:
-    return 1.0 if d2 <= HUBER * HUBER else HUBER / math.sqrt(d2)
-
-
-def _mean(opinions: Sequence[Opinion], vectors: Sequence[Vector], weights: Sequence[float]) -> tuple[Vector, Symmetric]:
-    information, x, y, z = ZERO, 0.0, 0.0, 0.0
-    for opinion, v, w in zip(opinions, vectors, weights, strict=True):
-        information = plus(information, times(w, opinion.precision))
-        x, y, z = x + w * v[0], y + w * v[1], z + w * v[2]
-    return apply(invert(information), (x, y, z)), information
+def _spread(group: tuple[int, ...], distances2: list[list[float]]) -> float:
+    """Sum of d^2 over the pairs of a group; groups of one size, so it stands for the mean. Nothing where none is."""
+    return math.fsum(distances2[k][j] for at, k in enumerate(group) for j in group[:at]) if distances2 else 0.0
 
 
 def _median(opinions: Sequence[Opinion]) -> Vector:
@@ -155,6 +255,20 @@ def _median(opinions: Sequence[Opinion]) -> Vector:
         return next(value for (value, _), sum_ in zip(order, passed, strict=True) if sum_ >= half)
 
     return along(0), along(1), along(2)
+
+
+def _word(opinion: Opinion) -> Word:
+    return opinion.precision, apply(opinion.precision, opinion.x_m)
+
+
+def _both(a: Word, b: Word) -> Word:
+    (p, (x, y, z)), (q, (u, v, w)) = a, b
+    return plus(p, q), (x + u, y + v, z + w)
+
+
+def _sum(words: Iterable[Word]) -> Word:
+    *_, total = accumulate(words, _both)
+    return total
 
 
 def _minus(a: Vector, b: Vector) -> Vector:

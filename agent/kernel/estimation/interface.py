@@ -6,6 +6,7 @@ iteration, `say` the outcome to each neighbour, as often as the link allows.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 from agent.kernel.estimation.mailbox import Letter, Mailbox
@@ -61,6 +62,9 @@ class Estimator(Protocol):
     @property
     def posterior(self) -> Posterior | None:
         """x by all that was heard and measured so far, or since the last iteration where the protocol says so."""
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        """The public keys of the robots, as they are from now on. Where this was never called nothing is signed."""
 
     def adopt(self, t: int) -> None:
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""

@@ -2,6 +2,9 @@
 
 Clocks of different robots need not agree. The smallest (arrival - sent) of the last minute stands for the constant
 part of that difference; what a message took beyond it is time it spent queued, and counts as age.
+
+Numbers and stamps may run ahead by what clocks and rates allow, and no more. What is beyond is refused and not
+remembered, so that one wrong number does not silence a neighbour; one that insists is believed (see also transit.py).
 """
 
 from __future__ import annotations
@@ -9,10 +12,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from agent.kernel.codec import Refusal
+from agent.kernel.estimation.evidence_checks import CLOCKS_NS
+from agent.kernel.estimation.transit import Transit
 from agent.kernel.messages import Estimate
 
-TRANSIT_WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
-TRANSIT_BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
+SAID_HZ = 100  # messages of a neighbour about a target, at most: five times what a fleet file can ask for
+AHEAD_S = 10  # of such messages that may be missing at any time
+INSISTS = 3  # messages in a row whose numbers fell back: a neighbour that had told a wrong one
+LATEST_T = 10**8  # iterations; a year has a third of it at one a second
+TWIN_NS = 10_000_000_000  # two starts of one robot that take turns within this time are two robots
 
 
 class Letter(NamedTuple):
@@ -24,11 +32,14 @@ class Letter(NamedTuple):
 
 
 class Sender(NamedTuple):
-    """Counters of one neighbour."""
+    """What is kept of one neighbour."""
 
     heard: int = 0
     gaps: int = 0
     newest: Letter | None = None
+    before: tuple[int, int] | None = None  # the incarnation before, and when it was last heard
+    fallen: tuple[int, int] = (0, 0)  # messages in a row that went back, and the number of the last of them
+    doubled_ns: int | None = None  # when two incarnations last took turns
 
 
 class Mailbox:
@@ -37,7 +48,7 @@ class Mailbox:
     def __init__(self, fleet: str, me: str, target: str, neighbours: tuple[str, ...]) -> None:
         self._fleet, self._me, self._target = fleet, me, target
         self.senders: dict[str, Sender] = {name: Sender() for name in sorted(neighbours)}
-        self._quickest: dict[str, dict[int, int]] = {name: {} for name in self.senders}
+        self._transit: dict[str, Transit] = {name: Transit() for name in self.senders}
 
     def put(self, src: str, estimate: Estimate, arrived_ns: int) -> Letter:
         """Keep a decoded message that came on the key of `src`. Raises Refusal when it does not belong there."""
@@ -47,19 +58,12 @@ class Mailbox:
             raise Refusal("address", "sender differs from its key")
         if (estimate.fleet, estimate.dst, estimate.target) != (self._fleet, self._me, self._target):
             raise Refusal("address", "not addressed to us")
-        sender = self.senders[src]
-        restarted = sender.newest is None or sender.newest.estimate.incarnation != estimate.incarnation
-        gap = 0
-        if restarted:
-            self._quickest[src] = {}
-        else:
-            assert sender.newest is not None
-            gap = estimate.seq - sender.newest.estimate.seq - 1
-            if gap < 0:
-                raise Refusal("order", "repeated or out of order")
-        late_ns = self._late_ns(src, arrived_ns - estimate.sent_ns, arrived_ns)
+        if estimate.incarnation > arrived_ns + CLOCKS_NS:
+            raise Refusal("clock", "its clock is more than an hour ahead of ours; set the clocks")
+        sender = self._numbered(src, estimate, arrived_ns)
+        late_ns = self._transit[src].late_ns(arrived_ns - estimate.sent_ns, arrived_ns)
         letter = Letter(estimate, arrived_ns, late_ns)
-        self.senders[src] = Sender(sender.heard + 1, sender.gaps + gap, letter)
+        self.senders[src] = sender._replace(heard=sender.heard + 1, newest=letter, fallen=(0, 0))
         return letter
 
     def age_ns(self, src: str, now_ns: int) -> int | None:
@@ -83,21 +87,50 @@ class Mailbox:
         ages_ns = {name: self.age_ns(name, now_ns) for name in self.senders}
         return {name: age_ns * 1e-9 for name, age_ns in ages_ns.items() if age_ns is not None}
 
-    def newest_t(self, now_ns: int, validity_ns: int) -> int:
-        """The largest iteration that a neighbour heard of late has reached; 0 when all are silent."""
-        return max(
-            (
-                sender.newest.estimate.t
-                for name, sender in self.senders.items()
-                if sender.newest is not None and (self.age_ns(name, now_ns) or 0) <= validity_ns
-            ),
-            default=0,
+    def swarm_t(self, now_ns: int, validity_ns: int) -> int:
+        """The iteration that the swarm has reached: the second largest of neighbours heard of late, for one of them may
+        lie, or that of the only neighbour that there is; 0 when too few are heard."""
+        reached = sorted(
+            sender.newest.estimate.t
+            for name, sender in self.senders.items()
+            if sender.newest is not None and (self.age_ns(name, now_ns) or 0) <= validity_ns
         )
+        needed = min(2, len(self.senders))
+        return min(reached[-needed], LATEST_T) if reached and len(reached) >= needed else 0
 
-    def _late_ns(self, src: str, transit_ns: int, arrived_ns: int) -> int:
-        bins = self._quickest[src]
-        now_bin = arrived_ns // TRANSIT_BIN_NS
-        bins[now_bin] = min(transit_ns, bins.get(now_bin, transit_ns))
-        for old in [b for b in bins if b < now_bin - TRANSIT_WINDOW_NS // TRANSIT_BIN_NS]:
-            del bins[old]
-        return transit_ns - min(bins.values())
+    def doubled(self, now_ns: int) -> tuple[str, ...]:
+        """Names under which two robots speak."""
+        times = {name: sender.doubled_ns for name, sender in self.senders.items()}
+        return tuple(name for name, at_ns in times.items() if at_ns is not None and now_ns - at_ns <= TWIN_NS)
+
+    def _numbered(self, src: str, estimate: Estimate, arrived_ns: int) -> Sender:
+        """The neighbour with what the number of this message tells. Raises Refusal where it cannot be the next one."""
+        sender = self.senders[src]
+        if sender.newest is None or sender.newest.estimate.incarnation != estimate.incarnation:
+            up_s = max(0, estimate.sent_ns - estimate.incarnation) // 10**9
+            if estimate.seq > SAID_HZ * (up_s + AHEAD_S):
+                raise Refusal("order", "its first number is beyond what it can have said since it started")
+            self._transit[src] = Transit()
+            return _restarted(sender, estimate.incarnation, arrived_ns)
+        newest = sender.newest
+        gap = estimate.seq - newest.estimate.seq - 1
+        if gap < 0:
+            count, last = sender.fallen
+            count = count + 1 if estimate.seq > last or count == 0 else 1
+            if count < INSISTS:
+                self.senders[src] = sender._replace(fallen=(count, estimate.seq))
+                raise Refusal("order", "repeated or out of order")
+            gap = 0
+        elif gap > SAID_HZ * ((arrived_ns - newest.arrived_ns) // 10**9 + AHEAD_S):
+            raise Refusal("order", "its number runs ahead of what it can have said")
+        return sender._replace(gaps=sender.gaps + gap)
+
+
+def _restarted(sender: Sender, incarnation: int, now_ns: int) -> Sender:
+    """A neighbour with a new incarnation; one that returns to the incarnation before is two robots of one name."""
+    newest, before = sender.newest, sender.before
+    returned = before is not None and before[0] == incarnation and now_ns - before[1] <= TWIN_NS
+    return sender._replace(
+        before=None if newest is None else (newest.estimate.incarnation, newest.arrived_ns),
+        doubled_ns=now_ns if returned else sender.doubled_ns,
+    )

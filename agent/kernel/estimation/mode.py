@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
+from agent.kernel.estimation.authority import Authority
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.messages import Explain, Gossip, Symmetric
+
+SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
 
 
 class Me(NamedTuple):
     """What a robot knows of itself and its surroundings before it measures anything."""
 
-    key: tuple[str, int]  # name, and which of its starts this is
+    key: tuple[str, int]  # name, and which of its starts this is, or of its entries if it began anew since
     neighbours: tuple[str, ...]
     bounds: Bounds
     max_entries: int  # in one message
     common_m2: Symmetric  # covariance of errors that all robots share
+    authority: Authority
+    subject: tuple[str, str]  # fleet and target, as they are signed
+    liars: int = 1  # robots that may be wrong at once
 
 
 class Conclusion(NamedTuple):
@@ -26,16 +33,28 @@ class Conclusion(NamedTuple):
     rule: str
     alpha: float
     explain: Explain
+    doubts_itself: bool = False  # it is more likely than not that our own word is wrong
 
 
 class Mode(Protocol):
     """Keeps the evidence of one epoch."""
+
+    outlived: int | None  # an incarnation of ours that is newer than the one we write under
 
     def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
         """Take in an own sample; returns its normalised innovation squared, None where nothing was expected."""
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
         """Take in what a neighbour passed on at `arrived_ns`; returns the kinds of what was not believed."""
+
+    def began(self, me: Me) -> None:
+        """We write under another incarnation from now on."""
+
+    def distrust(self, origins: Collection[str]) -> None:
+        """Nothing of these counts any more."""
+
+    def seeing(self, now_ns: int) -> int:
+        """How many robots are known to have seen the target of late."""
 
     def restarted(self, src: str) -> None:
         """A neighbour started again: it holds nothing any more."""

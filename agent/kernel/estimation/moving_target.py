@@ -1,26 +1,32 @@
 """The target moves: single samples are passed on with their ages, and the posterior is the track through them.
 
 Who is wrong is found as at rest: each robot's own samples make a track of its own, the tracks vote (fuse.py), and the
-agreed track runs over the samples of those that agree, raw as they came. Tracks of one target share its accelerations,
-so they differ by less than their covariances say, and the vote is rather too patient than too strict.
+agreed track runs over the samples of those that agree, raw as they came. Where one of these stands out, tracks without
+it are mixed in as fuse.py mixes places. Tracks of one target share its accelerations, so they differ by less than
+their covariances say, and vote and doubt are rather too patient than too strict.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
+from functools import partial
 
+from agent.kernel.estimation.authority import HEARSAY
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
-from agent.kernel.estimation.evidence_checks import floored, inside
+from agent.kernel.estimation.evidence_checks import CLOCKS_NS, floored, inside
 from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
-from agent.kernel.estimation.fuse import Ballot, Opinion, vote
+from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture, vote
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
-from agent.kernel.estimation.mode import Conclusion, Me
+from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
+from agent.kernel.estimation.signed import sample_bytes
 from agent.kernel.estimation.track import Track, nis, predict
 from agent.kernel.estimation.window import MASK, Key, Window
-from agent.kernel.messages import Epoch, Explain, Gossip
+from agent.kernel.messages import Epoch, Explain, Gossip, Sample
 
-SENT = 48  # samples in one message at most, 110 bytes each: half of what a message may hold
+MATTERS = 0.02  # weight of a track without somebody below which it is not worth running
+SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold
 
 
 class MovingTarget:
@@ -37,6 +43,7 @@ class MovingTarget:
         self._mine: Track | None = None  # through our own samples alone
         self._nis: float | None = None
         self._newest: Held | None = None
+        self.outlived: int | None = None
 
     def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
         """Take in an own sample. Returns its normalised innovation squared against the own track so far.
@@ -52,39 +59,65 @@ class MovingTarget:
         self._nis = None
         if self._mine is not None:
             self._nis = nis(predict(self._mine, prior.t_ns), prior.x_m, covariance)
-        self._newest = Held(prior.t_ns, information, apply(information, prior.x_m))
+        self._newest = Held(prior.t_ns, information, apply(information, prior.x_m), prior.t_ns)
         self._window.measure((*self._me.key, number), self._newest)
         self._change += 1
         return self._nis
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        faults, ledger = [], self._ledgers[src]
-        for sample in gossip.samples:
+        faults, ledger, samples = [], self._ledgers[src], self._window.samples
+        for sample in sorted(gossip.samples, key=lambda s: (s.origin != src, s.origin not in self._ledgers)):
             key = (sample.origin, sample.incarnation, sample.number)
-            if key[:2] == self._me.key:
-                if key not in self._window.samples:
-                    faults.append("forged")  # or so old that we have let it go
+            if key in samples:
+                self._window.earlier(sample, arrived_ns)
+                ledger.acknowledge(key, 1)
                 continue
-            news, fault = self._window.merge(sample, arrived_ns)
-            if fault is not None:
+            fault = self._fault(src, sample, arrived_ns)
+            fault = fault or self._window.merge(sample, arrived_ns, direct=src == sample.origin)
+            if fault is None:
+                ledger.acknowledge(key, 1)
+                self._change += 1
+            elif fault != HEARSAY:
                 faults.append(fault)
-                continue
-            ledger.acknowledge(key, 1)
-            self._change += news
         shown = {(line.origin, line.incarnation): line for line in gossip.digest}
-        for key in self._window.samples:
+        for key in samples:
             line = shown.get(key[:2])
             if line is not None:
                 older = line.newest - 1 - key[2]
                 ledger.acknowledge(key, int(older == -1 or (0 <= older < MASK and bool(line.older >> older & 1))))
         return faults
 
+    def _fault(self, src: str, sample: Sample, now_ns: int) -> str | None:
+        """Why a sample that we do not have does not count."""
+        authority, own = self._me.authority, self._me.key
+        if sample.origin == own[0] and (sample.incarnation >= own[1] or authority.keys is None):
+            if own[1] < sample.incarnation <= now_ns + CLOCKS_NS:
+                self.outlived = max(self.outlived or 0, sample.incarnation)
+            return "own name"  # nobody else makes one; one of ours that we have let go is of no use any more
+        says = partial(sample_bytes, *self._me.subject, self._epoch, sample)
+        fault = self._window.fault(sample, now_ns)
+        return fault or authority.fault(src, sample.origin, sample.signature, says, now_ns)
+
+    def began(self, me: Me) -> None:
+        self._me, self.outlived = me, None
+
+    def distrust(self, origins: Collection[str]) -> None:
+        self._window.drop(frozenset(origins) - {self._me.key[0]})
+        for origin in origins:
+            self._own.pop(origin, None)
+        self._makers, self._agreed = frozenset(), FixedLagFilter()  # what they said is in the agreed track
+        self._change += 1
+
+    def seeing(self, now_ns: int) -> int:
+        return len({key[0] for key, held in self._window.samples.items() if now_ns - held.t_ns <= SEEN_NS})
+
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
 
     def say(self, to: str, now_ns: int) -> Gossip:
-        ledger = self._ledgers[to]
-        chosen = ledger.pending(self._window.sendable(now_ns), self._me.key, SENT)
+        ledger, signed = self._ledgers[to], self._me.authority.keys is not None
+        owed = {key: 1 for key in self._window.sendable(now_ns) if signed or key[0] != to}
+        chosen = ledger.pending(owed, self._me.key, SENT)
         return Gossip(
             self._epoch,
             samples=tuple(self._window.sample(key, now_ns) for key in chosen),
@@ -96,30 +129,34 @@ class MovingTarget:
         for ledger in self._ledgers.values():
             ledger.drop(self._window.samples)
         opinions = self._opinions(fresh, horizon_ns, now_ns)
-        track, ballot = None, None
+        track, ballot, posterior, doubt = None, None, None, Doubt(0.0, [])
         if opinions:
             ballot = vote(opinions)
             track = self._agree(ballot, fresh, horizon_ns, now_ns)
+            doubt = doubts([opinion for opinion in opinions if opinion.origin in ballot.group], self._me.liars)
+        if track is not None and ballot is not None:
+            posterior = _doubted(track, doubt, {n: fresh[n] for n in fresh if n in ballot.group}, now_ns)
         self._window.freeze(horizon_ns)
-        believable = track is not None and inside(track.x_m, self._me.bounds.tank_m)
-        if track is None or ballot is None or not believable:
+        believable = posterior is not None and inside(posterior.x_m, self._me.bounds.tank_m)
+        if track is None or ballot is None or posterior is None or not believable:
             # Not seen for a whole window, or out of the tank: the last place is a better guess than an old speed.
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
-        shares = _shares(fresh, ballot.group)
+        factors = {o.origin: doubt.factor(o.origin) if o.origin in ballot.group else 0.0 for o in opinions}
+        shares = _shares(fresh, {name: factor for name, factor in factors.items() if name in ballot.group})
         explain = Explain(
             status=ballot.verdict,
             weights=shares,
             votes=ballot.votes,
-            doubted={opinion.origin: 0.0 for opinion in opinions if opinion.origin not in ballot.group},
+            doubted={name: factor for name, factor in factors.items() if factor < 1.0},
             epoch=self._epoch,
             nis=self._nis if valid else None,
             speed_m_s=math.sqrt(sum(v * v for v in track.v_m_s)),
         )
-        alpha = self._gain(track) if valid and self._me.key[0] in ballot.group else 0.0
+        alpha = factors[self._me.key[0]] * self._gain(track) if valid and self._me.key[0] in ballot.group else 0.0
         if ballot.verdict == "ambiguous":
             alone = _posterior(self._mine) if valid and self._mine is not None else before
-            return Conclusion(alone or _posterior(track), "ambiguous", alpha, explain)
-        return Conclusion(_posterior(track), "track", alpha, explain)
+            return Conclusion(alone or posterior, "ambiguous", alpha, explain)
+        return Conclusion(posterior, "track", alpha, explain)
 
     def _opinions(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> list[Opinion]:
         """Where each origin places the target now, by its own samples alone."""
@@ -146,8 +183,24 @@ def _posterior(track: Track) -> Posterior:
     return Posterior(track.x_m, track.A)
 
 
-def _shares(fresh: dict[str, list[Held]], group: frozenset[str]) -> dict[str, float]:
-    """Share of each origin that agrees in the information of the window; sum 1."""
-    sizes = {name: math.fsum(trace(held.information) for held in fresh[name]) for name in fresh if name in group}
+def _doubted(track: Track, doubt: Doubt, fresh: dict[str, list[Held]], now_ns: int) -> Posterior:
+    """The agreed track, and where somebody stands out the tracks without it, through what the window still holds.
+
+    What is older than the window has faded, and a track of others cannot be taken out of it any more.
+    """
+    certain, places = 1.0, []
+    for p, way in doubt.ways:
+        weight = doubt.strength * p
+        kept = [held for name in fresh if name not in way.out for held in fresh[name]] if weight > MATTERS else []
+        other = FixedLagFilter().run(kept, now_ns, now_ns)
+        if other is not None:
+            certain -= weight
+            places.append((weight, other.x_m, other.A))
+    return Posterior(*mixture([(certain, track.x_m, track.A), *places])) if places else _posterior(track)
+
+
+def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str, float]:
+    """Share of each origin that agrees in the information of the window, times its factor; sum 1."""
+    sizes = {name: factors[name] * math.fsum(trace(held.information) for held in fresh[name]) for name in factors}
     total = math.fsum(sizes.values())
     return {name: size / total for name, size in sizes.items()}

@@ -5,12 +5,15 @@
 with w_ij = 1 / |N_i ∩ S^t| and alpha = 1 / (t + 1), both left open by the paper. Its flaws are kept: robots do not
 average with themselves, and one that sees the target but hears nobody starts again from its newest sample. Where the
 paper demands two things at once (blind, and no valid neighbour) the robot holds what it has.
+
+It withstands neither lost messages nor a robot that is wrong. A neighbour's word is believed wherever it is, so one
+that lies takes all with it, as far as the tank reaches; who sees the target has only alpha against it, which shrinks.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Letter, Mailbox
@@ -25,6 +28,9 @@ class Paper:
         self.t = 0
         self.valid = False
         self.posterior: Posterior | None = None
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        pass  # a belief has no origin that could sign it
 
     def adopt(self, t: int) -> None:
         # One ahead is a neighbour in the same iteration that ticked first, and who follows ends up beside it, not in

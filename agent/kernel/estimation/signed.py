@@ -6,6 +6,8 @@ evidence its meaning: fleet, target and epoch too, so that nothing old or foreig
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import msgpack
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -19,7 +21,7 @@ SIGNATURE_BYTES = 64
 def entry_bytes(fleet: str, target: str, epoch: Epoch, entry: Entry) -> bytes:
     """What the origin of an entry signs."""
     when = [epoch.counter, epoch.moving, epoch.proposer]
-    sums = [list(entry.information), list(entry.vector), list(entry.systematic_m2)]
+    sums = [_floats(entry.information), _floats(entry.vector), _floats(entry.systematic_m2)]
     who = [entry.origin, entry.incarnation, entry.count]
     return bytes(msgpack.packb(["aucamp.entry.1", fleet, target, when, *who, *sums]))
 
@@ -28,15 +30,19 @@ def sample_bytes(fleet: str, target: str, epoch: Epoch, sample: Sample) -> bytes
     """What the origin of a sample signs; its age is the relays' business, and no part of it."""
     when = [epoch.counter, epoch.moving, epoch.proposer]
     who = [sample.origin, sample.incarnation, sample.number, sample.t_ns]
-    return bytes(
-        msgpack.packb(["aucamp.sample.1", fleet, target, when, *who, list(sample.information), list(sample.vector)])
-    )
+    what = [_floats(sample.information), _floats(sample.vector)]
+    return bytes(msgpack.packb(["aucamp.sample.1", fleet, target, when, *who, *what]))
 
 
 def proposal_bytes(fleet: str, target: str, proposal: Proposal) -> bytes:
     """What the proposer of an epoch signs."""
-    what = [proposal.proposer, proposal.incarnation, proposal.counter, proposal.moving]
+    what = [proposal.proposer, proposal.since_ns, proposal.counter, proposal.moving]
     return bytes(msgpack.packb(["aucamp.epoch.1", fleet, target, *what]))
+
+
+def _floats(numbers: Iterable[float]) -> list[float]:
+    """Numbers as they come out of a message: a 0 that somebody wrote as an integer has arrived as 0.0."""
+    return list(map(float, numbers))
 
 
 def verify(public: bytes, signature: bytes, signed: bytes) -> bool:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from functools import partial
+
+from agent.kernel.estimation.authority import HEARSAY
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
-from agent.kernel.estimation.evidence_checks import floored
-from agent.kernel.estimation.evidence_table import Key, Table
+from agent.kernel.estimation.evidence_checks import CLOCKS_NS, entry_fault, floored
+from agent.kernel.estimation.evidence_table import Key, Table, mark
 from agent.kernel.estimation.fuse import Fused, fuse
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, distance2, inverse, plus, trace
-from agent.kernel.estimation.mode import Conclusion, Me
-from agent.kernel.messages import Epoch, Explain, Gossip, Holding
+from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
+from agent.kernel.estimation.signed import entry_bytes
+from agent.kernel.messages import Entry, Epoch, Explain, Gossip, Holding
+
+LET_GO_NS = 10_000_000_000  # for so long neighbours are told that an entry is here no more, and may send a better one
 
 
 class StaticTarget:
@@ -17,9 +24,12 @@ class StaticTarget:
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
-        self._table = Table(me.bounds)
+        self._table = Table(me.key[0])
         self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
+        self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
+        self._let_go: dict[Key, int] = {}  # until when to say so
+        self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
         self._gain = 0.0  # share of the newest own sample in the own sum
         self._nis: float | None = None
 
@@ -29,6 +39,7 @@ class StaticTarget:
         information = self._table.measure(self._me.key, prior)
         self._gain = trace(information) / trace(self._table.entries[self._me.key].information)
         self._change += 1
+        self._news_ns[self._me.key[0]] = now_ns
         random = None if before is None else inverse(before.information)
         self._nis = None
         if before is not None and random is not None:
@@ -38,24 +49,66 @@ class StaticTarget:
         return self._nis
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        faults, ledger = [], self._ledgers[src]
-        for entry in gossip.entries:
+        faults, ledger, table = [], self._ledgers[src], self._table
+        if self._me.authority.keys is None:  # who speaks to us makes void what others said in its name
+            for key in [key for key in table.hearsay if key[0] == src]:
+                self._drop(key, arrived_ns + LET_GO_NS)
+        # Where the budget of a neighbour does not last, its own word comes first, then that of others near us.
+        for entry in sorted(gossip.entries, key=lambda e: (e.origin != src, e.origin not in self._ledgers)):
             key = (entry.origin, entry.incarnation)
-            if key == self._me.key:
-                mine = self._table.entries.get(key)
-                if mine is None or entry.count > mine.count:
-                    faults.append("forged")  # nobody else may write under our name
-                continue
-            news, fault = self._table.merge(entry, arrived_ns)
-            if fault is not None:
-                faults.append(fault)
-                continue
-            ledger.acknowledge(key, entry.count)
-            self._change += news
+            if table.is_news(entry):
+                fault = self._fault(src, entry, arrived_ns)
+                if fault is None:
+                    fault = table.merge(entry, self._me.authority.keys is None and src != entry.origin)
+                    self._change += 1
+                    self._let_go.pop(key, None)
+                    self._news_ns[entry.origin] = arrived_ns
+                if fault is not None and fault != HEARSAY:
+                    faults.append(fault)
+            self._acknowledge(ledger, key, entry.count, mark(entry))
         for line in gossip.digest:
-            if (line.origin, line.incarnation) in self._table.entries:
-                ledger.acknowledge((line.origin, line.incarnation), line.newest)
+            self._acknowledge(ledger, (line.origin, line.incarnation), line.newest, line.older)
         return faults
+
+    def _acknowledge(self, ledger: DeliveryLedger[Key], key: Key, count: int, mark_: int) -> None:
+        """A neighbour holds this; where it is as new as ours and another one, it holds ours not yet."""
+        ours = self._table.entries.get(key)
+        if ours is not None:
+            ledger.acknowledge(key, count - (count == ours.count and mark_ != self._table.marks[key]))
+
+    def _fault(self, src: str, entry: Entry, now_ns: int) -> str | None:
+        """Why an entry that is news does not count."""
+        authority, (me, incarnation) = self._me.authority, self._me.key
+        if entry.origin == me and (entry.incarnation == incarnation or authority.keys is None):
+            self._outlived(entry, now_ns)
+            return "own name"  # nobody else writes it, and without a signature nobody else can know what we wrote
+        says = partial(entry_bytes, *self._me.subject, self._epoch, entry)
+        fault = entry_fault(entry, self._me.bounds, now_ns)
+        fault = fault or authority.fault(src, entry.origin, entry.signature, says, now_ns)
+        if fault is None and entry.origin == me and entry.incarnation > incarnation:
+            self._outlived(entry, now_ns)
+            return "own name"
+        return fault
+
+    def _outlived(self, entry: Entry, now_ns: int) -> None:
+        """An earlier life of ours by a clock that was ahead: ours has to begin after it, or is taken for the older."""
+        if self._me.key[1] < entry.incarnation <= now_ns + CLOCKS_NS:
+            self.outlived = max(self.outlived or 0, entry.incarnation)
+
+    def _drop(self, key: Key, until_ns: int) -> None:
+        self._table.drop(key)
+        self._let_go[key] = until_ns
+        self._change += 1
+
+    def began(self, me: Me) -> None:
+        self._me, self.outlived = me, None
+
+    def distrust(self, origins: Collection[str]) -> None:
+        for key in [key for key in self._table.entries if key[0] in origins and key[0] != self._me.key[0]]:
+            self._drop(key, 0)
+
+    def seeing(self, now_ns: int) -> int:
+        return sum(now_ns - news_ns <= SEEN_NS for news_ns in self._news_ns.values())
 
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
@@ -63,14 +116,19 @@ class StaticTarget:
     def say(self, to: str, now_ns: int) -> Gossip:
         entries, ledger = self._table.entries, self._ledgers[to]
         versions = {key: entry.count for key, entry in entries.items()}
-        chosen = ledger.pending(versions, self._me.key, self._me.max_entries)
-        lines = [Holding(*key, version) for key, version in versions.items()]
+        # Without a signature nobody is told what he measured himself.
+        owed = versions if self._me.authority.keys is not None else {k: n for k, n in versions.items() if k[0] != to}
+        ledger.drop(entries)
+        chosen = ledger.pending(owed, self._me.key, self._me.max_entries)
+        self._let_go = {key: until_ns for key, until_ns in self._let_go.items() if until_ns > now_ns}
+        lines = [Holding(*key, version, self._table.marks[key]) for key, version in versions.items()]
+        lines += [Holding(*key, 0) for key in self._let_go if key not in entries]
         return Gossip(
             self._epoch, entries=tuple(entries[k] for k in chosen), digest=ledger.digest(lines, self._change, now_ns)
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        fused = fuse(self._table.opinions(), self._me.common_m2)
+        fused = fuse(self._table.opinions(), self._me.common_m2, self._me.liars)
         if fused is None:
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
         alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
@@ -81,10 +139,12 @@ class StaticTarget:
             doubted={name: factor for name, factor in fused.factors.items() if factor < 1.0},
             epoch=self._epoch,
             nis=self._nis if valid else None,
+            sway_m=fused.sway_m,
         )
         if fused.verdict == "ambiguous":
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
-        return Conclusion(_agreed(fused), "fuse", alpha, explain)
+        doubted = fused.factors.get(self._me.key[0], 1.0) < 0.5
+        return Conclusion(_agreed(fused), "fuse", alpha, explain, doubted)
 
     def _alone(self, valid: bool) -> Posterior | None:
         """What our own samples say, while we see the target."""

@@ -2,12 +2,15 @@
 
 from random import Random
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
 from agent.kernel.codec import decode, encode
 from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.messages import Estimate
+from agent.keys.signing import signing
 from tests.sample_messages import estimate
 
 COV = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
@@ -20,10 +23,22 @@ def line(n):
     return {NAMES[k]: tuple(NAMES[j] for j in (k - 1, k + 1) if 0 <= j < n) for k in range(n)}
 
 
-class Net:
-    """One estimator per robot. `cut` links lose everything, the others a share; `rounds` messages an iteration."""
+SUBJECT = ("tank", "ball")
+PRIVATE = {name: Ed25519PrivateKey.from_private_bytes(name.encode().ljust(32)) for name in NAMES}
+PUBLIC = {name: key.public_key().public_bytes_raw() for name, key in PRIVATE.items()}
+SIGN = {name: signing(name, key) for name, key in PRIVATE.items()}
 
-    def __init__(self, links: dict[str, tuple[str, ...]], loss: float = 0.0, rounds: int = 1) -> None:
+
+class Net:
+    """One estimator per robot. `cut` links lose everything, the others a share; `rounds` messages an iteration.
+
+    signed: the fleet has keys.
+    """
+
+    def __init__(
+        self, links: dict[str, tuple[str, ...]], loss: float = 0.0, rounds: int = 1, signed: bool = True
+    ) -> None:
+        self.signed = signed
         self.loss, self.rounds, self.random = loss, rounds, Random(1)
         self.links, self.now_ns, self.seq, self.cut = links, SECOND_NS, 0, set()
         self.start = dict.fromkeys(links, 1)
@@ -33,7 +48,9 @@ class Net:
             self.boot(name)
 
     def boot(self, name) -> None:
-        self.robots[name] = Evidence(name, self.start[name], self.links[name], 2 * SECOND_NS, BOUNDS)
+        self.robots[name] = Evidence(name, self.start[name], self.links[name], 2 * SECOND_NS, BOUNDS, subject=SUBJECT)
+        if self.signed:
+            self.robots[name].trust({each: PUBLIC[each] for each in self.links})
         self.boxes[name] = Mailbox("tank", name, "ball", self.links[name])
 
     def restart(self, name) -> None:
@@ -59,7 +76,8 @@ class Net:
         robot = self.robots[src]
         about = {"incarnation": self.start[src], "seq": self.seq, "sent_ns": self.now_ns}
         word = robot.say(dst, self.now_ns)._asdict()
-        return encode(estimate(src, dst, t=robot.t, valid=robot.valid, **about, **word))
+        said = estimate(src, dst, t=robot.t, valid=robot.valid, **about, **word)
+        return encode(SIGN[src](said) if self.signed else said)
 
     def deliver(self, src, dst, payload):
         return self.robots[dst].hear(self.boxes[dst].put(src, decode(payload, Estimate), self.now_ns))

@@ -72,3 +72,34 @@ def test_the_blind_take_what_they_are_told_without_shrinking_it() -> None:
         swarm.iterate([prior(3.0), None, None])
     assert swarm.robots[1].posterior.x_m[0] == pytest.approx(3.0)
     assert swarm.robots[2].posterior is None, "only those who see speak for themselves"
+
+
+def lied_to(clip: bool, iterations: int = 40) -> tuple[Metropolis, list[float]]:
+    """A robot with a neighbour that is honest for half of the time, then a metre off, and how far it is itself."""
+    robot, box, far = Metropolis("r1", 10 * SECOND_NS, 1, clip), Mailbox("tank", "r1", "ball", ("r2",)), []
+    for t in range(iterations):
+        place = (float(t >= iterations // 2), 0.0, 0.0)
+        box.put("r2", estimate(seq=t, t=t, valid=True, x_m=place, cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0), degree=1), t)
+        robot.tick(prior(0.0), box, t)
+        far.append(robot.posterior.x_m[0])
+    return robot, far
+
+
+def test_a_lie_moves_it_by_three_sigma_of_the_own_samples_an_iteration_however_far_it_is() -> None:
+    _, free = lied_to(clip=False)
+    _, clipped = lied_to(clip=True)
+    assert free[-1] > 0.5
+    assert clipped[:20] == free[:20] == [0.0] * 20, "who agrees is not drawn in"
+    steps = np.diff(clipped)[19:]
+    sigma = np.sqrt(3 * 4e-4 / np.arange(21, 41))  # whatever covariance the neighbour claims
+    kept = 1 - 1 / np.arange(21, 41)
+    expected = [kept[k] * (0.5 * 3.0 * sigma[k]) - clipped[19 + k] / (21 + k) for k in range(20)]
+    assert steps == pytest.approx(expected, abs=1e-12)
+    assert clipped[-1] < free[-1]
+
+
+def test_a_robot_that_never_saw_the_target_takes_what_it_is_told_with_the_clip_too() -> None:
+    robot, box = Metropolis("r1", SECOND_NS, 1, clip=True), Mailbox("tank", "r1", "ball", ("r2",))
+    box.put("r2", estimate(t=1, valid=True, x_m=(1.0, 0.0, 0.0), cov_m2=COV, degree=1), 0)
+    robot.tick(None, box, 0)
+    assert robot.posterior.x_m == (1.0, 0.0, 0.0)

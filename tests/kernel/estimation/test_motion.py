@@ -29,6 +29,13 @@ def full(a):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
+def take(window, sample, arrived_ns):
+    """What a robot does with a neighbour's sample; returns what is wrong with it."""
+    if (sample.origin, sample.incarnation, sample.number) in window.samples:
+        return window.earlier(sample, arrived_ns)
+    return window.fault(sample, arrived_ns) or window.merge(sample, arrived_ns, direct=False)
+
+
 def kalman(samples):
     """The textbook filter with 6x6 matrices over (t_s, z); returns state and covariance at the last sample."""
     R, H = full(COV), np.hstack([np.eye(3), np.zeros((3, 3))])
@@ -81,7 +88,7 @@ def test_samples_in_any_order_and_repeated_give_the_same_track(order, repeated) 
     now_ns = round(samples[-1][0] * 1e9)
     window = Window(BOUNDS._replace(iteration_ns=100 * SECOND_NS))  # a window that holds them all
     for k in (*order, *repeated):
-        assert window.merge(said[k], now_ns)[1] is None
+        assert take(window, said[k], now_ns) is None
     x, _ = kalman(samples)
     fresh = [held for origin in window.fresh().values() for held in origin]
     assert FixedLagFilter().run(fresh, window.horizon_ns(now_ns), now_ns).x_m == pytest.approx(x[:3], abs=1e-9)
@@ -99,7 +106,7 @@ def test_freezing_changes_nothing_but_the_work() -> None:
     x, _ = kalman(samples)
     assert track.x_m == pytest.approx(x[:3], abs=1e-9)
     late = Sample("r2", 1, 1, 40 * SECOND_NS, INFORMATION, (0.0, 0.0, 0.0))
-    assert window.merge(late, round(samples[-1][0] * 1e9)) == (False, "too late")
+    assert take(window, late, round(samples[-1][0] * 1e9)) == "too late"
 
 
 def test_ages_add_up_over_relays_whose_clocks_disagree() -> None:
@@ -108,8 +115,8 @@ def test_ages_add_up_over_relays_whose_clocks_disagree() -> None:
     r1, r2, r3 = Window(BOUNDS), Window(BOUNDS), Window(BOUNDS)
     key = ("r1", 1, 1)
     r1.measure(key, Held(100 * SECOND_NS, INFORMATION, apply(INFORMATION, (0.5, 0.5, 0.1))))
-    r2.merge(r1.sample(key, 101 * SECOND_NS), 101 * SECOND_NS + hour_ns)
-    r3.merge(r2.sample(key, 103 * SECOND_NS + hour_ns), 103 * SECOND_NS + day_ns)
+    take(r2, r1.sample(key, 101 * SECOND_NS), 101 * SECOND_NS + hour_ns)
+    take(r3, r2.sample(key, 103 * SECOND_NS + hour_ns), 103 * SECOND_NS + day_ns)
     assert r3.samples[key].t_ns == 100 * SECOND_NS + day_ns
 
 
@@ -193,6 +200,20 @@ def test_a_robot_that_is_wrong_does_not_pull_the_track(since) -> None:
         assert "r01" not in updates[name].explain.weights
         assert math.dist(net.robots[name].posterior.x_m, truth_m) < 0.015
     assert updates["r01"].alpha == 0.0
+
+
+def test_a_robot_that_is_wrong_by_less_than_the_vote_can_tell_is_left_out_by_degrees() -> None:
+    """34 mm of samples with 5 mm: one that lacks its newest sample can say less against it than the others."""
+    names = NAMES[:5]
+    net, updates, truth_m = chased(names, 40, lambda name, t: 0.034 * (name == "r04" and t >= 20))
+    for name in names[:4]:
+        explain = updates[name].explain
+        assert explain.status == "ok"
+        assert 0.0 < explain.doubted["r04"] < 1.0
+        assert explain.weights["r04"] < 0.95 / len(names)
+        assert sum(explain.weights.values()) == pytest.approx(1.0)
+        assert abs(net.robots[name].posterior.x_m[1] - truth_m[1]) < 0.002, "a fifth of it would be 6.8 mm"
+    assert min(updates[name].explain.doubted["r04"] for name in names[:4]) < 0.05
 
 
 def test_the_first_to_see_is_wrong_and_is_outvoted_by_those_who_come_later() -> None:

@@ -18,16 +18,18 @@ import pytest
 
 from agent.clock.run_clock import RunClock
 from agent.kernel.codec import decode
-from agent.kernel.config import Target
+from agent.kernel.config import Access, Target
+from agent.kernel.estimation.signed import entry_bytes, verify
 from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.step_io import Sighting
+from agent.kernel.messages import Estimate
+from agent.kernel.step_io import Inputs, Sighting
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
 from agent.launch import crew, wait_for
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
-from replay.files.channels import FRAME, VISION
+from replay.files.channels import FRAME, STEP_IN, VISION
 from replay.files.frames import MAX_FRAME, Picture, pixels
 from replay.files.log import info, read
 from tests.dive_timing import nothing_came_late
@@ -81,6 +83,24 @@ def test_demo_recorded_everything_and_left_no_process(run: Path) -> None:
     assert not processes_with(str(run))
 
 
+def test_demo_signed_all_that_it_sent_and_left_no_private_key(run: Path) -> None:
+    first = next(record.data for record in read(run / "r2.mcap") if record.channel == STEP_IN.name)
+    public = decode(first, Inputs, limit=1 << 20).keys
+    assert set(public) == {"r1", "r2", "r3"}
+    links = [
+        record.data for record in read(run / "fleet.mcap") if record.channel.startswith("/zenoh/aucamp/tank/link/")
+    ]
+    said = [estimate for data in links if (estimate := decode(data, Estimate)).gossip is not None]
+    origins = set()
+    for estimate in said:
+        for entry in estimate.gossip.entries:
+            signed = entry_bytes(estimate.fleet, estimate.target, estimate.gossip.epoch, entry)
+            assert verify(public[entry.origin], entry.signature, signed)
+            origins.add(entry.origin)
+    assert origins == set(public)
+    assert not [path for path in run.rglob("*") if ".sign" in path.name]
+
+
 def test_the_told_turned_before_they_saw(run: Path) -> None:
     """r2 and r3 start with the ball out of view: blind, then told, then sees, in their own black boxes."""
     from agent.kernel.step_io import Outputs
@@ -105,6 +125,7 @@ def test_a_killed_twin_is_noticed_and_the_agents_talk_on(run: Path, tmp_path) ->
     with temporary_folder() as folder, crew(tmp_path / "logs") as processes:
         fleet = load_fleet(run / "fleet.toml")
         fleet = msgspec.structs.replace(fleet, twin=msgspec.structs.replace(fleet.twin, dir=str(folder)))
+        fleet = msgspec.structs.replace(fleet, access=Access())  # the demo's keys have gone with it
         path = run / "again.toml"
         path.write_text(dump(fleet))
         clock = RunClock(clock_path(fleet))
@@ -154,7 +175,7 @@ def test_a_thing_in_a_box_is_found_measured_and_told(run: Path, tmp_path) -> Non
         }
         thing = Target(detector="box", picture=str(tmp_path / "thing.png"), box=box)
         twin = msgspec.structs.replace(fleet.twin, dir=str(folder))
-        fleet = msgspec.structs.replace(fleet, target={"thing": thing}, robot=two, twin=twin)
+        fleet = msgspec.structs.replace(fleet, access=Access(), target={"thing": thing}, robot=two, twin=twin)
         path = run / "thing.toml"
         path.write_text(dump(fleet))
         processes.start("twin", "twin", str(path), "--speed", "max")

@@ -1,0 +1,31 @@
+"""How long messages of one neighbour are on their way, beyond the quickest of them: clocks that differ cancel."""
+
+from __future__ import annotations
+
+WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
+BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
+STEP_NS = 1_000_000_000  # a message that was quicker by more than this tells of another clock, or lies
+LOST_NS = 60_000_000_000  # and one that was slower by more than this: links give up long before
+INSISTS = 3  # such messages in a row, after which it is another clock
+
+
+class Transit:
+    """Memory of one neighbour since its start."""
+
+    def __init__(self) -> None:
+        self._bins: dict[int, int] = {}  # the quickest of each second
+        self._stepped = 0  # messages in a row that were too quick
+
+    def late_ns(self, transit_ns: int, arrived_ns: int) -> int:
+        """How long a message was queued; transit_ns: its arrival on our clock less its stamp on the sender's."""
+        late_ns = transit_ns - min(self._bins.values(), default=transit_ns)
+        self._stepped = self._stepped + 1 if not -STEP_NS <= late_ns <= LOST_NS else 0
+        if 0 < self._stepped < INSISTS:
+            return max(0, late_ns)
+        if self._stepped:
+            self._bins, self._stepped = {}, 0
+        now_bin = arrived_ns // BIN_NS
+        self._bins[now_bin] = min(transit_ns, self._bins.get(now_bin, transit_ns))
+        for old in [b for b in self._bins if b < now_bin - WINDOW_NS // BIN_NS]:
+            del self._bins[old]
+        return transit_ns - min(self._bins.values())
