@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from agent.kernel.codec import encode
-from agent.kernel.step_io import Heard, Outputs
+from agent.kernel.step_io import Heard, Inputs, Outputs
 from tests.fuzz.invariants import Broken, Watch
 from tests.fuzz.swarm import START_NS, STEP_NS, Robot, Scene, record, wake
 
 SLOW_S = 0.25  # of the processor, for one step
+PASSED = 2  # messages of a neighbour about a target that the transport gives to a step
 QUIET_STEPS = 240  # after the last lie: by then every neighbour is heard again
 FRESH_NS = 1_000_000_000
 
@@ -30,6 +31,7 @@ class Plan(NamedTuple):
     mouths: tuple[str, ...]  # whose words the lies seem to be
     silent: bool  # those robots say nothing else meanwhile
     quiet: bool  # afterwards there are no lies, and all neighbours must be heard again
+    net: bool = False  # the net is under the step, as on a robot; without it an exception shows where it came from
 
     @property
     def alone(self) -> bool:
@@ -40,6 +42,8 @@ def play(plan: Plan, tell: Tell, told: list[tuple[int, str, bytes]] | None = Non
     """Step through the plan; what was broken, with its step. Ends at an exception. `told` takes down the lies."""
     recording = record(plan.scene)
     robot = wake(recording, plan.start, plan.victim)
+    if not plan.net:
+        robot.agent.net.step = bare  # type: ignore[method-assign]
     watch = Watch(recording, robot, plan.alone)
     lying = min(plan.start + plan.steps, plan.scene.steps)
     end = min(lying + QUIET_STEPS, plan.scene.steps) if plan.quiet else lying
@@ -59,12 +63,20 @@ def play(plan: Plan, tell: Tell, told: list[tuple[int, str, bytes]] | None = Non
             yield step, crash(error)
             return
         taken_s = time.process_time() - started_s
-        if taken_s > SLOW_S:
+        if taken_s > SLOW_S and len(lies) <= PASSED * len(plan.mouths) * plan.scene.targets:
             yield step, Broken("slow", f"{taken_s:.2f} s for a step that heard {len(heard)} messages")
+        if (fault := robot.agent.net.fault(now_ns)) is not None:
+            yield step, Broken("net", fault)
+            return
         for broken in watch.check(outputs, step):
             yield step, broken
     if plan.quiet and end - lying == QUIET_STEPS:
         yield from ((end, broken) for broken in deaf(robot))
+
+
+def bare(state: object, work: Callable[[Inputs, int], Outputs], inputs: Inputs, now_ns: int) -> Outputs:
+    """A step without a net."""
+    return work(inputs, now_ns)
 
 
 def deaf(robot: Robot) -> Iterator[Broken]:

@@ -40,7 +40,7 @@ class Watch:
         self._last_epoch = {
             name: max(step[name].epoch for step in recording.known[robot.name]) for name in recording.fleet.target
         }
-        self._own: dict[str, tuple[object, int]] = {}  # target -> the table with an own entry, and its count
+        self._own: dict[str, tuple[object, int]] = {}  # target -> which entry is our own, and its count
 
     def check(self, outputs: Outputs, step: int) -> Iterator[Broken]:
         """What the step broke that was the recording's `step`."""
@@ -89,15 +89,18 @@ class Watch:
         return all(known[name][step][target].measurements >= SEEN for name in known)
 
     def _own_entries(self) -> Iterator[Broken]:
-        """An entry of one's own is never lost, and never becomes less, while its epoch lasts."""
+        """The entry that a robot adds to is never lost, and never becomes less, while its epoch lasts."""
         for name, target in self._robot.agent.targets.items():
             mode = getattr(target.estimator, "_mode", None)
-            entries = getattr(getattr(mode, "_table", None), "entries", {})
-            count = sum(entry.count for key, entry in entries.items() if key[0] == self._robot.name)
-            table, before = self._own.get(name, (mode, 0))
-            if table is mode and count < before:
-                yield Broken("own entry", f"{before} own samples became {count}")
-            self._own[name] = (mode, max(count, before) if table is mode else count)
+            if (table := getattr(mode, "_table", None)) is None:
+                continue
+            key = target.estimator._me.key  # type: ignore[attr-defined]
+            entry = table.entries.get(key)
+            count = 0 if entry is None else entry.count
+            before, had = self._own.get(name, (None, 0))
+            if before == (id(mode), key) and count < had:
+                yield Broken("own entry", f"{had} own samples became {count}")
+            self._own[name] = ((id(mode), key), count)
 
 
 def _travels(message: Estimate | State, kind: type[Estimate] | type[State]) -> Iterator[Broken]:
