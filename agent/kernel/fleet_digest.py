@@ -1,10 +1,50 @@
-"""What all fleet files of one fleet have to say alike, as a digest: robots compare it before they agree."""
+"""What all fleet files of a fleet have to share, in sixteen characters that travel with every message.
+
+Robots whose files differ here would add up what does not belong together, or wait for each other in vain. What a robot
+has for itself is left out: its place, depth, look, devices, camera and body, where its files lie, how often it speaks.
+"""
 
 from __future__ import annotations
 
-from agent.kernel.config import Fleet
+import hashlib
+from typing import Any
+
+import msgspec
+
+from agent.kernel.config import Fleet, Target
 
 
 def common(fleet: Fleet) -> str:
-    """Placeholder until the network's part is merged."""
-    return ""
+    """Digest of what the robots of a fleet have to agree on: 16 hexadecimal digits of SHA-256.
+
+    The order of tables, of robots and of neighbours does not count, nor does 1 for 1.0.
+    """
+    shared = {
+        "fleet": fleet.fleet,
+        "tank": msgspec.to_builtins(fleet.tank),
+        "refractive_index": fleet.water.refractive_index,  # how murky the water is, is the twin's business
+        "estimation": msgspec.to_builtins(fleet.estimation),
+        "target": {name: _target(target) for name, target in fleet.target.items()},
+        "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
+    }
+    text = msgspec.json.encode(_plain(shared), order="sorted")
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _target(target: Target) -> dict[str, Any]:
+    """What it is. Pictures, the boxes in them and models are files, and each robot may have its own."""
+    if target.detector != "ball":
+        return {"detector": target.detector}
+    size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
+    return {"detector": target.detector, "colour": target.ball_colour, **size}
+
+
+def _plain(value: Any) -> Any:
+    """The same with every number as a float: who makes a fleet without a file may write 1 for 1.0."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    if isinstance(value, bool) or not isinstance(value, int):
+        return value
+    return float(value)

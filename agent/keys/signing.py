@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
 
 from agent.kernel.estimation.signed import entry_bytes, proposal_bytes, sample_bytes
-from agent.kernel.messages import Entry, Estimate, Sample
+from agent.kernel.messages import Entry, Estimate, Proposal, Sample
 
 KEPT = 1024  # signatures: 48 samples of each of 20 targets, and room for entries and proposals
 
@@ -27,8 +27,8 @@ def unsigned(estimate: Estimate) -> Estimate:
 def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
     """What signs for this robot. The same entry to several neighbours, or again, costs one signature.
 
-    Signed is what carries the robot's name, has no signature, and is of this start or a later incarnation: what it
-    measured in an earlier life comes back from others with its signature, or is not its own.
+    Signed is what carries the robot's name, has no signature, and is of this start or later: what it said in an earlier
+    life comes back from others with its signature, or is not its own.
     """
     signature = lru_cache(KEPT)(private.sign)  # Ed25519 has no chance in it: equal bytes, equal signature
 
@@ -38,23 +38,29 @@ def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
             return estimate
         fleet, target, epoch, start = estimate.fleet, estimate.target, gossip.epoch, estimate.incarnation
 
-        def own(origin: str, said: Entry | Sample) -> bool:
-            return origin == robot and not said.signature and said.incarnation >= start
+        def own(name: str, began_ns: int, said: Entry | Sample | Proposal) -> bool:
+            return name == robot and not said.signature and began_ns >= start
 
         return replace(
             estimate,
             gossip=replace(
                 gossip,
                 entries=tuple(
-                    replace(e, signature=signature(entry_bytes(fleet, target, epoch, e))) if own(e.origin, e) else e
+                    replace(e, signature=signature(entry_bytes(fleet, target, epoch, e)))
+                    if own(e.origin, e.incarnation, e)
+                    else e
                     for e in gossip.entries
                 ),
                 samples=tuple(
-                    replace(s, signature=signature(sample_bytes(fleet, target, epoch, s))) if own(s.origin, s) else s
+                    replace(s, signature=signature(sample_bytes(fleet, target, epoch, s)))
+                    if own(s.origin, s.incarnation, s)
+                    else s
                     for s in gossip.samples
                 ),
                 proposals=tuple(
-                    replace(p, signature=signature(proposal_bytes(fleet, target, p))) if p.proposer == robot else p
+                    replace(p, signature=signature(proposal_bytes(fleet, target, p)))
+                    if own(p.proposer, p.since_ns, p)
+                    else p
                     for p in gossip.proposals
                 ),
             ),

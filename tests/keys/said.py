@@ -22,7 +22,7 @@ def sample(origin: str = "r1", number: int = 7, **about: Any) -> Sample:
 
 
 def proposal(proposer: str = "r1", **about: Any) -> Proposal:
-    return Proposal(proposer=proposer, **{"incarnation": START, "counter": 4, "moving": False, **about})
+    return Proposal(proposer=proposer, **{"since_ns": START + 9, "counter": 4, "moving": False, **about})
 
 
 def said(*word: Entry | Sample | Proposal, dst: str = "r2", **about: Any) -> Estimate:

@@ -95,7 +95,7 @@ def test_its_own_word_of_an_earlier_life_passes_as_it_came() -> None:
         entry(incarnation=START - 10, signature=FOREIGN),
         entry(incarnation=START - 20),
         sample(incarnation=START - 10),
-        proposal(incarnation=START - 10),
+        proposal(since_ns=START - 10),
     )
     assert signing("r1", KEY)(said(*earlier)) == said(*earlier)
 

@@ -19,7 +19,7 @@ from agent.kernel.codec import decode
 from agent.kernel.estimation.evidence import ENTRIES
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.mailbox import Letter
-from agent.kernel.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding
+from agent.kernel.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding, Proposal
 from tests.kernel.estimation.linked_robots import COV, NAMES, SECOND_NS, Net, line
 from tests.places import ROOT
 
@@ -183,9 +183,10 @@ def test_nobody_writes_under_our_name_and_what_is_refused_changes_nothing() -> N
     strange = msgspec.structs.replace(forged, origin="stranger", count=1)
     base = decode(net.letter("r01", "r00"), Estimate)
     letter = msgspec.structs.replace(base, gossip=Gossip(entries=(forged, strange), digest=(Holding("x", 1, 1),)))
-    assert robot.hear(Letter(letter, net.now_ns, 0)) == ("forged", "unknown origin")
-    hijack = msgspec.structs.replace(base, gossip=Gossip(Epoch(5, True, "stranger")))
+    assert robot.hear(Letter(letter, net.now_ns, 0)) == ("own name", "unknown origin")
+    hijack = msgspec.structs.replace(base, gossip=Gossip(Epoch(5, True), proposals=(Proposal("x", 0, 5, True),)))
     assert robot.hear(Letter(hijack, net.now_ns, 0)) == ("unknown origin",)
+    assert robot.epoch == Epoch()
     robot.tick(None, net.boxes["r00"], net.now_ns)
     assert robot.posterior == before
 

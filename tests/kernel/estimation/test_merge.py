@@ -86,7 +86,7 @@ def test_joining_tables_is_commutative_associative_and_idempotent(first, second,
     assert joined(a, b).opinions() == joined(b, a).opinions(), "to the last bit"
 
 
-@given(st.lists(st.integers(1, 5), min_size=1, max_size=6), st.integers(0, 2**32))
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=INCARNATIONS), st.integers(0, 2**32))
 @settings(max_examples=60, deadline=None)
 def test_restarts_split_the_sum_and_lose_nothing(lives, seed) -> None:
     """A robot that measures under several incarnations says what one that never stopped says."""

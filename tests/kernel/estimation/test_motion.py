@@ -110,14 +110,14 @@ def test_freezing_changes_nothing_but_the_work() -> None:
 
 
 def test_ages_add_up_over_relays_whose_clocks_disagree() -> None:
-    """Exposed at 100 s of r1; r2 is an hour ahead and holds it 2 s, r3 a day behind."""
-    hour_ns, day_ns = 3600 * SECOND_NS, -24 * 3600 * SECOND_NS
+    """Exposed at 100 s of r1; r2 is an hour ahead and holds it 2 s, r3 half an hour behind."""
+    hour_ns, half_ns = 3600 * SECOND_NS, -1800 * SECOND_NS
     r1, r2, r3 = Window(BOUNDS), Window(BOUNDS), Window(BOUNDS)
     key = ("r1", 1, 1)
     r1.measure(key, Held(100 * SECOND_NS, INFORMATION, apply(INFORMATION, (0.5, 0.5, 0.1))))
     take(r2, r1.sample(key, 101 * SECOND_NS), 101 * SECOND_NS + hour_ns)
-    take(r3, r2.sample(key, 103 * SECOND_NS + hour_ns), 103 * SECOND_NS + day_ns)
-    assert r3.samples[key].t_ns == 100 * SECOND_NS + day_ns
+    take(r3, r2.sample(key, 103 * SECOND_NS + hour_ns), 103 * SECOND_NS + half_ns)
+    assert r3.samples[key].t_ns == 100 * SECOND_NS + half_ns
 
 
 def test_a_digest_names_each_sample_that_is_held() -> None:

@@ -77,7 +77,7 @@ def test_the_track_is_that_of_filterpy(seed) -> None:
     samples = path(np.random.default_rng(seed), 20)
     oracle, track = filterpy_track(samples), None
     for h in (held(*sample) for sample in samples):
-        track = begin(*h) if track is None else correct(predict(track, h.t_ns), h.information, h.vector)
+        track = begin(*h[:3]) if track is None else correct(predict(track, h.t_ns), h.information, h.vector)
     assert (*track.x_m, *track.v_m_s) == pytest.approx(oracle.x[:, 0], abs=1e-9)
     C = np.reshape(track.C, (3, 3))
     assert np.block([[full(track.A), C], [C.T, full(track.D)]]) == pytest.approx(oracle.P, abs=1e-12, rel=1e-9)
