@@ -23,7 +23,9 @@ TURN = 4000  # messages, payloads or streams of a part before it is the next one
 
 def main(
     part: Annotated[parts.Name, typer.Argument(help="what to fuzz")] = "all",
-    count: Annotated[int, typer.Option(help="of each part: messages for each protocol, bytes for each decoder; 0: no end")] = 0,
+    count: Annotated[
+        int, typer.Option(help="of each part: messages for each protocol, bytes for each decoder; 0: no end")
+    ] = 0,
     seed: Annotated[int | None, typer.Option(help="the same seed gives the same inputs; else any")] = None,
     seconds: Annotated[float, typer.Option(help="0: until Ctrl-C, or until --count")] = 0.0,
     protocol: Annotated[Protocol | None, typer.Option(help="of the kernel; else all three")] = None,

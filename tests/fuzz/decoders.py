@@ -46,7 +46,10 @@ def decoders() -> tuple[Decoder, ...]:
     viewers = ViewerChannels(some)
     shown = ((topics.STATE, State), (topics.LOG, LogLine), (topics.IMAGE, Image), (topics.LINK, Estimate))
     return (
-        *(Decoder(f"codec.{kind.__name__}", partial(_codec, kind), partial(_payload, kind)) for kind in sorted(set(kinds), key=str)),
+        *(
+            Decoder(f"codec.{kind.__name__}", partial(_codec, kind), partial(_payload, kind))
+            for kind in sorted(set(kinds), key=str)
+        ),
         Decoder("shown", _shown, partial(_payload, State)),
         Decoder("request", partial(_socket, frame_socket.parse_request), _request),
         Decoder("reply", partial(_socket, frame_socket.parse_reply), _reply),
@@ -55,7 +58,10 @@ def decoders() -> tuple[Decoder, ...]:
         Decoder("yuyv", partial(_picture, YUYV), lambda rng: rng.randbytes(2 * WIDTH * HEIGHT)),
         Decoder("key", _key, _address),
         Decoder("signature", _signature, lambda rng: rng.randbytes(200)),
-        *(Decoder(f"viewer.{topic.name}", partial(_viewer, viewers, topic), partial(_payload, kind)) for topic, kind in shown),
+        *(
+            Decoder(f"viewer.{topic.name}", partial(_viewer, viewers, topic), partial(_payload, kind))
+            for topic, kind in shown
+        ),
     )
 
 
@@ -169,7 +175,10 @@ def _jpeg(rng: Random) -> bytes:
 
 
 def _address(rng: Random) -> bytes:
-    parts = [rng.choice(("aucamp", "tank", "link", "robot", "r1", "state", "*", "**", "", str(integer(rng)))) for _ in range(rng.randrange(1, 9))]
+    parts = [
+        rng.choice(("aucamp", "tank", "link", "robot", "r1", "state", "*", "**", "", str(integer(rng))))
+        for _ in range(rng.randrange(1, 9))
+    ]
     return "/".join(parts).encode()
 
 

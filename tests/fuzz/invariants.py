@@ -1,14 +1,14 @@
-"""What must hold after every step of a robot, whatever it was told. Each check gives a name to count by and a figure."""
+"""What must hold after every step of a robot, whatever it was told: each check gives a name to count by and a figure."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from agent.kernel.codec import Refusal, decode, encode
 from agent.kernel.estimation.matrix import semidefinite, trace
-from agent.kernel.messages import Estimate, State
+from agent.kernel.messages import Estimate, State, Vector
 from agent.kernel.step_io import Outputs
 from tests.fuzz.sizes import largest
 from tests.fuzz.swarm import STEP_NS, Known, Recording, Robot
@@ -16,6 +16,8 @@ from tests.fuzz.swarm import STEP_NS, Known, Recording, Robot
 MOVED_M = 0.06  # coarse: what one liar of three may move who sees the target; the experiment has the exact bars
 AHEAD = 3  # iterations before what an honest swarm had reached
 EPOCHS_PER_S = 0.1  # counters of epochs that time allows
+UNSEEN_EPOCHS = 1000  # by which a robot follows one other where fewer than three see the target
+LAST_EPOCH = 10**8  # two that lie together may lead so far, and no farther
 KINDS = 40  # of refusals
 LONGEST = 3000  # entries of any container of an agent
 LINES = 40  # of the log, of one step
@@ -34,8 +36,12 @@ class Broken(NamedTuple):
 class Watch:
     """Follows one robot of a recording from the step at which it was woken."""
 
-    def __init__(self, recording: Recording, robot: Robot, alone: bool) -> None:
-        """alone: one neighbour lies and the other is honest, so that more can be promised."""
+    def __init__(
+        self, recording: Recording, robot: Robot, alone: bool, unlied: Callable[[int, str], Vector | None]
+    ) -> None:
+        """alone: one neighbour lies and the other is honest, so that more can be promised. unlied: step and target ->
+        where the robot would place it, had it heard the same without the lies."""
+        self._unlied = unlied
         self._recording, self._robot, self._alone = recording, robot, alone
         self._last_epoch = {
             name: max(step[name].epoch for step in recording.known[robot.name]) for name in recording.fleet.target
@@ -74,12 +80,13 @@ class Watch:
             yield Broken("held back", f"iteration {said.t}, where an honest swarm has {honest.t}")
         if said.gossip is None:
             return
-        may = self._last_epoch[said.target] + 2 + (step * STEP_NS * 1e-9) * (EPOCHS_PER_S if self._alone else 20.0)
-        if said.gossip.epoch.counter > may:
+        seen = self._all_see(said.target, step)
+        may = self._last_epoch[said.target] + 2 + step * STEP_NS * 1e-9 * EPOCHS_PER_S + (0 if seen else UNSEEN_EPOCHS)
+        if said.gossip.epoch.counter > (may if self._alone else LAST_EPOCH):
             yield Broken("epoch", f"{said.gossip.epoch}, where {may:.0f} would be the most")
-        if self._alone and said.x_m is not None and honest.x_m is not None and self._all_see(said.target, step):
+        if self._alone and seen and said.x_m is not None and honest.x_m is not None:
             moved_m = math.dist(said.x_m, honest.x_m)
-            if moved_m > MOVED_M:
+            if moved_m > MOVED_M and math.dist(said.x_m, self._unlied(step, said.target) or said.x_m) > MOVED_M:
                 yield Broken("moved", f"by {moved_m * 1e3:.0f} mm")
 
     def _all_see(self, target: str, step: int) -> bool:

@@ -11,7 +11,7 @@ from tests.fuzz import cases
 from tests.fuzz.episode import Lie, Plan, Tell, outcome, play
 from tests.fuzz.invariants import Broken
 from tests.fuzz.shrink import shrink
-from tests.fuzz.swarm import ROBOTS, STEP_NS, SAVED_S, Scene, record
+from tests.fuzz.swarm import ROBOTS, SAVED_S, STEP_NS, Scene, record
 from tests.fuzz.tellers import teller
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
@@ -28,7 +28,13 @@ def scenes(protocol: Protocol, seconds: float = 40.0) -> list[Scene]:
         return [Scene(protocol, seconds=seconds), Scene(protocol, targets=2, seconds=seconds)]
     return [
         Scene(protocol, targets=targets, moving=moving, keys=keys, seconds=seconds)
-        for targets, moving, keys in ((1, False, False), (1, False, True), (1, True, True), (2, False, True), (1, True, False))
+        for targets, moving, keys in (
+            (1, False, False),
+            (1, False, True),
+            (1, True, True),
+            (2, False, True),
+            (1, True, False),
+        )
     ]
 
 
@@ -76,7 +82,9 @@ class Fuzzer:
     def _keep_fault(self, plan: Plan, told: Told, step: int, fault: Broken, seed: str) -> None:
         took_s = time.process_time() - self._began_s
         self.found[f"{plan.scene.protocol}: {fault.name}"] = fault
-        self._say(f"{plan.scene.named()}: {fault.name}: {fault.detail} [{seed}, {self.messages} messages, {took_s:.1f} s]")
+        self._say(
+            f"{plan.scene.named()}: {fault.name}: {fault.detail} [{seed}, {self.messages} messages, {took_s:.1f} s]"
+        )
         if self._keep:
             small = shrink([lie for lie in told if lie[0] <= step], lambda part: breaks(plan, part, fault.name), TRIES)
             path = cases.write(plan, small, fault, seed)

@@ -8,10 +8,10 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
-from tests.fuzz import swarm
-from tests.fuzz.values import integer, number, of_type, text
 from agent.kernel.estimation import signed
 from agent.kernel.messages import Entry, Epoch, Proposal, Sample
+from tests.fuzz import swarm
+from tests.fuzz.values import integer, number, of_type, text
 
 Plain = Any  # maps, lists, numbers
 FAR_M = (-0.4, 1.9)  # places are drawn from here along every axis: in the tank, a little outside, and far

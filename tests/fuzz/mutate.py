@@ -97,6 +97,8 @@ def bomb(rng: Random) -> bytes:
             return bytes([0x80 + len(fields) + 1]) + bytes(msgpack.packb(fields))[1:] + b"\xa6gossip" + inner
         case 3:
             start = rng.choice((b"\xdd", b"\xdf", b"\xc6", b"\xdb", b"\xc9"))
-            return start + rng.choice((b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x0f\xff\xff")) + rng.randbytes(8)
+            return (
+                start + rng.choice((b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x0f\xff\xff")) + rng.randbytes(8)
+            )
         case _:
             return rng.randbytes(rng.choice((0, 1, 16, 300, 16 * 1024, 16 * 1024 + 1)))

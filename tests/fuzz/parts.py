@@ -14,7 +14,11 @@ from tests.fuzz.kernel import PROTOCOLS, Fuzzer, scenes
 
 Name = Literal["kernel", "decoders", "wire", "firmware", "recordings", "all"]
 Say = Callable[[str], object]
-ELSEWHERE = {"wire": "tests.fuzz.host_bytes", "firmware": "tests.fuzz.firmware_bytes", "recordings": "tests.fuzz.recordings"}
+ELSEWHERE = {
+    "wire": "tests.fuzz.host_bytes",
+    "firmware": "tests.fuzz.firmware_bytes",
+    "recordings": "tests.fuzz.recordings",
+}
 SOCKETS = ("request", "reply", "frames")  # decoders that belong to the wire
 
 

@@ -156,9 +156,7 @@ def fleet_of(scene: Scene) -> Fleet:
         for name in ROBOTS
     }
     access = replace(fleet.access, keys="keys" if scene.keys else None)
-    return replace(
-        fleet, robot=robots, access=access, estimation=replace(fleet.estimation, protocol=scene.protocol)
-    )
+    return replace(fleet, robot=robots, access=access, estimation=replace(fleet.estimation, protocol=scene.protocol))
 
 
 def places(scene: Scene, since_ns: int) -> dict[str, Vector]:
@@ -201,5 +199,3 @@ def sign(said: Estimate, name: str) -> Estimate:
     ]
     parts = {"entries": tuple(entries), "samples": tuple(samples), "proposals": tuple(proposals)}
     return replace(said, gossip=Gossip(gossip.epoch, digest=gossip.digest, **parts))
-
-

@@ -1,4 +1,4 @@
-"""What liars say at each step: messages made up, mutated, of wild types, broken bytes and bombs, in honest envelopes."""
+"""What liars say at each step: made up, mutated, of wild types, broken bytes and bombs, in honest envelopes."""
 
 from __future__ import annotations
 
