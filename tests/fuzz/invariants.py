@@ -1,4 +1,4 @@
-"""What must hold after every step of a robot, whatever it was told: each check gives a name to count by and a figure."""
+"""What must hold after every step of a robot, whatever it was told. A check gives a name to count by and a figure."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ MOVED_M = 0.06  # coarse: what one liar of three may move who sees the target; t
 AHEAD = 3  # iterations before what an honest swarm had reached
 EPOCHS_PER_S = 0.1  # counters of epochs that time allows
 UNSEEN_EPOCHS = 1000  # by which a robot follows one other where fewer than three see the target
+SETTLED_STEPS = 60  # after a change of the epoch, until one robot can be compared with another
+LEFT_STEPS = 400  # in which a robot finds into the epoch of the others
 LAST_EPOCH = 10**8  # two that lie together may lead so far, and no farther
 KINDS = 40  # of refusals
 LONGEST = 3000  # entries of any container of an agent
@@ -46,6 +48,7 @@ class Watch:
         self._last_epoch = {
             name: max(step[name].epoch for step in recording.known[robot.name]) for name in recording.fleet.target
         }
+        self._epochs: dict[str, tuple[bool, int]] = {}  # target -> whether it is the others' one, and since which step
         self._own: dict[str, tuple[object, int]] = {}  # target -> which entry is our own, and its count
 
     def check(self, outputs: Outputs, step: int) -> Iterator[Broken]:
@@ -84,7 +87,17 @@ class Watch:
         may = self._last_epoch[said.target] + 2 + step * STEP_NS * 1e-9 * EPOCHS_PER_S + (0 if seen else UNSEEN_EPOCHS)
         if said.gossip.epoch.counter > (may if self._alone else LAST_EPOCH):
             yield Broken("epoch", f"{said.gossip.epoch}, where {may:.0f} would be the most")
-        if self._alone and seen and said.x_m is not None and honest.x_m is not None:
+        same, since = self._epochs.get(said.target, (True, step - SETTLED_STEPS))
+        if same != (said.gossip.epoch.counter == honest.epoch):
+            same, since = not same, step
+        self._epochs[said.target] = (same, since)
+        if not (self._alone and seen) or step - since < SETTLED_STEPS:
+            return
+        if not same and step - since > LEFT_STEPS:
+            yield Broken(
+                "left", f"in {said.gossip.epoch} for {LEFT_STEPS} steps, where all others are in {honest.epoch}"
+            )
+        if same and said.x_m is not None and honest.x_m is not None:
             moved_m = math.dist(said.x_m, honest.x_m)
             if moved_m > MOVED_M and math.dist(said.x_m, self._unlied(step, said.target) or said.x_m) > MOVED_M:
                 yield Broken("moved", f"by {moved_m * 1e3:.0f} mm")
