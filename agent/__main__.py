@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from agent.commands import calibrating, diving, experimenting, operating, replaying, seeing
+from agent.commands import boards, calibrating, diving, experimenting, operating, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -27,6 +27,7 @@ app.add_typer(diving.app)
 app.add_typer(operating.app)
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
+app.add_typer(boards.app, name="board")
 app.add_typer(experimenting.app, name="experiment")
 app.add_typer(replaying.app, name="replay")
 

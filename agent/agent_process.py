@@ -18,7 +18,7 @@ from agent.fleet_clock import fleet_clock
 from agent.kernel.config import ConfigError, Fleet, Robot
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet, load_robot
-from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine
+from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
 from agent.kernel.ranging.calibration import Calibration, load_calibration
 from agent.kernel.step_io import Sighting
 from agent.keys.robot_keys import RobotKeys, robot_keys
@@ -33,7 +33,8 @@ from agent.stop_signal import until_signal
 from agent.transport import Transport
 from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
-from hw.stm32.driver import Stm32, open_port_path
+from hw.stm32.driver import Stm32
+from hw.stm32.port import open_port_path
 from hw.twin.devices.twin_folder import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.auto_recover import recovering, torn_files
@@ -101,15 +102,19 @@ class AgentProcess:
         """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
         fleet, name, calibration = self._setup.fleet, self._setup.name, self._setup.calibration
         with ExitStack() as links:
-            link = links.enter_context(Transport(fleet, name, self._clock.now_ns))
+            self._link = links.enter_context(Transport(fleet, name, self._clock.now_ns))
             facts = run_facts(fleet, name, self._incarnation)
             self.log = self._stack.enter_context(
                 black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
             )
             self._stack.push(links.pop_all())
         self._box = BlackBoxWriter(self.log, self._clock.now_ns, lossless, RateNotes(self._clock))
-        self._network = self._stack.enter_context(ConsoleLog(link, tell))
-        self._stack.callback(say_goodbye, self._agent, self._network, self._clock)
+        self._network = self._stack.enter_context(ConsoleLog(self._link, tell))
+        self._stack.push(self._say_goodbye)
+
+    def _say_goodbye(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        mode: Mode = "stopped" if kind is None or issubclass(kind, (KeyboardInterrupt, SystemExit)) else "failed"
+        say_goodbye(self._agent, self._network, self._clock, mode)
 
     def open_eyes(self) -> None:
         """The camera's thread, and previews of what it sees."""
@@ -142,14 +147,16 @@ class AgentProcess:
         """The loop over all of this."""
         keys = self._setup.keys
 
-        def faults() -> dict[str, str | None]:
+        def faults() -> tuple[str, ...]:
             given_up = GIVEN_UP if arm and not self._module.wants_armed else None
-            return {
+            found = {
                 "not recording": self.log.failed,
                 "no camera": self._eyes.fault,
+                "frames frozen": self._eyes.frozen,
                 "motors off": given_up,
                 "keys": keys.fault(),
             }
+            return (*(f"{kind}: {what}" for kind, what in found.items() if what), *self._link.faults())
 
         return Runtime(
             self._setup.name,

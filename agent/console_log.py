@@ -10,12 +10,12 @@ from threading import Thread
 from types import TracebackType
 from typing import Protocol, Self
 
-from agent.kernel.messages import Estimate, Image, LogLine, State
+from agent.kernel.messages import Estimate, Image, LogLine, State, fault_kind
 from agent.kernel.step_io import DroppedPayloads, Heard
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands
-SILENT = "no telemetry"  # the fault with which nobody knows what the motors do
+MOTORS = {True: "motors on", False: "motors off"}
 WAITING = 256  # lines that a terminal has not taken; later ones are left out, the network has them all
 LAST_S = 0.5  # how long the end waits for a terminal
 
@@ -89,12 +89,9 @@ def standing(state: State) -> str:
     if state.posterior_m is not None:
         place = " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) + " mm"
         place += f", sigma {1e3 * state.posterior_sigma_m:.1f} mm" if state.posterior_sigma_m is not None else ""
-    motors = "motors on" if state.armed else "motors off"
-    rest = [
-        f"hears {', '.join(hears(state)) or 'nobody'}",
-        *([] if SILENT in state.faults else [motors]),
-        *state.faults,
-    ]
+    wrong = [fault_kind(fault) for fault in state.faults]  # the log has their words
+    motors = [MOTORS[state.armed]] if state.armed is not None else []
+    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong])
     return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(rest)}"
 
 

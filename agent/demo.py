@@ -27,7 +27,7 @@ from agent.fleet_files import fleet_file, shipped_fleet
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Access, ConfigError, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import State
+from agent.kernel.messages import State, fault_kind
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
 from agent.keys.make import FOLDER, make_keys
@@ -223,7 +223,7 @@ def progress_row(state: State | None) -> tuple[str, ...]:
         " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) if state.posterior_m else "-",
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
         " ".join(hears(state)) or "-",
-        ", ".join(state.faults) or ("" if state.armed else "motors off"),
+        ", ".join(map(fault_kind, state.faults)) or ("motors off" if state.armed is False else ""),
     )
 
 

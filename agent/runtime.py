@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from threading import Event
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import msgspec
 from msgspec import UNSET
@@ -14,7 +14,7 @@ from agent.clock.part_names import LOOP, part_name
 from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
-from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine
+from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine, Mode
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, SweepPlan, Telemetry
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
@@ -22,6 +22,7 @@ from hw.firmware.failsafe import SURFACE
 STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 SLACK_S = 0.025  # how late a step may come before a dive's clock waits for it
 
+T = TypeVar("T")
 Record = Callable[[int, int, bytes, bytes | None], None]  # step, now_ns, inputs, outputs; None: the step raised
 
 
@@ -52,19 +53,20 @@ class Runtime:
         record: Record,
         clock: Clock,
         *,
-        faults: Callable[[], Mapping[str, str | None]] = dict,
+        faults: Callable[[], tuple[str, ...]] = tuple,
         resume: Callable[[], None] = lambda: None,
         sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
         keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
     ) -> None:
-        """`faults`: what is wrong now with what the agent does not see, by kind; None: nothing. `resume` is called when
-        a robot rises for no other reason than our silence. `sign`: what it says as it shall leave; the recording has it
-        as the kernel gave it. `keys`: the robots' public keys at the first call and when they have changed, else None.
+        """`faults`: what is wrong now with what the agent does not see, each as "kind: what"; it goes into the step,
+        and from there into State and the log. `resume` is called when a robot rises for no other reason than our
+        silence. `sign`: what it says as it shall leave; the recording has it as the kernel gave it. `keys`: the
+        robots' public keys at the first call and when they have changed, else None.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
         self._faults, self._resume, self._sign, self._keys = faults, resume, sign, keys
-        self._told: dict[str, str | None] = {}  # faults, as they were last told
+        self._broken: dict[str, str] = {}  # parts that raised when they were last asked
 
     def run(self, stop: Event) -> None:
         """Step at 20 Hz of the clock until `stop` is set."""
@@ -81,18 +83,21 @@ class Runtime:
 
     def step(self, number: int) -> None:
         """Once around the loop."""
-        telemetry, lines = self._module.drain()
+        telemetry, lines = self._part("control module", self._module.drain) or ((), ())
         if telemetry and surfacing_for_silence(telemetry[-1]):
             self._resume()
-        heard, refused = self._network.drain()
-        sightings = tuple(self._eyes.drain())
+        heard, refused = self._part("links", self._network.drain) or ((), ())
+        sightings = tuple(self._part("vision", self._eyes.drain) or ())
         now_ns = self._clock.now_ns()
-        keys = self._keys(now_ns)
+        keys = self._part("keys", lambda: self._keys(now_ns))
+        told = self._part("faults", self._faults) or ()
+        faults = (*told, *(f"{name}: {what}" for name, what in self._broken.items()))
         inputs = Inputs(
             telemetry=tuple(telemetry),
             sightings=sightings,
             heard=heard,
             refused=refused,
+            faults=faults or UNSET,
             keys=UNSET if keys is None else keys,
         )
         try:
@@ -100,39 +105,43 @@ class Runtime:
         except Exception:
             self._record(number, now_ns, encode(inputs), None)  # inputs that break a step are what a black box is for
             raise
-        self._tell_faults(now_ns)
-        self._record(number, now_ns, encode(inputs), encode(outputs))
+        self._part("recording", lambda: self._record(number, now_ns, encode(inputs), encode(outputs)))
         self._act(outputs, now_ns)
         for level, text in lines:
             self._log(level, text, now_ns)
 
     def _act(self, outputs: Outputs, now_ns: int) -> None:
         """Hand the outputs of a step to the devices and the network; nothing here waits."""
-        self._module.send(outputs.set_point, now_ns)
-        if outputs.sweep is not None:
-            self._eyes.plan(outputs.sweep)
+        self._part("control module", lambda: self._module.send(outputs.set_point, now_ns))
+        if (sweep := outputs.sweep) is not None:
+            self._part("vision", lambda: self._eyes.plan(sweep))
+        self._part("links", lambda: self._say(outputs))
+
+    def _say(self, outputs: Outputs) -> None:
         for estimate in outputs.says:
             self._network.say(self._sign(estimate))
-        if outputs.state is not None:
-            self._network.show(outputs.state)
-        for line in outputs.log:
-            self._network.show(line)
+        for message in (*(() if outputs.state is None else (outputs.state,)), *outputs.log):
+            self._network.show(message)
 
-    def _tell_faults(self, now_ns: int) -> None:
-        for kind, fault in self._faults().items():
-            if fault != self._told.get(kind):
-                self._told[kind] = fault
-                self._log("warning" if fault else "info", f"{kind}: {fault}" if fault else f"over: {kind}", now_ns)
+    def _part(self, name: str, work: Callable[[], T]) -> T | None:
+        """What a part answers; one that raises is told as a fault until it works again, and the loop goes on."""
+        try:
+            done = work()
+        except Exception as error:  # noqa: BLE001 - the robot is under water
+            self._broken[name] = f"{type(error).__name__}: {error}"[: MAX_TEXT // 2]
+            return None
+        self._broken.pop(name, None)
+        return done
 
     def _log(self, level: Level, text: str, now_ns: int) -> None:
         self._network.show(LogLine(robot=self._name, sent_ns=now_ns, level=level, text=text[:MAX_TEXT]))
 
 
-def say_goodbye(agent: Agent, network: Network, clock: Clock) -> None:
-    """Show the last state of each target: it tells a planned end from a crash."""
+def say_goodbye(agent: Agent, network: Network, clock: Clock, mode: Mode = "stopped") -> None:
+    """Show the last state of each target: it tells a planned end from one by a fault, and both from a crash."""
     for target in agent.targets.values():
         if (state := target.last_state) is not None:
-            network.show(msgspec.structs.replace(state, mode="stopped", seq=state.seq + 1, sent_ns=clock.now_ns()))
+            network.show(msgspec.structs.replace(state, mode=mode, seq=state.seq + 1, sent_ns=clock.now_ns()))
 
 
 def surfacing_for_silence(telemetry: Telemetry) -> bool:

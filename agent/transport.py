@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import contextlib
 import random
-import threading
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import NamedTuple, Self
 
+from agent.clock import machine
 from agent.kernel import topics
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
 from agent.kernel.step_io import DroppedPayloads, Heard
 from agent.kernel.topics import IMAGE, LINK, LOG, STATE, TOPICS, Topic
+from agent.links.inboxes import Inboxes
+from agent.links.presence import Presence
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 
@@ -36,11 +38,7 @@ class Transport:
         self.lost = 0  # outgoing link messages thrown away by fault injection
         self._fleet, self._robot, self._clock = fleet, robot, clock
         self._random = random.Random(f"{fleet.link.loss_seed} {robot}")
-        self._inbox: dict[str, deque[tuple[int, bytes]]] = {
-            name: deque(maxlen=LINK.qos.buffer) for name in fleet.robot[robot].neighbours
-        }
-        self._refused: Counter[str] = Counter()
-        self._lock = threading.Lock()  # guards the inboxes and the counts: zenoh's threads against the loop's
+        self._inboxes, self._presence = Inboxes(fleet, robot), Presence(fleet, robot)
         self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target
         self._shows: dict[tuple[type[Message], str], Publish] = {}  # kind, target
         self._open = contextlib.ExitStack()
@@ -53,7 +51,7 @@ class Transport:
             session = stack.enter_context(Session(peer_config(self._fleet, self._robot), where))
             for target in targets:
                 chunk = topics.target_chunk(targets, target)
-                for name in self._inbox:
+                for name in self._fleet.robot[self._robot].neighbours:
                     key = topics.key(LINK, fleet=self._fleet.fleet, src=self._robot, dst=name, **chunk)
                     self._links[name, target] = session.publisher(LINK, key)
                 self._shows[State, target] = session.publisher(STATE, topics.key(STATE, **names, **chunk))
@@ -61,7 +59,10 @@ class Transport:
             self._shows[Image, ""] = session.publisher(IMAGE, topics.key(IMAGE, **names))
             heard = topics.key(LINK, fleet=self._fleet.fleet, src="*", dst=self._robot, target="**")
             session.subscribe(heard, self._arrived)
-            session.announce(topics.ALIVE.format(**names))
+            session.announce(topics.ALIVE.format(**names, session=session.id))
+            session.watch_tokens(topics.ALIVE.format(fleet="*", robot="*", session="*"), self._token)
+            session.watch_tokens(topics.TWICE.format(**names, witness="*"), self._token)
+            self._session = session
             self._open = stack.pop_all()
         return self
 
@@ -69,18 +70,8 @@ class Transport:
         self._open.close()
 
     def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]:
-        """Link messages since the last call in order of arrival, and how many were turned away, by reason."""
-        with self._lock:
-            arrived = [(at_ns, name, payload) for name, inbox in self._inbox.items() for at_ns, payload in inbox]
-            refused = sorted(self._refused.items())
-            for inbox in self._inbox.values():
-                inbox.clear()
-            self._refused.clear()
-        arrived.sort(key=lambda item: item[0])  # stable: equal stamps of one neighbour keep their order
-        return (
-            tuple(Heard(arrived_ns=at_ns, src=name, payload=payload) for at_ns, name, payload in arrived),
-            tuple(DroppedPayloads(reason=reason, count=count) for reason, count in refused),
-        )
+        """The newest link messages since the last call, neighbours in turn, and how many were turned away."""
+        return self._inboxes.drain(self._clock())
 
     def say(self, estimate: Estimate) -> None:
         """Send to the neighbour `estimate.dst`. Never blocks; under pressure, or by fault injection, it is lost."""
@@ -93,20 +84,15 @@ class Transport:
         """Publish to whoever looks. Never blocks; previews come from vision's thread."""
         self._shows[type(message), message.target if isinstance(message, State) else ""](encode(message))
 
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with who is linked to us, each as "kind: what to do". Never waits; for the loop."""
+        return self._presence.faults(self._session.id, self._session.announce, machine.monotonic_s())
+
+    def _token(self, sample: Sample) -> None:
+        self._presence.token(sample, machine.monotonic_s())  # links and their leases are the wall's
+
     def _arrived(self, sample: Sample) -> None:
-        at_ns = self._clock()
-        row = topics.match(sample.key)
-        name = row[1].get("src", "") if row else ""
-        reason = unusable(sample, LINK) if name in self._inbox else "unknown sender"
-        payload = b"" if reason else sample.payload()
-        with self._lock:
-            if reason:
-                self._refused[reason] += 1
-                return
-            inbox = self._inbox[name]
-            if len(inbox) == inbox.maxlen:
-                self._refused["inbox full"] += 1  # the oldest makes room
-            inbox.append((at_ns, payload))
+        self._inboxes.put(sample, self._clock())
 
 
 class Received(NamedTuple):

@@ -5,6 +5,7 @@ It is an overview. What one robot knew and when is in that robot's own black box
 
 from __future__ import annotations
 
+import json
 import logging
 import threading
 from collections import Counter
@@ -33,6 +34,7 @@ from router_config.session import observer_config
 
 logger = logging.getLogger(__name__)
 
+CHANNELS = 16_384  # keys that are recorded: a mesh of 64 robots has 4,200, and a file can number 65,535 channels
 PERIOD_S = 0.1  # how often arrivals are decoded and handed to the writer
 SILENCE_S = 3.0  # robots publish five times a second: by now something should have come
 BACKLOG_MESSAGES = 8192
@@ -53,11 +55,11 @@ def record(
     Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap.
     Log times are the clock's. `warn` takes one line for a person,
     `views` adds channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
-    has become full, and if no session can be opened.
+    has become full, and if no session can be opened. What no message of a fleet may do is counted, and recorded.
     """
     started_ns = clock.now_ns()
     arrivals, rate = Arrivals(clock.now_ns), RateNotes(clock)
-    warned = False
+    warned = stuck = False
     torn = torn_files(out)
     if torn and not out.exists():
         out = unused(out)  # a recorder that was killed goes on; what was finished on purpose is not added to
@@ -69,14 +71,20 @@ def record(
         while not machine.wait(stop, PERIOD_S):
             for entry in (*arrivals.drain(), *rate.due()):
                 log.put(entry)
+            log.at_end["not_recorded"] = arrivals.not_recorded()
             if log.failed:
                 raise ConfigError(f"{out}: recording stopped: {log.failed}")
+            if stuck is not (stuck := log.fault is not None):
+                warn(f"{out}: {log.fault or 'the disk answers again; info says what was lost'}")
             if not warned and not any(arrivals.counts.values()) and clock.now_ns() - started_ns > SILENCE_S * 1e9:
                 warned = True
                 warn(f"nothing heard from fleet '{fleet.fleet}' in {SILENCE_S:.0f} s: no robot up, or another fleet")
         for entry in arrivals.drain():
             log.put(entry)
-    return {**arrivals.counts, **arrivals.refused}
+        log.at_end["not_recorded"] = arrivals.not_recorded()
+    if log.failed:  # on the way out
+        raise ConfigError(f"{out}: recording stopped: {log.failed}")
+    return {**arrivals.counts, **arrivals.refused, **arrivals.raised}
 
 
 def facts(fleet: Fleet) -> dict[str, str]:
@@ -98,14 +106,16 @@ class Arrivals:
         """`clock` gives Unix nanoseconds that never step back."""
         self.counts = dict.fromkeys([*(topic.name for topic in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
         self.refused: Counter[str] = Counter()  # what is in no file, by reason
+        self.raised: Counter[str] = Counter()  # messages that made trouble, by kind; their bytes are recorded
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._clock = clock
-        self._lock = threading.Lock()  # guards `refused`: Zenoh has a thread per link
+        self._keys: set[str] = set()
+        self._lock = threading.Lock()  # guards `refused` and `_keys`: Zenoh has a thread per link
 
     def message(self, topic: Topic, sample: Sample) -> None:
         """Queue a message of a topic, also one that says another encoding, which is kept with it."""
         at_ns = self._clock()
-        reason = unusable(sample, topic, any_encoding=True)
+        reason = unusable(sample, topic, any_encoding=True) or self._too_many(sample.key)
         if reason:
             self._refuse(reason)
         else:
@@ -121,7 +131,11 @@ class Arrivals:
         """Queue that a robot came or went."""
         at_ns = self._clock()
         data = b'{"alive":true}' if sample.is_put else b'{"alive":false}'
-        self._put(sample.key, at_ns, data, PRESENCE.encoding, {})
+        key = sample.key.rpartition("/")[0]  # without the session
+        if reason := self._too_many(key):
+            self._refuse(reason)
+        else:
+            self._put(key, at_ns, data, PRESENCE.encoding, {})
 
     def drain(self) -> Iterator[Entry]:
         """Entries of a fleet file for what arrived since the last call: the sender's bytes, time and number."""
@@ -145,8 +159,31 @@ class Arrivals:
         except Refusal:
             self.counts["not decoded"] += 1
             return entry
+        except Exception as error:  # noqa: BLE001 - its bytes are recorded, whatever it does to who looks into them
+            self.counts["not decoded"] += 1
+            self.trouble(entry.channel, error)
+            return entry
         sent_ns, number = getattr(message, "sent_ns", entry.log_time_ns), getattr(message, "seq", 0)
         return entry._replace(publish_time_ns=sent_ns, sequence=number)
+
+    def trouble(self, key: str, error: Exception) -> None:
+        """Count what a message did that none should be able to; the log has the first of each kind."""
+        kind = f"raised {type(error).__name__}"
+        self.raised[kind] += 1
+        if self.raised[kind] == 1:
+            logger.warning("a message on %s %s: %s", key, kind, str(error)[:200])
+
+    def not_recorded(self) -> str:
+        """What is in no file, and what made trouble, by reason: JSON."""
+        with self._lock:
+            return json.dumps({**self.refused, "overrun": self.counts["overrun"], **self.raised})
+
+    def _too_many(self, key: str) -> str | None:
+        with self._lock:
+            if key in self._keys or len(self._keys) < CHANNELS:
+                self._keys.add(key)
+                return None
+        return "too many keys"
 
     def _put(
         self, key: str, at_ns: int, data: bytes, encoding: str, about: dict[str, str], expendable: bool = False
@@ -164,7 +201,7 @@ def receiving(fleet: Fleet, arrivals: Arrivals, process: str) -> Iterator[None]:
 
     Topic by topic, so that one that stays mute is seen to be; and to everything, for keys of nobody.
     """
-    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
+    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**", "session": "*"}
     with Session(observer_config(fleet, process), f"fleet '{fleet.fleet}'") as session:
         for topic in topics.TOPICS:
             session.subscribe(topics.key(topic, **anyone), partial(arrivals.message, topic))

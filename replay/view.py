@@ -16,7 +16,7 @@ from agent.clock.clock import Clock
 from agent.kernel.config import ConfigError, Fleet
 from replay.files.backlog import Entry
 from replay.files.clock_rate import RateNotes
-from replay.recorder import PERIOD_S, Arrivals, receiving
+from replay.recorder import CHANNELS, PERIOD_S, Arrivals, receiving
 from replay.viewers.layout import foxglove_layout, shipped
 from replay.viewers.viewer_channels import ViewerChannels
 
@@ -40,6 +40,8 @@ def view(
     channels: dict[str, Any] = {}
 
     def show(entry: Entry) -> None:
+        if entry.channel not in channels and len(channels) == CHANNELS:
+            raise ValueError("too many channels")
         if entry.channel not in channels and entry.schema is not None:
             schema = foxglove.Schema(**entry.schema._asdict())
             channels[entry.channel] = foxglove.Channel(
@@ -56,8 +58,13 @@ def view(
             say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
             while not machine.wait(stop, PERIOD_S):
                 for entry in (*arrivals.drain(), *rate.due()):
-                    for derived in derive(entry):
-                        show(derived)
+                    try:
+                        for derived in derive(entry):
+                            show(derived)
+                    except Exception as error:  # noqa: BLE001 - one message is not shown, all others are
+                        arrivals.trouble(entry.channel, error)
+            if arrivals.raised:
+                say(f"not shown: {', '.join(f'{count} messages {kind}' for kind, count in arrivals.raised.items())}")
         finally:
             server.stop()
 

@@ -11,7 +11,7 @@ import logging
 import re
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import zenoh
 
@@ -20,6 +20,8 @@ from agent.kernel.config import ConfigError
 from agent.kernel.topics import Topic
 
 logger = logging.getLogger(__name__)
+
+PUT = zenoh.SampleKind.PUT
 
 # What zenoh says when it cannot listen, and what a person can do about it.
 REMEDIES = {
@@ -44,7 +46,7 @@ class Sample:
     @property
     def is_put(self) -> bool:
         """Whether something was published or a token appeared; False: something was deleted or a token went."""
-        return bool(self._sample.kind == zenoh.SampleKind.PUT)
+        return bool(self._sample.kind == PUT)
 
     @property
     def encoding(self) -> str:
@@ -62,6 +64,7 @@ class Sample:
 
 Arrived = Callable[[Sample], None]
 Publish = Callable[[bytes], None]
+Withdraw = Callable[[], None]
 
 
 def unusable(sample: Sample, topic: Topic, any_encoding: bool = False) -> str | None:
@@ -88,6 +91,7 @@ class Session:
     def __init__(self, config: str, where: str) -> None:
         """`config` is JSON text of router_config.session; `where` names the process or its endpoint to a person."""
         self._config, self._where = config, where
+        self._tokens: dict[str, Any] = {}
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -122,9 +126,20 @@ class Session:
         """Have `arrived` called with every sample of other processes on `key`, which may have wildcards."""
         self._session.declare_subscriber(key, _direct(arrived), allowed_origin=zenoh.Locality.REMOTE)
 
-    def announce(self, key: str) -> None:
-        """Show a liveliness token for as long as the session is open."""
-        self._open.enter_context(self._session.liveliness().declare_token(key))
+    @property
+    def id(self) -> str:
+        """What tells this session from all others: hexadecimal digits, 32 at most."""
+        return str(self._session.zid())
+
+    def announce(self, key: str) -> Withdraw:
+        """Show a liveliness token for as long as the session is open, or until the function returned is called."""
+        token = self._session.liveliness().declare_token(key)
+        self._tokens[key] = token  # it goes when nobody holds it
+
+        def withdraw() -> None:
+            self._tokens.pop(key).undeclare()
+
+        return withdraw
 
     def watch_tokens(self, key: str, arrived: Arrived) -> None:
         """Have `arrived` called with every token on `key` that is there, comes or goes."""

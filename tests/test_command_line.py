@@ -50,6 +50,8 @@ MISTAKES = [
     (["keys", TANK], "Missing option '--out'"),
     (["keys", TANK, "--out", "keys", "--only", "r9"], "no robot 'r9'; the file has r1, r2"),
     (["keys", TANK, "--out", "strange.toml"], "strange.toml: cannot be made (File exists); give --out another folder"),
+    (["board", "reboot", "nowhere.toml", "--robot", "r1"], "no such file"),
+    (["board", "reboot", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["replay", "report", "nowhere"], "nowhere: cannot be read"),
     (["twin", "nowhere.toml"], "no such file"),

@@ -60,7 +60,12 @@ def test_a_neighbour_that_falls_silent_is_news() -> None:
 def test_nobody_claims_to_know_the_motors_of_a_board_that_is_silent() -> None:
     where = standing(state(posterior_m=(0.76, 0.56, 0.07), posterior_sigma_m=0.0016, armed=True))
     assert where == "ball: sees at iteration 7, 760.0 560.0 70.0 mm, sigma 1.6 mm; hears r2; motors on"
-    assert "motors" not in standing(state(armed=True, faults=("no telemetry",)))
+    assert standing(state(armed=None, faults=("no telemetry",))).endswith("hears r2; no telemetry")
+
+
+def test_a_fault_is_said_by_its_kind_and_once() -> None:
+    where = standing(state(armed=False, faults=("motors off: to start them, do this and that", "no camera: why")))
+    assert where.endswith("hears r2; motors off; no camera")
 
 
 def test_a_terminal_that_is_held_does_not_hold_the_loop() -> None:

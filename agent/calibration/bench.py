@@ -22,7 +22,8 @@ from agent.launch import crew, wait_for
 from agent.run_folder import temporary_folder
 from hw.camera.camera import Camera
 from hw.camera.open import open_camera
-from hw.stm32.driver import Stm32, open_port_path
+from hw.stm32.driver import Stm32
+from hw.stm32.port import open_port_path
 from hw.twin.bench_socket import BenchClient
 from hw.twin.devices.twin_folder import twin_dir
 

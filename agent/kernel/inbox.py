@@ -31,7 +31,8 @@ class Inbox:
     ) -> None:
         """Give what can be believed to the mailbox and to the protocol of the target that it is about."""
         for turned_away in refused:
-            self._count(turned_away.reason, turned_away.count, "transport", "turned away unread", status, now_ns)
+            src = turned_away.src or "a stranger"
+            self._count(turned_away.reason, turned_away.count, src, "turned away unread", status, now_ns)
         for item in heard:
             try:
                 self._take(item, status, now_ns)

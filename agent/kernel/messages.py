@@ -179,9 +179,9 @@ class State(Message, frozen=True, kw_only=True):
     pan_deg: float = 0.0
     tilt_deg: float = 0.0
     focus: int | None = None
-    armed: bool = False
+    armed: bool | None = None  # none: nobody knows, for the module is silent
     refused: dict[str, int] = {}  # reason -> count of messages not believed
-    faults: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()  # "kind", or "kind: what of it"
 
 
 class LogLine(Message, frozen=True, kw_only=True):
@@ -206,6 +206,11 @@ class Image(Message, frozen=True, kw_only=True):
     enhanced: bool  # False: as the camera gave it
     focus: int | None = None  # lens position, once at rest
     jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG)]
+
+
+def fault_kind(fault: str) -> str:
+    """Which of State.faults this is, whatever its words."""
+    return fault.partition(":")[0]
 
 
 def _finite(value: Any) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from hashlib import sha256
 from typing import NamedTuple
 
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.kernel.savepoint import Savepoint
@@ -40,6 +41,7 @@ class Net:
         self._broken: Broken | None = None
         self._set_point: SetPoint | None = None  # of the newest sound step
         self._in_a_row = 0
+        self._keys: dict[str, bytes] | UnsetType = UNSET  # told in a step that came to nothing
 
     def fault(self, now_ns: int) -> str | None:
         """What broke of late; None when all is well."""
@@ -54,6 +56,9 @@ class Net:
 
     def step(self, state: object, work: Work, inputs: Inputs, now_ns: int) -> Outputs:
         """`work(inputs, now_ns)`, whose effects on `state` are undone where it raises."""
+        if self._keys is not UNSET and inputs.keys is UNSET:
+            inputs = replace(inputs, keys=self._keys)
+        self._keys = UNSET
         if self._refused:
             inputs = replace(inputs, heard=tuple(h for h in inputs.heard if digest(h) not in self._refused))
         before = Savepoint(state, apart=self)
@@ -104,7 +109,8 @@ class Net:
     def _deaf(self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception) -> Outputs:
         """The outputs of the step without messages, then without devices, then without the kernel."""
         self._tell(f"{named(error)}, in a step whose inputs were left out", now_ns)
-        for less in (replace(inputs, heard=()), replace(inputs, heard=(), sightings=()), Inputs()):
+        deaf = replace(inputs, heard=())
+        for less in (deaf, replace(deaf, sightings=()), Inputs(faults=inputs.faults, keys=inputs.keys)):
             try:
                 outputs = work(less, now_ns)
                 self._in_a_row = 0
@@ -112,6 +118,7 @@ class Net:
             except Exception:  # noqa: BLE001
                 before.restore()
         self._in_a_row += 1
+        self._keys = inputs.keys
         held = self._set_point or SetPoint(depth_m=SURFACE_M)
         return Outputs(set_point=replace(held, depth_m=SURFACE_M) if self._in_a_row >= SURFACE_AFTER else held)
 

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 
+from msgspec import UNSET
+
 from agent.kernel.control.attitude import AttitudeLog
 from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.logbook import Logbook
-from agent.kernel.messages import NeighbourState, State, Symmetric
+from agent.kernel.messages import MAX_TEXT, NeighbourState, State, Symmetric, fault_kind
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix
 from agent.kernel.step_io import Inputs, SweepOutcome
 from agent.kernel.target_state import TargetState
 
+FAILSAFE = "failsafe level"
 NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
 
 
@@ -32,7 +35,7 @@ class Status:
         self._started_ns = now_ns
 
     def devices(self, inputs: Inputs, attitude: AttitudeLog, now_ns: int) -> None:
-        """Notice devices that fell silent and devices that came back."""
+        """Notice devices that fell silent, devices that came back, and what else is said to be wrong."""
         for sighting in inputs.sightings:
             self._frame_ns = now_ns
             self._lens_position = sighting.focus if sighting.focus is not None else self._lens_position
@@ -41,15 +44,24 @@ class Status:
             faults.append("no frames")
         if attitude.silent(now_ns, self._started_ns):
             faults.append("no telemetry")
+            faults += [fault for fault in self._faults if fault.startswith(FAILSAFE)]  # nobody knows that it is over
         elif attitude.newest is not None and attitude.newest.ladder > 0:
-            faults.append(f"failsafe level {attitude.newest.ladder}")
+            faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
+        told = () if inputs.faults is UNSET else inputs.faults
+        self._show_faults((*faults, *(text[:MAX_TEXT] for text in told)), now_ns)
+
+    def _show_faults(self, faults: tuple[str, ...], now_ns: int) -> None:
+        """Log what has changed since the last step. Of a fault whose words change, now and then the newest."""
+        before, after = ({fault_kind(fault) for fault in all_of} for all_of in (self._faults, faults))
         for fault in faults:
-            if fault not in self._faults:
+            if fault_kind(fault) not in before:
                 self.log.note("warning", fault, now_ns)
-        for fault in self._faults:
-            if fault not in faults:
-                self.log.note("info", f"over: {fault}", now_ns)
-        self._faults = tuple(faults)
+            elif fault not in self._faults:
+                self.log.note_seldom("warning", fault_kind(fault), fault, now_ns)
+        for kind in dict.fromkeys(map(fault_kind, self._faults)):
+            if kind not in after:
+                self.log.note("info", f"over: {kind}", now_ns)
+        self._faults = faults
 
     def state(
         self,
@@ -89,7 +101,7 @@ class Status:
             pan_deg=gimbal_deg[0],
             tilt_deg=gimbal_deg[1],
             focus=self._lens_position,
-            armed=telemetry.armed if telemetry else False,
+            armed=telemetry.armed if telemetry and not attitude.silent(now_ns, self._started_ns) else None,
             refused=dict(refused),
             faults=self._faults,
         )

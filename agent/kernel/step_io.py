@@ -61,10 +61,11 @@ class DroppedPayloads(Message, frozen=True, kw_only=True):
 
     reason: str
     count: int
+    src: Id | UnsetType = UNSET  # the neighbour on whose keys they came; unset: on a stranger's
 
 
 class Inputs(Message, frozen=True, kw_only=True):
-    """All that arrived since the last step, in order of arrival."""
+    """All that arrived since the last step: devices in order of arrival, neighbours in turn."""
 
     telemetry: tuple[Telemetry, ...] = ()
     sightings: tuple[Sighting, ...] = ()

@@ -26,8 +26,9 @@ class Topic(NamedTuple):
 
 # Congestion control is DROP on every row: a put never blocks a control loop, the next message replaces a lost one.
 # The target stands in the key of a fleet that has several, and is left off where there is only one.
+# Of each neighbour and target the two newest links are kept: a message holds all that the ones before it held.
 LINK = Topic(
-    "link", "aucamp/{fleet}/link/{src}/{dst}[/{target}]", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 64), "src"
+    "link", "aucamp/{fleet}/link/{src}/{dst}[/{target}]", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src"
 )
 STATE = Topic(
     "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
@@ -47,7 +48,9 @@ IMAGE = Topic(
 
 TOPICS = (LINK, STATE, LOG, IMAGE)
 
-ALIVE = "aucamp/{fleet}/alive/{robot}"  # liveliness token: who is listed, never whose word counts
+# Liveliness tokens: who is listed, never whose word counts. Two agents of one name differ in their sessions.
+ALIVE = "aucamp/{fleet}/alive/{robot}/{session}"
+TWICE = "aucamp/{fleet}/twice/{robot}/{witness}"  # the witness is linked to two of this name
 ALL = "aucamp/{fleet}/**"
 EVERY_FLEET = "aucamp/**"
 
@@ -68,6 +71,11 @@ def match(key_text: str) -> tuple[Topic, dict[str, str]] | None:
             if chunks is not None:
                 return topic, chunks
     return None
+
+
+def chunks(pattern: str, key_text: str) -> dict[str, str] | None:
+    """The values of the chunks of a token's key, of ALIVE or TWICE; None for another key."""
+    return _match(pattern.split("/"), key_text.split("/"))
 
 
 def _match(pattern: list[str], parts: list[str]) -> dict[str, str] | None:

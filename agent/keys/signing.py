@@ -11,8 +11,8 @@ from functools import lru_cache
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
 
-from agent.kernel.estimation.signed import entry_bytes, proposal_bytes, sample_bytes
 from agent.kernel.messages import Entry, Estimate, Proposal, Sample
+from agent.kernel.trust.signed import entry_bytes, proposal_bytes, sample_bytes
 
 KEPT = 1024  # signatures: 48 samples of each of 20 targets, and room for entries and proposals
 

@@ -1,8 +1,9 @@
 """The vision worker: one thread that owns the camera, carries out sweep plans and says what each frame shows.
 
 A Sighting flows for every frame, found or not: the kernel takes their absence for a blind camera. A camera that goes
-away is opened again, less and less often. Newer plans replace older ones at the next frame. The output is bounded:
-an agent that stands still for a minute finds the newest seconds, not the whole minute.
+away, or a frame that breaks what looks at it, is a reason to open the camera again, less and less often. Newer plans
+replace older ones at the next frame. The output is bounded: an agent that stands still for a minute finds the newest
+seconds, not the whole minute.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from threading import Condition, Thread
+from traceback import extract_tb
 
 import cv2
 
@@ -24,6 +27,7 @@ from agent.perception.clarity.region import UNSEEN, Clarity, around, box_clarity
 from agent.perception.detection.detectors import Detector, Found
 from agent.perception.enhancement.enhance import one_thread
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
+from agent.perception.frame_checks import FrozenWatch, check
 from hw.camera.camera import Camera, CameraError, Frame
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
@@ -31,6 +35,7 @@ HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
 SLACK_S = 0.025  # how long a frame may be looked at before a dive's clock waits
+MAX_FAULT = 200  # characters
 QUEUE = 256  # sightings nobody has fetched: 8 s of frames at 30 per second
 
 
@@ -68,11 +73,14 @@ class Vision:
         self._thread = Thread(target=self._run, name="vision", daemon=True)
         self._last: dict[str, Sighting] = {}  # of each target, in the last frame in which it was looked for
         self._lens_position: int | None = None  # as the device reported it
+        self._frozen_watch = FrozenWatch()
         self.frames = 0
         self.errors = 0  # cameras lost or not to be opened
+        self.broken = 0  # frames left out because something broke off over them
         self.dropped = 0  # sightings that nobody fetched in time
         self.refused = 0  # plans for a camera whose focus cannot be set
-        self.fault: str | None = None  # why there is no camera now
+        self.fault: str | None = None  # why there is no camera now, or nobody who looks
+        self.frozen: str | None = None  # why its pictures are not believed to be of now
 
     def start(self) -> None:
         prepare()  # a dive's clock would wait for the thread, and on a busy machine give it up
@@ -111,6 +119,9 @@ class Vision:
         part = Part(self._clock, part_name(self._robot, CAMERA), SLACK_S)
         try:
             self._see(part)
+        except BaseException as error:
+            self.fault = f"vision has ended: {broke_off(error)}; start the agent again"
+            raise
         finally:
             part.leave()
 
@@ -123,17 +134,23 @@ class Vision:
             try:
                 camera = self._open_camera()
                 try:
-                    self._lens_position = None
+                    self._lens_position, self._frozen_watch = None, FrozenWatch()
                     while not self._closing:
                         self._work(camera, part)
                         self.fault, pause_s = None, RETRY_S[0]
                 finally:
+                    self.frozen = None
                     camera.close()
             except CameraError as error:
                 self.errors += 1
                 self.fault = str(error)
-                self._wait(part, pause_s, until_plan=False)
-                pause_s = min(2.0 * pause_s, RETRY_S[1])
+            except Exception as error:  # noqa: BLE001 - a robot that is blind for good is worse than any of them
+                self.broken += 1
+                self.fault = broke_off(error)
+            else:
+                return
+            self._wait(part, pause_s, until_plan=False)
+            pause_s = min(2.0 * pause_s, RETRY_S[1])
 
     def _work(self, camera: Camera, part: Part) -> None:
         """One plan, or one idle frame."""
@@ -177,6 +194,8 @@ class Vision:
         part = sweep and not (self._settings.enhance and self._enhancer.wants_whole(machine.monotonic_ns()))
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
+        check(frame, camera.size)
+        self.frozen = self._frozen_watch.see(frame, self._clock.now_ns())
         sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
         self._last.update(zip(targets, sightings, strict=True))
         self.frames += 1
@@ -225,6 +244,12 @@ class Vision:
                 if not part.wait_changed(self._changed, until_ns):
                     break
             self._part = None
+
+
+def broke_off(error: BaseException) -> str:
+    """What went wrong and where, in one line."""
+    where = [f"{Path(step.filename).name}:{step.lineno}" for step in extract_tb(error.__traceback__)]
+    return f"{type(error).__name__} in {where[-1] if where else 'vision'}: {' '.join(str(error).split())}"[:MAX_FAULT]
 
 
 def target_clarity(frame: Frame, found: Found, first: Sighting | None) -> Clarity:

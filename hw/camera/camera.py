@@ -38,6 +38,7 @@ class Frame(NamedTuple):
     seq: int
     image: Image
     roi: Roi  # where the image lies in the full frame
+    still: bool = False  # a recorded picture, which may come again and again; a sensor never sends one twice
 
 
 class CameraError(RuntimeError):

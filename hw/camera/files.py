@@ -124,7 +124,8 @@ class VideoCamera:
 
 def _frame(t_ns: int, seq: int, image: Image, roi: Roi | None) -> Frame:
     part = deliverable(roi, (image.shape[1], image.shape[0]))
-    return Frame(t_ns, seq, image[part.y : part.y + part.height, part.x : part.x + part.width].copy(), part)
+    pixels = image[part.y : part.y + part.height, part.x : part.x + part.width].copy()
+    return Frame(t_ns, seq, pixels, part, still=True)
 
 
 def _load(path: Path) -> Image:

@@ -16,9 +16,12 @@ ARM_PARITY_M = 0.005
 ESC_NEUTRAL_US = 3000000  # an ESC arms after 3 s of neutral pulses
 LOOP_LIMIT_US = 9000
 TARE_FOR_MS = 12 * 3600 * 1000  # the weather moves by 1 hPa, a centimetre of water, within hours
+TARE_AHEAD_MS = 600000  # a clock without a time server goes wrong by so much in months, and weather does not in minutes
 
 # Indices of wire.REASONS
-NONE, ORDER, SILENT, LEAK, BATTERY, SENSORS, SURFACED, STUCK, TILTED, TWO_BAD, STOP, PARAMETERS, WATCHDOG = range(13)
+NONE, ORDER, SILENT, LEAK, BATTERY, SENSORS, SURFACED, STUCK, TILTED, TWO_BAD, STOP, PARAMETERS, WATCHDOG, FAULT = (
+    range(14)
+)
 
 
 class Ladder:
@@ -35,14 +38,14 @@ class Ladder:
             self.__init__()
         return self.level == OK
 
-    def surface(self):
-        """Go up, by order."""
+    def surface(self, reason):
+        """Go up."""
         if self.level < SURFACE:
-            self._climb(SURFACE, ORDER)
+            self._climb(SURFACE, reason)
 
-    def give_up(self):
-        """Disarm for the reason that stands."""
-        self.level = DISARM
+    def give_up(self, reason=None):
+        """Disarm; without a reason, for the one that stands."""
+        self._climb(DISARM, self.reason if reason is None else reason)
 
     def latch(self, reason):
         """Neutral until reboot."""

@@ -4,6 +4,7 @@ import parameters
 import pressure
 
 TIME_UNKNOWN = -1
+HOST_ROUND_MS = 0x100000000  # where the host's milliseconds begin again
 
 
 class Flash:
@@ -43,11 +44,12 @@ class Flash:
         """Made before this boot and not within TARE_FOR_MS, as far as anybody knows.
 
         The board has no calendar; the host's milliseconds come round after 49 days. A tare that was written into
-        flash without a time was put there by somebody who knew.
+        flash without a time was put there by somebody who knew. One from a little ahead of the host's clock is fresh:
+        that clock was set since, or it is another computer's.
         """
         if self._tared_now or "tare_host_ms" not in self._table:
             return False
         made_ms = self._table["tare_host_ms"]
-        if host_ms is None or made_ms == TIME_UNKNOWN:
+        if host_ms is None or not isinstance(made_ms, int) or made_ms == TIME_UNKNOWN:
             return True
-        return (host_ms - made_ms) & 0xFFFFFFFF > failsafe.TARE_FOR_MS
+        return failsafe.TARE_FOR_MS < (host_ms - made_ms) & 0xFFFFFFFF < HOST_ROUND_MS - failsafe.TARE_AHEAD_MS

@@ -31,21 +31,21 @@ class Firmware:
             self.flash.load()
             module.configure(list(self.flash.saved))
         except ValueError as error:
-            line.log(wire.ERROR, str(error))
+            line.complain(str(error))
             module.ladder.latch(failsafe.PARAMETERS)
         try:
             module.plane.tare_pa = self.flash.tare_pa()
         except ValueError as error:
-            line.log(wire.ERROR, str(error))
+            line.complain(str(error))
         if line.reset_cause == wire.BY_WATCHDOG:
-            line.log(wire.ERROR, "reset by watchdog: reboot by order, then arm")
+            line.complain("reset by watchdog: reboot by order, then arm")
             module.ladder.latch(failsafe.WATCHDOG)
         line.event(wire.EV_BOOT, 0, module.ladder.level, wire.INFO, line.reset_cause)
 
     def run(self):
         """Cycle until the hardware goes (False) or an order to reboot comes (True).
 
-        Whatever goes wrong in a cycle, the motors stop before it is told.
+        Where the hardware itself fails, or somebody interrupts, the motors stop before it is told.
         """
         try:
             while self.hal.wait_tick():
@@ -61,28 +61,54 @@ class Firmware:
             raise
 
     def step(self):
-        """One cycle; writing to the tether comes last, because on a UART it blocks."""
+        """One cycle; writing to the tether comes last, because on a UART it blocks.
+
+        What breaks off is left out, counted and told, and the rest of the cycle goes on: a robot at depth is lost
+        without its control law. Whether it may go on without that, the ladder says.
+        """
         hal, module, line = self.hal, self.control, self.tether
         now_us = hal.now_us()
         dt_us = 10000 if self.last_us is None else (now_us - self.last_us) & 0xFFFFFFFF
         self.last_us = now_us
         self.cycle += 1
-        module.sense(hal.pressure_pa, hal.answered, hal.battery_mv, hal.leak, dt_us)
-        line.listen()
-        line.orders.step(hal.pressure_pa)
+        unsensed = None
+        try:
+            module.sense(hal.pressure_pa, hal.answered, hal.battery_mv, hal.leak, dt_us)
+        except Exception as error:
+            unsensed = error
+        try:
+            line.listen()
+            line.orders.step(hal.pressure_pa)
+        except Exception as error:
+            line.fault("tether", error)
         before = module.ladder.level
-        if module.act(dt_us):
+        try:
+            if unsensed:
+                raise unsensed
+            moved = module.act(dt_us)
+        except Exception as error:
+            line.fault("control", error)
+            moved = module.fail(dt_us)
+        if moved:
             line.event(wire.EV_LADDER, before, module.ladder.level, wire.WARNING, module.ladder.reason)
         hal.armed = module.state
         hal.end_cycle()
+        try:
+            self._say(now_us)
+        except Exception as error:
+            line.fault("telemetry", error)
+        line.loop_us = (hal.now_us() - now_us) & 0xFFFFFFFF
+        line.loop_max_us = max(line.loop_max_us, line.loop_us)
+        line.gc_max_us = max(line.gc_max_us, hal.collect())
+
+    def _say(self, now_us):
+        """What it is time to tell the host."""
+        line = self.tether
         if self.cycle % TELEMETRY_EVERY == 0:
             line.say_telemetry(now_us)
             line.say_one()
         if self.cycle % STATUS_EVERY == 0:
             line.say_status(now_us)
-        line.loop_us = (hal.now_us() - now_us) & 0xFFFFFFFF
-        line.loop_max_us = max(line.loop_max_us, line.loop_us)
-        line.gc_max_us = max(line.gc_max_us, hal.collect())
 
 
 def serve(hal):

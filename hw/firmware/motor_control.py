@@ -13,6 +13,10 @@ GRAVITY_M_S2 = 9.80665
 BATTERY_S = 1.0  # the voltage that thrust is scaled with is smoothed over this: the probe's noise is not the battery's
 STEEPEST_RAD = 0.785  # net weight is carried along the robot's own axis up to this tilt
 NEVER_US = 1 << 29  # an age that is past every limit and fits the board's 31 bit integers
+# A cycle whose control broke off is made up for by so many good ones; where debts add up, the robot goes up.
+FAULT_CYCLES, FAULTS_LIMIT = 20, 10
+LOST_US = 500000  # without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop
+ABSURD = 1e6  # N and Nm: a law that asks for more has left the world of numbers
 BENCH_US = 60  # over neutral: a propeller in air turns visibly and slowly
 
 
@@ -54,6 +58,9 @@ class Control:
         self.leak = False
         self.battery_low = False
         self.tare_old = False
+        self._owed = 0  # good cycles, after faults
+        self._lost_us = 0  # since the last good cycle
+        self._failed = False  # the last one was none
         self._battery_mv = 0.0  # smoothed
         self._forces_n = [0.0] * 8
         # one value each for depth, roll, pitch
@@ -98,6 +105,8 @@ class Control:
             self.esc_us = min(self.esc_us + dt_us, NEVER_US)
             return False
         self.esc_us = 0
+        if self._owed:
+            self._recover()
         before = self.ladder.level
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
@@ -122,10 +131,35 @@ class Control:
             self._drive()
         return level != before
 
-    def surface(self):
-        """Go up level, by order, whatever the set-point says, until an order to arm calls the robot back."""
+    def fail(self, dt_us):
+        """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
+        if self.state == wire.DISARMED:
+            return False
+        before = self.ladder.level
+        self._owed = min(self._owed + FAULT_CYCLES, FAULTS_LIMIT * FAULT_CYCLES)
+        self._lost_us += dt_us
+        self._failed = True
+        if self._lost_us >= LOST_US or self.mode == wire.BENCH:
+            self.ladder.give_up(failsafe.FAULT)
+            self.disarm()
+        elif self._owed == FAULTS_LIMIT * FAULT_CYCLES:
+            self.surface(failsafe.FAULT)
+        return self.ladder.level != before
+
+    def _recover(self):
+        """Begin a cycle while good ones are owed: if the last was one it counts, else the law begins anew, for what
+        it believed may be what broke it."""
+        if self._failed:
+            self._failed = False
+            self._begin()
+        else:
+            self._owed -= 1
+            self._lost_us = 0
+
+    def surface(self, reason=failsafe.ORDER):
+        """Go up level, whatever the set-point says, until an order to arm calls the robot back."""
         if self.ladder.level < failsafe.SURFACE:
-            self.ladder.surface()
+            self.ladder.surface(reason)
             self.hold_here()
             self.set_point.level_out()
 
@@ -145,6 +179,8 @@ class Control:
         if self.mode == wire.STABILISE:
             self._ref[0] = y[0]
         self.law.step(y, self._ref, realised, want)
+        if not -ABSURD < want[0] + want[1] + want[2] < ABSURD:  # no number is neither: it would run all motors full
+            raise ValueError("law diverged")
         if self.mode == wire.STABILISE:
             want[0] = 0.0
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
@@ -184,7 +220,13 @@ class Control:
         self.ladder.resume()
         if self.state == wire.ARMED:
             return
+        self._owed = self._lost_us = 0
+        self._failed = False
+        self._begin()
         self.state = wire.ARMED
+
+    def _begin(self):
+        """Law and thrusters from rest, where the robot is."""
         self._y[0], self._y[1], self._y[2] = self.plane.depth_m, self.plane.roll_rad, self.plane.pitch_rad
         self.law.reset(self._y)
         for i in range(3):

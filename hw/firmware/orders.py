@@ -28,9 +28,9 @@ class Orders:
         self._control = control
         self._flash = flash
         self._line = line
-        self._results = []  # (req_id, kind, result) of the last orders
+        self._results = []  # (kind, fields, result) of the last orders
         self._tare = None  # collects, while one runs
-        self._tare_request = (0, 0.0)  # req_id, true depth m
+        self._tare_fields = None  # of the order that began it
         self._list_req_id = self._list_next = 0
         self._listing = False
         self.reboot = False  # at the end of this cycle
@@ -40,24 +40,37 @@ class Orders:
         self._results = []
 
     def take(self, kind, fields):
-        """One order, as wire.unpack gives it."""
-        req_id, boot_id = fields[0], fields[1]
-        if boot_id == self._line.boot_id:
+        """One order, as wire.unpack gives it.
+
+        A repeat is an order that is the same in all of its fields: a host that restarts may use a number again.
+        """
+        if kind != wire.DISARM and kind != wire.ESTOP:  # these are for whatever boot there is, and never in vain
+            if fields[1] != self._line.boot_id:
+                self._reply(kind, fields, wire.STALE_BOOT)
+                return
             for known in self._results:
-                if known[0] == req_id and known[1] == kind:
+                if known[0] == kind and known[1] == fields:
                     self._reply(kind, fields, known[2])
                     return
-        elif kind != wire.DISARM and kind != wire.ESTOP:  # these are for whatever boot there is
-            self._reply(kind, fields, wire.STALE_BOOT)
-            return
-        if self._tare and kind != wire.DISARM and kind != wire.ESTOP:
-            again = kind == wire.TARE and req_id == self._tare_request[0]
-            self._reply(kind, fields, wire.RUNNING if again else wire.BUSY)
-            return
-        result = self._execute(kind, fields)
+            if self._tare:
+                again = kind == wire.TARE and fields == self._tare_fields
+                self._reply(kind, fields, wire.RUNNING if again else wire.BUSY)
+                return
+        result = self._try(kind, fields)
         if result != wire.RUNNING:
-            self._remember(req_id, kind, result)
+            self._remember(kind, fields, result)
         self._reply(kind, fields, result)
+
+    def _try(self, kind, fields):
+        """The result of an order; one that breaks off is refused, and leaves no motor on that was off."""
+        was = self._control.state
+        try:
+            return self._execute(kind, fields)
+        except Exception as error:
+            if was == wire.DISARMED:
+                self._control.disarm()
+            self._line.fault("order", error)
+            return wire.REFUSED
 
     def _execute(self, kind, fields):
         control = self._control
@@ -81,7 +94,7 @@ class Orders:
             return wire.OK
         if kind == wire.TARE:
             self._tare = pressure.Tare()
-            self._tare_request = (fields[0], fields[2] * 1e-3)
+            self._tare_fields = fields
             return wire.RUNNING
         if fields[2] != wire.REBOOT_MAGIC:
             return wire.RANGE
@@ -159,20 +172,30 @@ class Orders:
             self._end_tare()
 
     def _end_tare(self):
-        req_id, depth_m = self._tare_request
-        control = self._control
-        medians = self._tare.result()
+        fields, medians = self._tare_fields, self._tare.result()
         self._tare = None
-        if medians:
-            plane = control.plane
-            plane.tare_pa = [pa - depth_m * plane.pa_per_m for pa in medians]
-            self._flash.save_tare(plane.tare_pa, control.set_point.host_ms)
-        result = wire.OK if medians else wire.REFUSED
-        self._remember(req_id, wire.TARE, result)
-        self._line.say(wire.ACK, req_id, wire.TARE, result, self._line.boot_id)
+        result = wire.REFUSED
+        try:
+            if medians and self._set_tare(medians, fields[2] * 1e-3):
+                result = wire.OK
+        except Exception as error:
+            self._line.fault("tare", error)
+        self._remember(wire.TARE, fields, result)
+        self._line.say(wire.ACK, fields[0], wire.TARE, result, self._line.boot_id)
 
-    def _remember(self, req_id, kind, result):
-        self._results.append((req_id, kind, result))
+    def _set_tare(self, medians, depth_m):
+        """Take these pressures for those at depth_m. False where that leaves no air above the water."""
+        control = self._control
+        plane = control.plane
+        tare_pa = [pa - depth_m * plane.pa_per_m for pa in medians]
+        if not pressure.believable(tare_pa):
+            return False
+        self._flash.save_tare(tare_pa, control.set_point.host_ms)
+        plane.tare_pa = tare_pa
+        return True
+
+    def _remember(self, kind, fields, result):
+        self._results.append((kind, fields, result))
         if len(self._results) > REMEMBERED:
             self._results.pop(0)
 

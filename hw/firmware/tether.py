@@ -6,6 +6,8 @@ import wire
 
 BUILD = b"aucamp02"
 EVENT_COPIES = 3  # events are not acknowledged
+FAULT_AGAIN_US = 1000000  # between two lines about faults: they may come with every frame
+SERVO_LOWEST_US, SERVO_HIGHEST_US = 500, 2500  # hw/README.md; a pulse beyond them is no servo's
 CDEG = 18000.0 / 3.141592653589793  # hundredths of a degree per radian
 
 
@@ -26,6 +28,9 @@ class Tether:
         self._events = []  # [copies left, fields]
         self._event_count = 0
         self._logs = []
+        self._complaints = []  # about this boot, for each host that greets: none was there when it began
+        self.faults = 0  # since boot
+        self._fault_us = None  # when one was told last
         self.loop_us = self.loop_max_us = self.gc_max_us = 0
 
     def listen(self):
@@ -33,12 +38,16 @@ class Tether:
         self._framer.feed(self._rx, self._hal.read_into(self._rx))
 
     def _on_frame(self, kind, seq, payload):
-        if kind == wire.SETPOINT:
-            self._on_set_point(seq, wire.unpack(kind, payload))
-        elif kind == wire.HELLO:
-            self._on_hello(*wire.unpack(kind, payload))
-        elif kind in orders.KINDS:
-            self.orders.take(kind, wire.unpack(kind, payload))
+        """One whole frame. One that breaks off is left out: the stop that comes behind it must be heard."""
+        try:
+            if kind == wire.SETPOINT:
+                self._on_set_point(seq, wire.unpack(kind, payload))
+            elif kind == wire.HELLO:
+                self._on_hello(*wire.unpack(kind, payload))
+            elif kind in orders.KINDS:
+                self.orders.take(kind, wire.unpack(kind, payload))
+        except Exception as error:
+            self.fault("frame", error)
 
     def _on_set_point(self, seq, fields):
         depth, roll, pitch, fx, fy, mz, pan, tilt, lamp_pan, lamp_tilt, light, valid, ttl_ms, host_ms = fields
@@ -55,8 +64,10 @@ class Tether:
             if valid & wire.VALID_FORCE:
                 set_point.force_n[0], set_point.force_n[1], set_point.yaw_nm = fx * 1e-3, fy * 1e-3, mz * 1e-4
         if valid & wire.VALID_SERVO:
-            servos = self._hal.servos_us
-            servos[0], servos[1], servos[2], servos[3] = pan, tilt, lamp_pan, lamp_tilt
+            lowest_us, highest_us = min(pan, tilt, lamp_pan, lamp_tilt), max(pan, tilt, lamp_pan, lamp_tilt)
+            if SERVO_LOWEST_US <= lowest_us and highest_us <= SERVO_HIGHEST_US:
+                servos = self._hal.servos_us
+                servos[0], servos[1], servos[2], servos[3] = pan, tilt, lamp_pan, lamp_tilt
         if valid & wire.VALID_LIGHT:
             self._hal.light_permille = min(light, 1000)
 
@@ -67,6 +78,8 @@ class Tether:
             self.orders.forget()
             if not self.hello:
                 self.log(wire.ERROR, "host speaks another protocol: no arming")
+            for text in self._complaints:
+                self.log(wire.ERROR, text)
         # fmt: off
         self.say(
             wire.HELLO_ACK, wire.PROTOCOL, self._schema, BUILD, self._uid, self.boot_id, self.reset_cause,
@@ -143,6 +156,21 @@ class Tether:
         """A line for people, at most four waiting."""
         if len(self._logs) < 4:
             self._logs.append((level, text.encode()))
+
+    def complain(self, text):
+        """A line about this boot."""
+        self._complaints.append(text)
+
+    def fault(self, where, error):
+        """Count what broke off and was left out, and tell of the newest once a second. Never raises."""
+        self.faults += 1
+        try:
+            now_us = self._hal.now_us()
+            if self._fault_us is None or (now_us - self._fault_us) & 0xFFFFFFFF >= FAULT_AGAIN_US:
+                self._fault_us = now_us
+                self.log(wire.ERROR, "fault %d, %s: %r" % (self.faults, where, error))
+        except Exception:
+            pass  # no memory for words: the count has it
 
     def last_words(self, text):
         self._hal.write(self._writer.log(wire.ERROR, text.encode()))

@@ -112,6 +112,7 @@ REASONS = (
     "emergency stop",
     "parameters unreadable",
     "watchdog",
+    "control fault",
 )
 
 ARM_CHECKS = (

@@ -20,6 +20,10 @@ CURABLE = frozenset(
 )
 
 
+LATCHED = "fault latched"
+REBOOT = "look at the robot, then `aucamp board reboot`"
+
+
 class Arming:
     """What we want, what the board is, and when to ask. Methods that return a line want it to be said."""
 
@@ -65,7 +69,8 @@ class Arming:
         text, before = ", ".join(why), self._refusal
         self._refusal = text
         if not CURABLE.issuperset(why):
-            return self.give_up(f"arming refused: {text}; put it right, then arm again")
+            remedy = REBOOT if LATCHED in why else "put it right"
+            return self.give_up(f"arming refused: {text}; {remedy}, then arm again")
         return StatusText("info", f"arming waits: {text}") if text != before else None
 
     def give_up(self, text: str) -> StatusText | None:

@@ -9,7 +9,6 @@ import select
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
@@ -17,11 +16,13 @@ import serial
 
 from agent.clock import machine
 from agent.clock.clock import Clock, Part, wait
-from agent.kernel.config import ConfigError
+from agent.kernel.net import named
 from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
-from hw.stm32.fields import Greeting, StatusText
+from hw.stm32.fields import Greeting, Level, StatusText
 from hw.stm32.orders import Outcome
+from hw.stm32.parameter_check import checked_id, parameter_id
+from hw.stm32.port import reason
 from hw.stm32.protocol import Counters, HostProtocol
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
@@ -36,41 +37,19 @@ SLOWEST = 0.2  # a dive's clock may be slower, but whoever ends does not wait fo
 LAST_ORDER_S = 0.3  # of the clock: how long close() waits for the board to say that the motors are off
 
 
-def open_port_path(url: str, twin_dir: Path) -> str:
-    """The path to open for a fleet file's `serial`: "twin:r1" is r1's pty, anything else is a path already."""
-    scheme, colon, name = url.partition(":")
-    if scheme != "twin" or not colon:
-        return url
-    if not name:
-        raise ConfigError(f"serial = '{url}': no robot is named; write twin:r1")
-    return str(twin_dir / f"{name}.serial")
-
-
-def parameter_id(name: str) -> int:
-    """Number of a parameter. Raises ConfigError that names those that there are."""
-    if name not in parameters.IDS:
-        raise ConfigError(f"parameter '{name}' is not known, write one of: {' '.join(parameters.NAMES)}")
-    return int(parameters.IDS[name])
-
-
-def reason(error: OSError) -> str:
-    """Why a port cannot be used, once: pyserial's own text has the path and the system's words twice."""
-    if error.errno == errno.EWOULDBLOCK:
-        return "another program uses this port; end that one"
-    return os.strerror(error.errno) if error.errno else str(error)
-
-
 class Stm32:
     """Owns the port in a thread of its own; every method returns at once, `close` within LAST_ORDER_S and a turn.
 
     The caller sends a set-point at 20 Hz or faster: it is the heartbeat, without it the board holds, then surfaces.
     Orders other than arm and stop answer with a future, which ends within 2 s (a tare: 5 s) whatever happens, with
     "no board" or "no answer" if need be. Poll it; callbacks would run in the driver's thread, under its lock.
-    As a context manager it starts on entry and closes, motors first, on the way out, exception or not.
+    As a context manager it starts on entry, and on the way out it closes, motors first; but with an exception, which
+    means that the host is broken and the robot perhaps at depth, it lets the robot surface.
     """
 
     def __init__(self, port: str, clock: Clock, baud: int = BAUD, tap: Tap | None = None, part: str = "") -> None:
-        """`clock` stamps telemetry and waits for the thread as `part`; `tap` sees the bytes of both directions."""
+        """`clock` stamps telemetry and waits for the thread as `part`; `tap` sees the bytes of both directions, until
+        it raises."""
         self.port = port
         self._clock, self._name = clock, part
         self._part: Part | None = None
@@ -156,13 +135,7 @@ class Stm32:
         Raises ConfigError for a name or value that cannot be. A board that restarts while we look on is told again
         what was set and not saved.
         """
-        i = parameter_id(name)
-        if not parameters.in_range(i, value):
-            _, unit, _, lowest, highest, kind, _ = parameters.TABLE[i]
-            whole = " whole" if kind == parameters.WHOLE else ""
-            raise ConfigError(
-                f"{name} = {value:g}: write a{whole} number from {lowest:g} to {highest:g} {unit}".rstrip()
-            )
+        i = checked_id(name, value)
         return self._ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
 
     def save_parameters(self) -> Future[Outcome]:
@@ -186,12 +159,23 @@ class Stm32:
 
     def close(self) -> None:
         """Motors off first, then the port. Returns after LAST_ORDER_S even if nobody answers."""
+        self._end(wire.DISARM)
+
+    def let_surface(self) -> None:
+        """Order the robot up, then close the port: it goes up level by itself and switches its motors off there.
+
+        A board that does not hear the order does the same after 3 s of silence; one on the bench stops its motor.
+        """
+        self._end(wire.MODE, wire.SURFACE, 0)
+
+    def _end(self, kind: int, *fields: float) -> None:
+        """A last order, then the port."""
         if self._thread is None:
             return
         with self._lock:
             connected = self._connected
         if connected:
-            self._stop(wire.DISARM)
+            self._stop(kind, *fields)
             machine.wait(self._silent, LAST_ORDER_S / min(max(self._clock.rate(), SLOWEST), 1.0))
         self._closing.set()
         self._wake()
@@ -209,7 +193,10 @@ class Stm32:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if isinstance(error, Exception):  # a person's Ctrl-C is none, nor is an exit that was asked for
+            self.let_surface()
+        else:
+            self.close()
 
     def _ask(self, kind: int, *fields: float) -> Future[Outcome]:
         with self._lock:
@@ -217,9 +204,9 @@ class Stm32:
         self._wake()
         return future
 
-    def _stop(self, kind: int) -> None:
+    def _stop(self, kind: int, *fields: float) -> None:
         with self._lock:
-            self._protocol.stop(kind)
+            self._protocol.stop(kind, *fields)
             self._waiting.clear()  # nothing goes before this
             self._waiting += b"\0"  # ends a frame that was cut
             self._silent.clear()
@@ -246,15 +233,27 @@ class Stm32:
                     pause_s = BACK_OFF_S[0]
                     self._serve(port.fileno())
             except OSError as error:
-                self._lost(error)
-                wait(self._clock, self._closing, pause_s)
-                pause_s = min(2 * pause_s, BACK_OFF_S[1])
+                self._lost("warning", reason(error))
+            except Exception as error:  # noqa: BLE001 - a robot without a driver surfaces, whatever this was
+                self._lost("error", f"the driver broke off: {named(error)}; the port is opened again")
+            wait(self._clock, self._closing, pause_s)
+            pause_s = min(2 * pause_s, BACK_OFF_S[1])
 
-    def _lost(self, error: OSError) -> None:
+    def _lost(self, level: Level, why: str) -> None:
         with self._lock:
             self._connected = False
             self._protocol.hung_up()
-            self._protocol.say("warning", f"{self.port}: {reason(error)}")
+            self._protocol.say(level, f"{self.port}: {why}")
+
+    def _show(self, from_board: bool, chunk: bytes) -> None:
+        """Show bytes to the tap; the caller holds the lock. A recording that breaks off takes no robot with it."""
+        if self._tap is None:
+            return
+        try:
+            self._tap(from_board, chunk)
+        except Exception as error:  # noqa: BLE001
+            self._tap = None
+            self._protocol.say("error", f"{self.port}: no longer recorded: {named(error)}")
 
     def _serve(self, fd: int) -> None:
         """Carry bytes both ways until close(). Raises OSError when the port goes away."""
@@ -279,8 +278,7 @@ class Stm32:
                     with contextlib.suppress(BlockingIOError):
                         sent = self._waiting[: os.write(fd, self._waiting)]
                         del self._waiting[: len(sent)]
-                        if self._tap is not None:
-                            self._tap(False, bytes(sent))
+                        self._show(False, bytes(sent))
                 if self._protocol.is_answered():
                     self._silent.set()
                 writable = [fd] if self._waiting else []
@@ -293,7 +291,6 @@ class Stm32:
                 chunk = os.read(fd, 4096)
                 if not chunk:
                     raise OSError("the port has gone")
-                if self._tap is not None:
-                    self._tap(True, chunk)
                 with self._lock:
+                    self._show(True, chunk)
                     self._protocol.receive(chunk, self._clock.now_ns())

@@ -101,10 +101,10 @@ class HostProtocol:
         """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends."""
         self._arming.want()
 
-    def stop(self, kind: int) -> None:
-        """DISARM or ESTOP, ahead of any other command."""
+    def stop(self, kind: int, *fields: float) -> None:
+        """DISARM, ESTOP, or MODE to surface, ahead of any other command."""
         self._arming.wanted = False
-        self._orders.overtake(Order(kind))
+        self._orders.overtake(Order(kind, fields))
 
     def ask(self, kind: int, *fields: float) -> Future[Outcome]:
         """Any other order of wire.TABLE, with its fields after req_id and boot_id; without a board it ends at once."""

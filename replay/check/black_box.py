@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+from agent.kernel.codec import READABLE
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.core import Agent
 from agent.kernel.messages import SCHEMA
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import convert
 from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.info import damages
 from replay.files.log import info, parts, read
-from replay.files.mcap_file import summary
+from replay.files.mcap_walk import run_note
 from replay.files.names import standing
+from replay.files.suspect import suspecting
+
+T = TypeVar("T")
 
 STEP_BYTES = 4 * 1024 * 1024  # limit of one step: this is the robot's own file, not a stranger's message
 
@@ -43,10 +48,11 @@ class BlackBox(NamedTuple):
     run: dict[str, str]  # the header
     recorded: int  # steps in the file, sound or not
     complete: bool  # finished by its writer, nothing torn
+    schema: int = SCHEMA  # of its messages
 
     def agent(self) -> Agent:
         """The robot's agent as it was before its first step."""
-        return Agent(self.fleet, self.robot, self.calibration, self.incarnation)
+        return Agent(self.fleet, self.robot, self.calibration, self.incarnation, schema=self.schema)
 
     def steps(self) -> Iterator[Step]:
         """The steps in the order they were taken, up to the first that is missing: later ones build on it."""
@@ -91,33 +97,65 @@ def recordings(folder: Path, kind: str) -> list[Path]:
     ending = re.compile(r"(\.part\d{3,})?(\.recovered)?\.mcap(\.active)?$")
     firsts = {folder / ending.sub(".mcap", file.name) for file in folder.iterdir() if ending.search(file.name)}
     there = [first for first in firsts if standing(first) is not None]
-    return sorted(first for first in there if head(parts(first)[0]).run.get("kind") == kind)
+    return sorted(first for first in there if _kind(parts(first)[0]) == kind)
+
+
+def _kind(file: Path) -> str | None:
+    """What the header of a file says. Raises ConfigError for a finished file that has lost it: it may be any."""
+    run, sound = run_note(file)
+    if not run and not sound and file.suffix == ".mcap":
+        raise ConfigError(f"{file}: damaged: its header cannot be read; move it away to do without it")
+    return run.get("kind")
 
 
 def open_box(path: Path) -> BlackBox:
     """Read the header of a black box. Raises ConfigError as `open_boxes` does."""
+    with suspecting(path):
+        return _open_box(path)
+
+
+def _open_box(path: Path) -> BlackBox:
     heads = [head(file) for file in parts(path)]
     run, attachments = heads[0].run, heads[0].attachments
     if run.get("kind") != "black box":
         raise ConfigError(f"{path}: is no black box; give a <robot>.mcap of an agent")
-    if (schema := run.get("schema", str(SCHEMA))) != str(SCHEMA):
-        raise ConfigError(f"{path}: message schema {schema}, ours is {SCHEMA}; replay it with the version it names")
+    schema = schema_of(path, run)
     needs = [name for name in ("robot", "incarnation") if name not in run]
     needs += [name for name in ("fleet.toml", "calibration.toml") if name not in attachments]
     if needs:
         raise ConfigError(f"{path}: has no {needs[0]}, so its agent cannot be built again; record with this version")
     if run.get("part", "1") != "1":
         raise ConfigError(f"{path}: is part {run['part']}, and its steps build on those before; give the first part")
+    fleet = attached_toml(path, "fleet.toml", attachments, Fleet)
+    if run["robot"] not in fleet.robot or not run["incarnation"].isdecimal():
+        raise ConfigError(f"{path}: damaged: its header names no robot of its fleet, or no start; take another copy")
     return BlackBox(
         path=path,
         robot=run["robot"],
         incarnation=int(run["incarnation"]),
-        fleet=convert(tomllib.loads(attachments["fleet.toml"]), Fleet, path / "fleet.toml"),
-        calibration=convert(tomllib.loads(attachments["calibration.toml"]), Calibration, path / "calibration.toml"),
+        fleet=fleet,
+        calibration=attached_toml(path, "calibration.toml", attachments, Calibration),
         run=run,
         recorded=sum(each.steps for each in heads),
         complete=all(each.complete for each in heads),
+        schema=schema,
     )
+
+
+def schema_of(path: Path, run: Mapping[str, str]) -> int:
+    """The schema of a recording's messages, by its header. Raises ConfigError if we cannot read it."""
+    schema = run.get("schema", str(SCHEMA))
+    if schema not in map(str, READABLE):
+        raise ConfigError(f"{path}: message schema {schema}, ours is {SCHEMA}; replay it with the version it names")
+    return int(schema)
+
+
+def attached_toml(path: Path, name: str, attachments: Mapping[str, str], kind: type[T]) -> T:
+    """An attachment as the struct it holds. Raises ConfigError, one line."""
+    try:
+        return convert(tomllib.loads(attachments[name]), kind, path / name)
+    except (tomllib.TOMLDecodeError, RecursionError):
+        raise ConfigError(f"{path}: damaged: {name} in it is no TOML; take another copy of the file") from None
 
 
 class Head(NamedTuple):
@@ -130,10 +168,16 @@ class Head(NamedTuple):
 
 
 def head(file: Path) -> Head:
-    """What a file says of itself: read from the end of a finished one, which is quick; else by a walk through it."""
-    about = summary(file)
-    if about is not None and "aucamp.end" in about.notes:
-        return Head(about.notes.get("aucamp.run", {}), about.attachments, about.messages.get(STEP_IN.name, 0), True)
-    torn = info(file)
-    steps = torn.channels[STEP_IN.name].messages if STEP_IN.name in torn.channels else 0
-    return Head(torn.run, torn.attachments, steps, False)
+    """What a file says of itself, after a walk through all of it. Raises ConfigError where it is not as it was written.
+
+    A torn file is not refused: what is before the tear is sound.
+    """
+    about = info(file)
+    if about.damage:
+        lasts = any(each.lasts for each in about.damage)
+        remedy = "take another copy of it" if lasts else "`aucamp replay recover` makes a sound copy; open that one"
+        raise ConfigError(f"{file}: damaged: {damages(about.damage)}; {remedy}")
+    if about.torn and not about.run and about.channels:
+        raise ConfigError(f"{file}: damaged: its header cannot be read; take another copy of it")
+    steps = about.channels[STEP_IN.name].messages if STEP_IN.name in about.channels else 0
+    return Head(about.run, about.attachments, steps, about.complete)

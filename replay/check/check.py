@@ -16,6 +16,7 @@ from replay.check.black_box import BlackBox, open_boxes
 from replay.check.compare import Ignored, load_ignored
 from replay.check.links import Correspondence, Link
 from replay.check.reexecute import Divergence, Reexecution, reexecute
+from replay.files.suspect import suspecting
 
 
 class Checked(NamedTuple):
@@ -106,7 +107,8 @@ def _reexecute_all(
         for box in boxes:
             bar.update(task, description=box.path.name)
             watch = partial(correspondences[box.path.parent].add, box.robot)
-            found.append(reexecute(box, rows, lambda steps: bar.advance(task, steps), watch))
+            with suspecting(box.path):
+                found.append(reexecute(box, rows, lambda steps: bar.advance(task, steps), watch))
     return found
 
 

@@ -85,7 +85,11 @@ def differences(recorded: bytes, replayed: bytes) -> list[Difference]:
     """Every leaf that differs, in the order of the message; numbers by their bits, so -0.0 is not 0.0."""
     if recorded == replayed:
         return []
-    return list(_walk(msgpack.unpackb(recorded), msgpack.unpackb(replayed), ""))
+    try:
+        fields = msgpack.unpackb(recorded)
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        return [Difference("outputs", f"{len(recorded)} bytes that are no message", "a message")]
+    return list(_walk(fields, msgpack.unpackb(replayed), ""))
 
 
 def _walk(recorded: Any, replayed: Any, path: str) -> Iterator[Difference]:

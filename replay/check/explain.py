@@ -14,6 +14,7 @@ from agent.kernel.config import ConfigError
 from agent.kernel.messages import Explain, LogLine, State
 from agent.kernel.step_io import Outputs, SweepOutcome
 from replay.check.black_box import STEP_BYTES, open_box
+from replay.files.suspect import suspecting
 
 RULES = {
     "mix": "mixed its own measurement with what its neighbours said",
@@ -43,6 +44,11 @@ def explain(path: Path, at: str | None = None) -> str:
 
     `at`: "16" is an iteration, "12.5s" a time since the first step, "step:812" a step; None: the last iteration.
     """
+    with suspecting(path):
+        return _explain(path, at)
+
+
+def _explain(path: Path, at: str | None) -> str:
     box = open_box(path)
     lines, found = [f"{box.robot}, protocol {box.fleet.estimation.protocol}"], False
     late: TooLate | None = None

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgpack
 
+from agent.kernel.codec import Refusal
 from replay.check.black_box import BlackBox, Step
 
 
@@ -35,13 +36,13 @@ class Correspondence:
         self._last_ns: dict[str, int] = {}  # of each robot that left a recording
 
     def add(self, robot: str, step: Step) -> None:
+        """One step of a robot. Raises Refusal for one that holds something else than inputs and outputs."""
         for src, payload in _heard(step.inputs):
             self._heard.setdefault((src, robot), Counter())[as_said(payload, src)] += 1
         if step.outputs is not None:
             self._last_ns[robot] = max(step.now_ns, self._last_ns.get(robot, 0))
-            for estimate in msgpack.unpackb(step.outputs).get("says", ()):
-                said = as_said(bytes(msgpack.packb(estimate)), robot)
-                self._said.setdefault((robot, estimate["dst"]), Counter())[said] += 1
+            for dst, payload in _said(step.outputs):
+                self._said.setdefault((robot, dst), Counter())[as_said(payload, robot)] += 1
 
     def links(self) -> list[Link]:
         """One for each pair that spoke or heard."""
@@ -79,14 +80,38 @@ def as_said(payload: bytes, src: str) -> bytes:
 
 
 def _heard(inputs: bytes) -> list[tuple[str, bytes]]:
-    return [(heard["src"], heard["payload"]) for heard in msgpack.unpackb(inputs).get("heard", ())]
+    found = _list(inputs, "heard")
+    if not all(isinstance(each.get("src"), str) and isinstance(each.get("payload"), bytes) for each in found):
+        raise Refusal("content", "a message heard from nobody")
+    return [(each["src"], each["payload"]) for each in found]
+
+
+def _said(outputs: bytes) -> list[tuple[str, bytes]]:
+    """What a step said to whom: its very bytes, which need not be of today's version."""
+    found = _list(outputs, "says")
+    if not all(isinstance(each.get("dst"), str) for each in found):
+        raise Refusal("content", "a message said to nobody")
+    return [(each["dst"], bytes(msgpack.packb(each))) for each in found]
+
+
+def _list(data: bytes, field: str) -> list[dict[str, Any]]:
+    """A field that holds maps, of inputs or outputs. Raises Refusal if it does not."""
+    fields = _map(data)
+    found = fields.get(field, []) if fields is not None else None
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise Refusal("garbage", f"no step: its '{field}' is no list of messages")
+    return found
 
 
 def _sent_ns(payload: bytes) -> int:
     """The sender's time in a message that nobody vouches for; 0 if it has none."""
+    sent_ns = (_map(payload) or {}).get("sent_ns", 0)
+    return sent_ns if isinstance(sent_ns, int) else 0
+
+
+def _map(data: bytes) -> dict[str, Any] | None:
     try:
-        fields = msgpack.unpackb(payload)
-        sent_ns = fields.get("sent_ns", 0) if isinstance(fields, dict) else 0
-        return sent_ns if isinstance(sent_ns, int) else 0
-    except (ValueError, msgpack.UnpackException):
-        return 0
+        fields = msgpack.unpackb(data)
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        return None
+    return fields if isinstance(fields, dict) else None

@@ -13,12 +13,13 @@ from hashlib import sha256
 from typing import Any, Literal, NamedTuple
 
 from agent.clock import machine
-from agent.kernel.codec import Refusal, decode, encode
+from agent.kernel.codec import READABLE, Refusal, decode, encode
 from agent.kernel.core import Agent
-from agent.kernel.messages import Estimate
+from agent.kernel.messages import SCHEMA, Estimate
 from agent.kernel.step_io import Inputs
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences
+from replay.check.older import must_differ, note
 from replay.files.environment import environment
 
 TOLERANCE = 1e-9  # relative or absolute: a thousand times what rounding leaves, a millionth of what a measurement means
@@ -93,15 +94,15 @@ def reexecute(
     """Replay one recording from its first step to its last sound one; `watch` is shown each step as it was recorded."""
     agent = box.agent()
     tolerance = TOLERANCE if other_cpu(box) else 0.0
-    tally = Tally(box.robot, ignored, tolerance)
+    tally = Tally(box.robot, ignored, tolerance, box.schema)
     digest = sha256()
     start_ns = now_ns = 0
     reported_s = machine.monotonic_s()
     taken = reported = 0
     for step in box.steps():
         start_ns, now_ns, taken = start_ns or step.now_ns, step.now_ns, taken + 1
-        watch(step)
         try:
+            watch(step)
             outputs = encode(take(agent, step))
         except Refusal as refusal:
             return unreadable(box, step, str(refusal))
@@ -130,8 +131,8 @@ def take(agent: Agent, step: Step) -> Any:
 class Tally:
     """Compares step by step and keeps the count."""
 
-    def __init__(self, robot: str, ignored: Sequence[Ignored], tolerance: float) -> None:
-        self._robot, self._rows, self._tolerance = robot, ignored, tolerance
+    def __init__(self, robot: str, ignored: Sequence[Ignored], tolerance: float, schema: int = SCHEMA) -> None:
+        self._robot, self._rows, self._tolerance, self._schema = robot, ignored, tolerance, schema
         self.compared = 0
         self.last = -1  # step compared
         self.silent: int | None = None  # the first step without recorded outputs
@@ -154,6 +155,8 @@ class Tally:
         counted: set[str] = set()
         for difference in differences(step.outputs, outputs):
             row = next((row for row in self._rows if row.covers(difference)), None)
+            if must_differ(self._schema, difference):
+                continue
             if row is not None:
                 self.ignored[row.field] += 1
             elif min(difference.size) <= self._tolerance and _floats(difference):
@@ -184,8 +187,8 @@ def _floats(difference: Difference) -> bool:
 
 
 def unreadable(box: BlackBox, step: Step, why: str) -> Reexecution:
-    note = f"the inputs of step {step.number} are not of this version ({why}); replay it with the version it names"
-    return Reexecution(box, "cannot check", 0, 0.0, None, {}, {}, (*environment_notes(box), note), "")
+    refused = f"step {step.number} is not of this version ({why}); replay it with the version it names"
+    return Reexecution(box, "cannot check", 0, 0.0, None, {}, {}, (*environment_notes(box), refused), "")
 
 
 def other_cpu(box: BlackBox) -> bool:
@@ -203,6 +206,7 @@ def environment_notes(box: BlackBox) -> list[str]:
         if name in box.run and box.run[name] != here.get(name)
     ]
     notes = [f"recorded elsewhere: {', '.join(changed)}"] if changed else []
+    notes += [older] if (older := note(box.schema)) is not None else []
     if other_cpu(box):
         notes.append(f"another class of CPU: floats may differ by {TOLERANCE:g}, relative or absolute")
     return notes
@@ -235,7 +239,7 @@ def describe_inputs(step: Step) -> tuple[str, ...]:
         lines.append(f"sighting, {age(s.t_ns)}: frame {s.frame}, sweep {s.sweep}[{s.index}], focus {s.focus}, {what}")
     for heard in inputs.heard:
         try:
-            e = decode(heard.payload, Estimate)
+            e = decode(heard.payload, Estimate, accepted=READABLE)
             what = f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
         except Refusal as refusal:
             what = f"refused: {refusal}"

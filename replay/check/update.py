@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from agent.kernel.codec import decode, encode
 from agent.kernel.config import ConfigError
-from agent.kernel.messages import State, Vector
+from agent.kernel.messages import SCHEMA, State, Vector
 from agent.kernel.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox, open_boxes
 from replay.check.reexecute import reexecute, take
@@ -22,6 +22,7 @@ from replay.files.channels import STEP_OUT
 from replay.files.log import info, parts, read
 from replay.files.mcap_file import Part
 from replay.files.names import active
+from replay.files.suspect import suspecting
 
 GIT_S = 10.0
 
@@ -54,23 +55,26 @@ def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
     """Rewrite the black boxes that today's kernel does not reproduce; returns those.
 
     Raises ConfigError without a reason, in a checkout with uncommitted changes, and for a recording that is torn, has
-    later parts or lacks steps: such a one is evidence, not a reference.
+    later parts, lacks steps or is of an older schema: such a one is evidence, not a reference.
     """
     boxes = open_boxes(paths)
     if not reason.strip():
         raise ConfigError("--update needs --reason: one sentence on why the robots now behave differently")
-    for folder in sorted({box.path.parent for box in boxes}):
-        _refuse_dirty(folder)
     for box in boxes:
+        if box.schema != SCHEMA:
+            raise ConfigError(f"{box.path}: recorded with schema {box.schema}; it stays the reference for that one")
         if not box.complete or len(list(box.steps())) < box.recorded or len(parts(box.path)) > 1:
             raise ConfigError(f"{box.path}: is torn, lacks steps or has later parts; only whole recordings are updated")
+    for folder in sorted({box.path.parent for box in boxes}):
+        _refuse_dirty(folder)
     updated = []
     for box in boxes:
-        result = reexecute(box)
-        if result.verdict == "cannot check":
-            raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
-        if result.verdict != "identical":
-            updated.append(_rewrite(box, reason.strip()))
+        with suspecting(box.path):
+            result = reexecute(box)
+            if result.verdict == "cannot check":
+                raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
+            if result.verdict != "identical":
+                updated.append(_rewrite(box, reason.strip()))
     return updated
 
 

@@ -28,6 +28,7 @@ from replay.check.black_box import STEP_BYTES, BlackBox, open_boxes
 from replay.files.channels import FRAME, VISION
 from replay.files.frames import MAX_FRAME, Picture, pixels
 from replay.files.log import info, parts, read
+from replay.files.suspect import suspecting
 
 See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, Sighting | None], Sighting]
 MakeSee = Callable[[Fleet, CameraFit], See]
@@ -126,12 +127,13 @@ def check_vision(paths: Sequence[Path], make_see: MakeSee, console: Console | No
 
     Raises ConfigError for input that is no recording or whose frames do not decode.
     """
-    boxes = open_boxes(paths)
+    boxes, found = open_boxes(paths), []
     with Progress(console=console, disable=console is None, transient=True) as bar:
-        return [
-            compare(box, bar.track(sighting_pairs(box, make_see), total=_frames(box), description=box.path.name))
-            for box in boxes
-        ]
+        for box in boxes:
+            with suspecting(box.path):
+                pairs = sighting_pairs(box, make_see)
+                found.append(compare(box, bar.track(pairs, total=_frames(box), description=box.path.name)))
+    return found
 
 
 class SightingPair(NamedTuple):

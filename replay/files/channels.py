@@ -58,7 +58,7 @@ NETWORK = Channel(
 )
 ON_NETWORK = NETWORK.name.format(key="")  # how these names begin
 PRESENCE = Channel(
-    NETWORK.name.format(key=topics.ALIVE),
+    NETWORK.name.format(key=topics.ALIVE.removesuffix("/{session}")),
     '`{"alive":true}` when a robot came, `{"alive":false}` when it went',
     "json",
     "",

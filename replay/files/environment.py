@@ -6,6 +6,7 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE", "OMP_NUM_THREADS", "NUMB
 GIT_S = 2.0  # a checkout on a slow network drive is not worth waiting for
 
 
+@cache
 def environment() -> dict[str, str]:
     """Entries for the metadata `aucamp.run`; what cannot be found out is "unknown"."""
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]

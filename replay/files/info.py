@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from agent.kernel import topics
 from replay.files.channels import CLOCK, STEP_IN, STEP_OUT, network_topic
 from replay.files.clock_rate import Moment, Pace, moment, pace
-from replay.files.mcap_file import Attachment, Channel, Message, Metadata, Schema, Tear, records
+from replay.files.digests import BEFORE, OWN
+from replay.files.mcap_walk import Attachment, Channel, Damage, Message, Metadata, Schema, Tear, records
 from replay.files.names import parts
+from replay.files.suspect import suspecting
 
 STEP_HZ = 20.0  # of an agent's loop
 SHOWN = ("kind", "fleet", "robot", "protocol", "part", "incarnation", "commit", "dirty", "cpu", "machine", "python")
+COUNTED = {  # entries of the last note, in words
+    "dropped": "dropped because the disk did not keep up",
+    "not_recorded": "of what came, not recorded or no message",
+    "not_derived": "not shown to viewers",
+}
 
 
 class ChannelInfo(NamedTuple):
@@ -34,15 +41,18 @@ class ChannelInfo(NamedTuple):
 
 
 class Info(NamedTuple):
-    complete: bool  # finished by its writer; False: everything up to the tear
+    complete: bool  # finished by its writer, and as it was written; False: everything up to the tear
     run: dict[str, str]
     end: dict[str, str]  # empty when the writer was killed
     channels: dict[str, ChannelInfo]
     attachments: dict[str, str]
     recovered: dict[str, str]  # what was lost, when this file is a mended copy
+    torn: bool  # something in it is broken, or its end is missing
     torn_bytes: int  # that cannot be read
     clock: dict[str, dict[str, str]]  # Unix and monotonic time: at the "start" and at the "end"
     pace: Pace | None  # of the dive's clock; None: there was no twin
+    damage: tuple[Damage, ...] = ()  # what is whole, but not as it was written
+    verified: bool = False  # it has digests of all that is in it; False: as older recordings, or those cut off
 
 
 def info(path: Path) -> Info:
@@ -54,13 +64,14 @@ def info(path: Path) -> Info:
     channels: dict[str, ChannelInfo] = {}
     sequences: dict[str, int] = {}
     moments: list[Moment] = []
-    torn_bytes, whole = 0, True
+    torn_bytes, torn = 0, False
+    damage: list[Damage] = []
     for record in records(path):
         match record:
             case Metadata():
                 notes[record.name] = record.metadata
             case Attachment():
-                attachments[record.name] = record.data.decode()
+                attachments[record.name] = record.data.decode(errors="replace")
             case Schema():
                 schemas[record.id] = record.name
             case Channel():
@@ -83,18 +94,27 @@ def info(path: Path) -> Info:
                 if about.topic == CLOCK.name and (noted := moment(record.log_time, record.data)) is not None:
                     moments.append(noted)
             case Tear():
-                torn_bytes, whole = torn_bytes + record.bytes, False
-    end = notes.get("aucamp.end", {})
+                torn_bytes, torn = torn_bytes + record.bytes, True
+            case Damage():
+                damage.append(record)
+    verified = all(OWN in note for name, note in notes.items() if name.startswith("aucamp."))
+    plain = {
+        name: {key: said for key, said in note.items() if key not in (OWN, BEFORE)} for name, note in notes.items()
+    }
+    end = plain.get("aucamp.end", {})
     return Info(
-        complete=whole and bool(end),
-        run=notes.get("aucamp.run", {}),
+        complete=bool(end) and not torn and not damage,
+        run=plain.get("aucamp.run", {}),
         end=end,
         channels=channels,
         attachments=attachments,
-        recovered=notes.get("aucamp.recovered", {}),
+        recovered=plain.get("aucamp.recovered", {}),
+        torn=torn,
         torn_bytes=torn_bytes,
-        clock={when: note for when in ("start", "end") if (note := notes.get(f"aucamp.clock.{when}"))},
+        clock={when: note for when in ("start", "end") if (note := plain.get(f"aucamp.clock.{when}"))},
         pace=pace(moments),
+        damage=tuple(damage),
+        verified=verified and any(BEFORE in note for note in notes.values()),
     )
 
 
@@ -102,7 +122,9 @@ def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> 
     """`aucamp replay info`: each file of each recording, later parts included. Raises as `info` does."""
     for path in paths:
         for file in parts(path):
-            say((as_json if json_ else describe)(file, info(file)))
+            with suspecting(file):
+                text = (as_json if json_ else describe)(file, info(file))
+            say(text)
 
 
 def describe(path: Path, about: Info) -> str:
@@ -115,12 +137,16 @@ def as_json(path: Path, about: Info) -> str:
     facts = about._asdict()
     facts["channels"] = {name: {**channel._asdict(), "hz": channel.hz} for name, channel in about.channels.items()}
     facts["pace"] = about.pace._asdict() if about.pace is not None else None
+    facts["damage"] = [each.what for each in about.damage]
     facts["attachments"] = {name: len(text) for name, text in about.attachments.items()}
     return json.dumps({"file": str(path), **facts}, indent=1)
 
 
 def ending(about: Info) -> str:
     """How the recording ended, in words."""
+    if about.damage:
+        torn = f"; {about.torn_bytes} bytes cannot be read" if about.torn_bytes else ""
+        return f"damaged: {damages(about.damage)}{torn}"
     if about.recovered:
         return f"mended copy of a torn file: {about.recovered.get('summary', 'no summary')}"
     if not about.run and not about.channels:
@@ -129,7 +155,14 @@ def ending(about: Info) -> str:
         tail = f"; {about.torn_bytes} bytes cannot be read" if about.torn_bytes else ""
         return f"not finished: still being written, or its writer was killed{tail}; `aucamp replay recover` mends it"
     torn = "" if about.complete else f", but {about.torn_bytes} bytes in it cannot be read"
-    return f"finished, {about.end.get('cause', 'no cause given')}{torn}"
+    old = "" if about.verified or torn else "; it is older than digests, so only its checksums were verified"
+    return f"finished, {about.end.get('cause', 'no cause given')}{torn}{old}"
+
+
+def damages(found: Sequence[Damage], most: int = 3) -> str:
+    """The first of them in words."""
+    more = f"; and {len(found) - most} more" if len(found) > most else ""
+    return "; ".join(each.what for each in found[:most]) + more
 
 
 def _lines(about: Info) -> Iterator[str]:
@@ -137,9 +170,9 @@ def _lines(about: Info) -> Iterator[str]:
     if about.channels or facts:
         yield ", ".join(facts) or "written by something else: no aucamp.run in it"
     yield ending(about)
-    dropped = {name: n for name, n in json.loads(about.end.get("dropped", "{}")).items() if n}
-    if dropped:
-        yield "dropped because the disk did not keep up: " + ", ".join(f"{name} {n}" for name, n in dropped.items())
+    for entry, what in COUNTED.items():
+        if counts := _counts(about.end.get(entry, "{}")):
+            yield f"{what}: " + ", ".join(f"{name} {n}" for name, n in counts.items())
     if about.channels:
         first_ns = min(channel.first_ns for channel in about.channels.values())
         last_ns = max(channel.last_ns for channel in about.channels.values())
@@ -153,6 +186,15 @@ def _lines(about: Info) -> Iterator[str]:
         hz = nominal_hz(name)
         slow = hz > 0 and channel.messages > 10 and not 0.8 * hz <= channel.hz <= 1.2 * hz
         yield row + (f"  ({channel.schema})" if channel.schema else "") + (f"  expected {hz:g} Hz" if slow else "")
+
+
+def _counts(text: str) -> dict[str, object]:
+    """Messages by channel or reason, as the last note has them; none of a note that says something else."""
+    try:
+        counts = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return {name: n for name, n in counts.items() if n} if isinstance(counts, dict) else {}
 
 
 def counts_by_one(channel: str) -> bool:

@@ -13,7 +13,6 @@ import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -24,7 +23,8 @@ from agent.clock import machine
 from replay.files.backlog import Backlog, Drop, Entry
 from replay.files.channels import DROPS, entry_on
 from replay.files.info import ChannelInfo, Info, info
-from replay.files.mcap_file import Channel, Message, Part, Tear, records
+from replay.files.mcap_file import Part
+from replay.files.mcap_walk import Channel, Message, Tear, records
 from replay.files.names import active, part, parts, unused
 
 __all__ = ["ChannelInfo", "Info", "Limits", "LogWriter", "Record", "info", "parts", "read", "unused"]
@@ -34,8 +34,12 @@ logger = logging.getLogger(__name__)
 WRITE_S = 0.3  # the thread writes and flushes this often; what SIGKILL can take away
 SYNC_S = 5.0  # and forces it to the disk this often; what a power cut can take away
 CLOSE_S = 10.0  # a disk that takes longer to finish a file is given up
+STUCK_S = 10.0  # a disk that takes nothing for so long does not answer
+DERIVED_CHANNELS = 20_000  # a third of what the format can number: the rest is for what was really there
 BACKLOG_MESSAGES = 4096
 BACKLOG_BYTES = 16 * 1024 * 1024
+
+REASON = 200  # characters of one
 
 Derive = Callable[[Entry], Iterable[Entry]]
 
@@ -53,7 +57,8 @@ class LogWriter:
     """Writes a recording from a thread of its own; the caller appends to a bounded backlog and never waits for a disk.
 
     A full backlog loses frames first, then its oldest messages; both are counted and noted on the channel DROPS.
-    Whatever goes wrong in the thread ends the recording and stands in `failed`; the caller goes on. Context manager.
+    Whatever goes wrong in the thread ends the recording and stands in `failed`; the caller goes on. `at_end` are facts
+    for the last note, which the caller may add to until the end. Context manager.
     """
 
     def __init__(
@@ -68,16 +73,18 @@ class LogWriter:
         """`run` becomes the metadata `aucamp.run`; `attachments` are texts by file name.
 
         A new part begins with a message on the channel `splits_at`; None: with any. `derive` gives further messages to
-        write behind each one; it runs on the thread, and if it raises, the recording goes on without it.
+        write behind each one; it runs on the thread, and where it raises, that message has none.
         """
         self.path = path
+        self.at_end: dict[str, object] = {}
         self.failed: str | None = None
         self._attachments = attachments or {}
-        hashes = {f"sha256.{name}": sha256(text.encode()).hexdigest() for name, text in self._attachments.items()}
-        self._run = {**run, **hashes}
+        self._run = run
         self._limits, self._splits_at, self._derive = limits, splits_at, derive
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._dropped: Counter[str] = Counter()
+        self._not_derived: Counter[str] = Counter()  # messages without viewer channels, by what was wrong
+        self._busy_since_s: float | None = None  # since when the disk has been at it; None: it waits
         self._wake = threading.Event()
         self._cause: str | None = None  # why the recording ends; None: it does not yet
         self._number = 1  # of the part
@@ -106,6 +113,14 @@ class LogWriter:
             if self._thread.is_alive():
                 self.failed = f"the disk did not take the file within {CLOSE_S:.0f} s"
 
+    @property
+    def fault(self) -> str | None:
+        """Why nothing is recorded: the recording has ended, or the disk does not answer. None: all is well."""
+        busy_s = self._busy_since_s
+        if self.failed is None and busy_s is not None and machine.monotonic_s() - busy_s > STUCK_S:
+            return f"the disk has taken nothing for more than {STUCK_S:.0f} s"
+        return self.failed
+
     # --- the thread -------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
@@ -121,6 +136,7 @@ class LogWriter:
         self._begin_part()
         synced_s = machine.monotonic_s()
         while True:
+            self._busy_since_s = machine.monotonic_s()
             last = self._cause is not None  # looked at before the queue: what was queued before close is written
             if (full := self._floor_reached()) is not None:
                 self.failed = full
@@ -133,6 +149,7 @@ class LogWriter:
             if machine.monotonic_s() - synced_s > SYNC_S:
                 self._part.sync()
                 synced_s = machine.monotonic_s()
+            self._busy_since_s = None
             machine.wait(self._wake, WRITE_S)
             self._wake.clear()
 
@@ -148,17 +165,26 @@ class LogWriter:
                 self._next_part()
             self._part.add(entry)
             for derived in self._derived(entry):
-                self._part.add(derived)
+                if self._part.has_room(derived.channel, DERIVED_CHANNELS):
+                    self._part.add(derived)
+                else:
+                    self._without("too many channels", entry)
 
     def _derived(self, entry: Entry) -> Iterable[Entry]:
         if self._derive is None:
             return ()
         try:
             return list(self._derive(entry))
-        except Exception:  # what only viewers need must not end a black box
-            logger.exception("%s: %s: no more viewer channels in this recording", self._part.path, entry.channel)
-            self._derive = None
+        except Exception as error:  # noqa: BLE001 - what only viewers need must not end a black box
+            self._without(f"{type(error).__name__}: {error}"[:REASON], entry)
             return ()
+
+    def _without(self, why: str, entry: Entry) -> None:
+        """Count a message that viewers do not get all of; the log has the first of each kind."""
+        kind = why.partition(":")[0]
+        self._not_derived[kind] += 1
+        if self._not_derived[kind] == 1:
+            logger.warning("%s: not all for viewers of a message on %s: %s", self._part.path, entry.channel, why)
 
     # --- parts ------------------------------------------------------------------------------------------------
 
@@ -177,7 +203,10 @@ class LogWriter:
 
     def _end_part(self, cause: str) -> None:
         self._note_clock("end")
-        self._part.finish("aucamp.end", {"cause": cause, "dropped": json.dumps(self._dropped)})
+        facts = {"cause": cause, "dropped": json.dumps(self._dropped), **self.at_end}
+        if self._not_derived:
+            facts["not_derived"] = json.dumps(self._not_derived)
+        self._part.finish("aucamp.end", facts)
 
     def _note_clock(self, when: str) -> None:
         """Both clocks at one moment: their difference over a run is how far the computer's clock was corrected."""
@@ -225,7 +254,9 @@ def read(path: Path) -> Iterator[Record]:
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
             elif isinstance(record, Message):
-                channel = channels[record.channel_id]
+                channel = channels.get(record.channel_id)
+                if channel is None:  # `records` ends with saying so
+                    continue
                 yield Record(channel, record.log_time, record.publish_time, record.sequence, record.data)
             elif isinstance(record, Tear):
                 return

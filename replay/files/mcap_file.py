@@ -1,4 +1,4 @@
-"""One MCAP file: `Part` writes it, `records` walks through it, sound or torn. The only file that imports mcap.
+"""One MCAP file under construction. Reading is mcap_walk.py's; nothing else imports mcap.
 
 NAME.mcap.active is being written, or its writer was killed; NAME.mcap has been finished and has a summary. Metadata
 `aucamp.run` comes first, `aucamp.end` last; without the latter the end was not clean.
@@ -9,29 +9,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
-import zstandard
-from mcap.exceptions import McapError
-from mcap.reader import FOOTER_SIZE, SeekingReader
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from agent.kernel.config import ConfigError
 from replay.files.backlog import Entry
+from replay.files.digests import ATTACHED, BEFORE, HashedFile, of_attachments, stamped
 from replay.files.environment import version
 from replay.files.file_lock import hold, is_held
 from replay.files.names import active
 
-__all__ = ["Attachment", "Channel", "Message", "Metadata", "Part", "Schema", "Summary", "Tear", "records", "summary"]
-
 CHUNK_BYTES = 256 * 1024  # the format's default, 1 MiB, is minutes of telemetry: all lost when the process is killed
-RECORD_BYTES = 64 * 1024 * 1024  # a longer record is a corrupt length
-SHORTEST = 2 * MAGIC_SIZE + FOOTER_SIZE  # of a finished file
 
 
 class Part:
@@ -53,23 +44,33 @@ class Part:
             raise ConfigError(f"{active(path)}: cannot be written: {error.strerror}; give another place") from None
         hold(self._file)
         self.path = path
-        self._writer: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._hashed = HashedFile(self._file)
+        out: Any = self._hashed  # as much of a file as a writer needs
+        self._writer: Any = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._last: dict[str, int] = {}  # newest sequence number, by channel
         self._sound = 0  # bytes of whole records
 
     def start(self, run: Mapping[str, object], attachments: Mapping[str, str]) -> None:
-        """Write and flush what stands at the head of the file. `attachments` are texts by file name."""
+        """Write and flush what stands at the head of the file. `attachments` are texts by file name.
+
+        Their digests become entries of the header, in place of those that `run` has.
+        """
         self._writer.start(library=f"aucamp {version('aucamp')}; mcap {version('mcap')}")
-        self.note("aucamp.run", run)
+        facts = {name: value for name, value in run.items() if not name.startswith(ATTACHED)}
+        self.note("aucamp.run", {**facts, **of_attachments(attachments)})
         for name, text in attachments.items():
             self._writer.add_attachment(0, 0, name, "text/plain", text.encode())
         self.flush()
 
     def note(self, name: str, facts: Mapping[str, object]) -> None:
-        """Add a metadata record."""
-        self._writer.add_metadata(name, {key: str(value) for key, value in facts.items()})
+        """Add a metadata record, with a digest of itself."""
+        self._writer.add_metadata(name, stamped(name, facts))
+
+    def has_room(self, channel: str, most: int) -> bool:
+        """Whether a message on this channel leaves the file with no more than so many channels."""
+        return channel in self._channels or len(self._channels) < most
 
     def add(self, entry: Entry) -> None:
         """Append one message; its channel and schema are registered as they come."""
@@ -96,7 +97,8 @@ class Part:
 
     def finish(self, last_note: str, facts: Mapping[str, object]) -> None:
         """Write the summary, make it last, and give the file its final name."""
-        self.note(last_note, {**facts, "last_sequence": json.dumps(self._last)})
+        self._writer.flush()  # messages that still wait stand before the last note, and are in its digest
+        self.note(last_note, {**facts, "last_sequence": json.dumps(self._last), BEFORE: self._hashed.before})
         self._writer.finish()
         self._file.flush()
         self.sync()
@@ -128,96 +130,3 @@ def _sync_directory(path: Path) -> None:
         os.fsync(directory)
     finally:
         os.close(directory)
-
-
-class Tear(NamedTuple):
-    """A stretch of the file that cannot be believed: an unfinished end, or a chunk that contradicts its checksum."""
-
-    offset: int
-    bytes: int
-
-
-def records(path: Path) -> Iterator[McapRecord | Tear]:
-    """Everything up to the summary's end in the order of the file, chunks opened; what is broken comes as a Tear.
-
-    After a broken chunk the walk goes on, since its length still says where the next record begins. A record that is
-    cut or has no sane length ends it. Raises ConfigError if the file cannot be opened or is no MCAP file.
-    """
-    try:
-        file = path.open("rb")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the path of a recording") from None
-    with file:
-        if not b"\x89MCAP".startswith(file.read(5)):  # less than that: its writer was killed at once
-            raise ConfigError(f"{path}: is no recording; give a file that ends in .mcap or .mcap.active")
-        size = file.seek(0, os.SEEK_END)
-        file.seek(0)
-        stream = _WholeReads(file)
-        reader: Any = StreamReader(stream, emit_chunks=True, record_size_limit=RECORD_BYTES)  # type: ignore[arg-type]
-        walk = iter(reader.records)
-        while True:
-            sound = stream.taken
-            try:
-                record = next(walk, None)
-            except (McapError, ValueError, struct.error):
-                yield Tear(sound, size - sound)
-                return
-            if record is None:  # after the footer
-                return
-            if isinstance(record, Chunk):
-                try:
-                    inside = breakup_chunk(record, validate_crc=True)
-                except (McapError, ValueError, struct.error, zstandard.ZstdError, MemoryError):
-                    yield Tear(sound, stream.taken - sound)
-                else:
-                    yield from inside
-            else:
-                yield record
-
-
-class Summary(NamedTuple):
-    """What stands at the end of a finished file."""
-
-    notes: dict[str, dict[str, str]]  # metadata by name
-    attachments: dict[str, str]
-    messages: dict[str, int]  # by channel
-
-
-def summary(path: Path) -> Summary | None:
-    """What a finished file says of itself, without a walk through all of it; None if it has no sound end.
-
-    Raises ConfigError if the file cannot be opened.
-    """
-    try:
-        with path.open("rb") as file:
-            if os.fstat(file.fileno()).st_size < SHORTEST:
-                return None
-            reader = SeekingReader(file, record_size_limit=RECORD_BYTES)
-            about = reader.get_summary()
-            if about is None or about.statistics is None:
-                return None
-            counts = about.statistics.channel_message_counts
-            return Summary(
-                notes={note.name: note.metadata for note in reader.iter_metadata()},
-                attachments={each.name: each.data.decode() for each in reader.iter_attachments()},
-                messages={channel.topic: counts.get(id_, 0) for id_, channel in about.channels.items()},
-            )
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the path of a recording") from None
-    except (McapError, ValueError, struct.error, IndexError):
-        return None
-
-
-class _WholeReads:
-    """A file from which a read gives all the bytes asked for or none: mcap takes a short read for a whole one."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.taken = 0
-
-    def read(self, size: int) -> bytes:
-        data = self._file.read(size)
-        if len(data) != size:
-            return b""
-        self.taken += size
-        return data

@@ -18,9 +18,12 @@ from replay.files.backlog import Entry
 from replay.files.backlog import Schema as ChannelSchema
 from replay.files.channels import CUT, STEP_IN, STEP_OUT
 from replay.files.file_lock import is_held
-from replay.files.info import info
-from replay.files.mcap_file import Channel, Message, Part, Schema, Tear, records, summary
+from replay.files.info import Info, damages, info
+from replay.files.mcap_audit import DAMAGED, Damage
+from replay.files.mcap_file import Part
+from replay.files.mcap_walk import Channel, Message, Schema, Tear, records
 from replay.files.names import active, recovered, standing
+from replay.files.suspect import suspecting
 
 
 class Recovered(NamedTuple):
@@ -35,36 +38,43 @@ class Recovered(NamedTuple):
     last_step: int | None  # of a black box: the last one with inputs and outputs
     cut_step: int | None  # a step with inputs alone, kept on the channel CUT
     last_ns: int | None  # newest log time that was kept
+    nameless: int = 0  # messages that are lost because what they are about is
+    damage: tuple[Damage, ...] = ()  # what was whole, but not as it was written
 
     @property
     def lossy(self) -> bool:
-        return self.bytes_lost > 0 or self.cut_step is not None
+        return self.bytes_lost > 0 or self.cut_step is not None or self.nameless > 0
 
     @property
     def summary(self) -> str:
         """One line for a person."""
         if not self.messages:
             return "holds no message, nothing to save"
-        if self.out is None:
+        if self.out is None and not self.damage:
             return "whole, nothing to mend"
         kept = f"{sum(self.messages.values())} messages kept"
         if self.last_step is not None:
             kept += f" up to step {self.last_step}"
         lost = f"{self.bytes_lost} of {self.bytes_read} bytes lost at {self.tears} places" if self.bytes_lost else ""
         cut = f"step {self.cut_step} has no outputs" if self.cut_step is not None else ""
-        unwritten = "" if lost else "what its writer had not yet flushed, less than a second, is not in it"
-        return "; ".join(part for part in (kept, lost, cut, unwritten) if part)
+        nameless = f"{self.nameless} messages lost with the name of their channel" if self.nameless else ""
+        damage = f"damaged: {damages(self.damage)}" if self.damage else ""
+        unwritten = "what its writer had not yet flushed, less than a second, is not in it"
+        if lost or damage:
+            unwritten = ""
+        return "; ".join(part for part in (kept, lost, nameless, cut, damage, unwritten) if part)
 
 
 def recover(path: Path, force: bool = False) -> Recovered:
     """Write the mended copy of a torn file beside it, as NAME.recovered.mcap; a whole file is left alone.
 
-    Raises ConfigError if the file cannot be read or is no recording, is still being written (unless `force`), or if
-    there is a copy already.
+    A damage that lies in what was recorded is in the copy, too, and the copy says so. Raises ConfigError if the file
+    cannot be read or is no recording, is still being written (unless `force`), or if there is a copy already.
     """
     about = info(path)
     size = path.stat().st_size
-    if about.complete or about.recovered or not about.channels:
+    whole = about.complete or (about.recovered and not about.torn and not about.damage)
+    if whole or not about.channels:
         counts = {name: channel.messages for name, channel in about.channels.items()}
         return Recovered(path, None, counts, size, 0, 0, None, None, None)
     if not force and is_held(path):
@@ -80,8 +90,10 @@ def recover(path: Path, force: bool = False) -> Recovered:
             part.note(f"aucamp.clock.{when}", sample)
         for entry in walk.entries():
             part.add(entry)
-        result = walk.result(part.path, size)
+        result = walk.result(part.path, size, about)
+        lasting = "; ".join(each.what for each in about.damage if each.lasts)
         facts = {
+            **({DAMAGED: lasting} if lasting else {}),
             "source": path.name,
             "summary": result.summary,
             "messages": json.dumps(result.messages),
@@ -104,18 +116,16 @@ def sound(path: Path, say: Callable[[str], None]) -> Path:
     as it is: reading ends at the tear. Raises ConfigError as `info` does.
     """
     there = path if path.exists() else standing(path) or path
-    ends = summary(there)
-    if ends is not None and "aucamp.end" in ends.notes:  # finished: no need to walk through it
-        return there
     about = info(there)
-    if about.complete or about.recovered or is_held(there):
+    if (about.end and not about.torn) or about.recovered or is_held(there):
         if about.recovered:
             say(f"{there}: {about.recovered.get('summary', '')}")
         return there
     if recovered(there).exists():
         return sound(recovered(there), say)
     try:
-        result = recover(there)
+        with suspecting(there):
+            result = recover(there)
     except ConfigError as error:
         say(str(error))
         return there
@@ -129,7 +139,7 @@ class _Walk:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._counts: Counter[str] = Counter()
-        self._bytes_lost = self._tears = 0
+        self._bytes_lost = self._tears = self._nameless = 0
         self._last_step: int | None = None
         self._cut: Entry | None = None
         self._last_ns: int | None = None
@@ -154,7 +164,7 @@ class _Walk:
                 yield from self._counted([entry])
         yield from self._counted(self._without_step(held))
 
-    def result(self, out: Path, size: int) -> Recovered:
+    def result(self, out: Path, size: int, about: Info) -> Recovered:
         return Recovered(
             source=self._path,
             out=out,
@@ -165,6 +175,8 @@ class _Walk:
             last_step=self._last_step,
             cut_step=self._cut.sequence if self._cut else None,
             last_ns=self._last_ns,
+            nameless=self._nameless,
+            damage=about.damage,
         )
 
     def _without_step(self, held: list[Entry]) -> list[Entry]:
@@ -198,6 +210,8 @@ class _Walk:
                         about.metadata,
                         schemas.get(about.schema_id),
                     )
+                case Message():
+                    self._nameless += 1
                 case Tear():
                     self._bytes_lost += record.bytes
                     self._tears += record.bytes > 0
@@ -207,7 +221,8 @@ def recover_all(paths: Iterable[Path], force: bool, say: Callable[[str], None]) 
     """`aucamp replay recover`: one line for each file. Exit code 0: each is whole now; 1: in one there was nothing."""
     code = 0
     for path in paths:
-        result = recover(path, force)
+        with suspecting(path):
+            result = recover(path, force)
         say(f"{path}{f' -> {result.out}' if result.out else ''}: {result.summary}")
         code = code if result.messages else 1
     return code

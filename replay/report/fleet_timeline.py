@@ -6,7 +6,6 @@ and no pulses, and not what a robot really took in: that is in black boxes alone
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Container
 from pathlib import Path
@@ -14,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.codec import Refusal, decode
+from agent.kernel.codec import READABLE, Refusal, decode
 from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import SCHEMA, Estimate, LogLine, State
-from agent.kernel.toml_files import convert
-from replay.check.black_box import head
+from agent.kernel.messages import Estimate, LogLine, State
+from replay.check.black_box import attached_toml, head, schema_of
 from replay.check.links import Link
 from replay.files.channels import network_topic
 from replay.files.log import parts, read
@@ -44,9 +42,8 @@ def open_fleet_file(path: Path) -> FleetFile:
     run, text = heads[0].run, heads[0].attachments.get("fleet.toml")
     if run.get("kind") != "fleet" or text is None:
         raise ConfigError(f"{path}: is no recording of a fleet; give what `aucamp record` wrote")
-    if (schema := run.get("schema", str(SCHEMA))) != str(SCHEMA):
-        raise ConfigError(f"{path}: message schema {schema}, ours is {SCHEMA}; use the version it names")
-    fleet = convert(tomllib.loads(text), Fleet, path / "fleet.toml")
+    schema_of(path, run)
+    fleet = attached_toml(path, "fleet.toml", heads[0].attachments, Fleet)
     return FleetFile(path, fleet, run, all(each.complete for each in heads))
 
 
@@ -62,7 +59,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             continue
         topic, chunks = row
         try:
-            message = decode(record.data, topic.message, topic.limit)
+            message = decode(record.data, topic.message, topic.limit, READABLE)
         except Refusal:
             continue
         robot = robots.get(chunks[topic.writer])

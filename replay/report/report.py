@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from replay.files.clock_rate import pace
 from replay.files.log import read
+from replay.files.suspect import suspecting
 from replay.report import (
     figures_belief,
     figures_clock,
@@ -51,6 +52,11 @@ def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = Non
     out of the figures. `depth` makes the map of a whole sweep; None: there are no maps. Raises ConfigError if there is
     nothing to show.
     """
+    with suspecting(path):
+        return _report(path, out, depth)
+
+
+def _report(path: Path, out: Path | None, depth: MeasureDepth | None) -> Path:
     run = open_run(path)
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
     out = out or (path / "report.html" if path.is_dir() else path.with_name(f"{path.name.split('.mcap')[0]}.html"))

@@ -133,6 +133,8 @@ class ViewerChannels:
             yield name(channels.PREVIEW, robot=seen.robot), seen.t_ns, shown
 
     def _state(self, state: State) -> Iterator[Made]:
+        if state.target not in self._fleet.target:
+            raise Refusal("target", f"target '{state.target}' is not in the fleet file")
         robot, t_ns = state.robot, state.sent_ns
         chunks = {"robot": robot, **topics.target_chunk(self._fleet.target, state.target)}
         own = self._fleet.robot.get(robot)
@@ -147,6 +149,8 @@ class ViewerChannels:
         yield name(channels.PROTOCOL, **chunks), t_ns, protocol(state)
         weights = state.explain.weights if state.explain is not None else {}
         for other in state.neighbours:
+            if other.robot not in self._fleet.robot:
+                continue  # else a robot that invents names fills files with channels
             yield (
                 name(channels.NEIGHBOUR, **chunks, neighbour=other.robot),
                 t_ns,

@@ -12,8 +12,8 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from agent.kernel.codec import decode, encode
-from agent.kernel.estimation.signed import entry_bytes, verify
 from agent.kernel.messages import Estimate
+from agent.kernel.trust.signed import entry_bytes, verify
 from agent.keys.key_files import public_bytes
 from agent.keys.key_folder import read_keys
 from agent.keys.make import make_keys

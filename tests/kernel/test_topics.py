@@ -5,7 +5,7 @@ import re
 import pytest
 
 from agent.kernel.messages import Message
-from agent.kernel.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, Topic, key, match, target_chunk
+from agent.kernel.topics import ALIVE, ALL, LINK, LOG, STATE, TOPICS, TWICE, Topic, chunks, key, match, target_chunk
 from tests.places import ROOT
 
 CHUNKS = {"fleet": "tank", "robot": "r1", "src": "r1", "dst": "r2"}
@@ -37,7 +37,7 @@ def test_one_target_leaves_the_key_as_it_is_and_two_have_a_key_each() -> None:
         "aucamp/tank/link/r1/r2/ball/now",
         "aucamp/tank/robot/r1/opinion",
         "other/tank/link/r1/r2",
-        ALIVE.format(**CHUNKS),
+        ALIVE.format(**CHUNKS, session="1a"),
     ],
 )
 def test_a_key_of_nobody_has_no_row(stranger: str) -> None:
@@ -60,9 +60,18 @@ def test_both_ends_of_a_link_stand_in_its_key() -> None:
 
 
 @pytest.mark.parametrize("row", TOPICS, ids=lambda row: row.name)
-def test_every_row_has_a_message_and_room_for_two_seconds_of_it(row: Topic) -> None:
+def test_every_row_has_a_message_and_room_for_two_seconds_of_it_but_for_links_which_repeat_themselves(
+    row: Topic,
+) -> None:
     assert issubclass(row.message, Message)
-    assert row.qos.buffer >= 2 * row.hz
+    assert row.qos.buffer == 2 if row is LINK else row.qos.buffer >= 2 * row.hz
+
+
+def test_a_token_leads_back_to_its_chunks() -> None:
+    who = {"fleet": "tank", "robot": "r1", "session": "1a"}
+    assert chunks(ALIVE, ALIVE.format(**who)) == who
+    assert chunks(ALIVE, "aucamp/tank/alive/r1") is None
+    assert chunks(TWICE, ALIVE.format(**who)) is None
 
 
 def test_no_other_file_spells_a_key() -> None:

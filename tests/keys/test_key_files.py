@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.kernel.config import Access, ConfigError
-from agent.kernel.estimation.signed import verify
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import dump
+from agent.kernel.trust.signed import verify
 from agent.keys.key_files import UnusableKeyError, read_private, read_public
 from agent.keys.make import fleet_keys, make_keys
 from agent.keys.robot_keys import NO_KEYS, robot_keys

@@ -20,10 +20,10 @@ from agent.demo import demo_fleet
 from agent.kernel.codec import decode, encode
 from agent.kernel.config import Access, Fleet
 from agent.kernel.core import Agent
-from agent.kernel.estimation.signed import entry_bytes, verify
 from agent.kernel.messages import Entry, Estimate
 from agent.kernel.step_io import Heard, Inputs, Outputs
 from agent.kernel.toml_files import dump
+from agent.kernel.trust.signed import entry_bytes, verify
 from agent.keys.key_files import read_public
 from agent.keys.make import make_keys
 from agent.keys.robot_keys import robot_keys

@@ -5,8 +5,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
 
 from agent.kernel.codec import decode, encode
-from agent.kernel.estimation.signed import entry_bytes, proposal_bytes, sample_bytes, verify
 from agent.kernel.messages import Epoch, Estimate
+from agent.kernel.trust.signed import entry_bytes, proposal_bytes, sample_bytes, verify
 from agent.keys.key_files import public_bytes
 from agent.keys.signing import signing, unsigned
 from tests.keys.said import FOREIGN, START, entry, proposal, said, sample

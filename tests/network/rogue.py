@@ -13,8 +13,9 @@ As a process of its own, for a flood that shall not share an interpreter with th
         ...                                      # it is linked to r1, and the flood has begun
     flood.sent, flood.seconds                    # how many messages it got rid of, in how long
 
-`kind` is one of tests.network.hostile.payloads.kinds. The rogue dials every robot and listens nowhere, so it may run
-beside an honest robot of the same name or in its stead. Its puts wait for room (BLOCK): what is lost is not its doing.
+`kind` is one of tests.network.hostile.payloads.kinds. The rogue dials every robot and listens nowhere unless it is
+asked to, so it may run beside an honest robot of the same name or in its stead. Its puts wait for room (BLOCK): what is
+lost is not its doing.
 By hand: python -m tests.network.rogue FLEET NAME TO[,TO] KIND RATE_HZ, until its standard input ends.
 """
 
@@ -36,7 +37,7 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import LINK
-from router_config.session import observer_config
+from router_config.session import observer_config, peer_config
 from tests.network.hostile.payloads import kinds
 from tests.places import ROOT
 from tests.waiting import until
@@ -48,13 +49,14 @@ BURST_S = 0.005  # a sleep is not shorter than a scheduler's turn, so a rate is 
 class Rogue:
     """A session that speaks as `name`. Context manager."""
 
-    def __init__(self, fleet: Fleet, name: str) -> None:
+    def __init__(self, fleet: Fleet, name: str, listens: bool = False) -> None:
+        """`listens`: where the robot of this name would, so that observers and routers dial it."""
         self._fleet, self._name = fleet, name
+        self._config = peer_config(fleet, name) if listens else observer_config(fleet, name)
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> "Rogue":
-        config = zenoh.Config.from_json5(observer_config(self._fleet, self._name))
-        self.session = self._open.enter_context(zenoh.open(config))
+        self.session = self._open.enter_context(zenoh.open(zenoh.Config.from_json5(self._config)))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -67,7 +69,11 @@ class Rogue:
 
     def linked(self, to: str) -> None:
         """Wait until `to` listens to what we have for it."""
-        publisher = self.session.declare_publisher(self.key(to))
+        self.matched(self.key(to))
+
+    def matched(self, key: str) -> None:
+        """Wait until somebody listens to a key."""
+        publisher = self.session.declare_publisher(key)
         until(lambda: publisher.matching_status.matching)
         publisher.undeclare()
 

@@ -148,7 +148,7 @@ def main(fleet_path: Path, name: str, out: Path, ahead_s: float | None = None) -
             network,
             box.step,
             clock,
-            faults=lambda: {"keys": keys.fault()},
+            faults=lambda: tuple(f"keys: {what}" for what in (keys.fault(),) if what),
             sign=keys.sign,
             keys=keys.changed,
         )

@@ -44,14 +44,19 @@ def test_what_cannot_be_a_message_is_told_by_its_outside(
 
 def test_a_payload_and_a_token_come_through(make_fleet: Callable[..., Fleet]) -> None:
     fleet = make_fleet({"r1": ()})
-    key, alive = topics.key(STATE, fleet="test", robot="r1"), topics.ALIVE.format(fleet="test", robot="r1")
+    key, alive = (
+        topics.key(STATE, fleet="test", robot="r1"),
+        topics.ALIVE.format(fleet="test", robot="r1", session="1a"),
+    )
     seen: list[tuple[str, str, int, bytes]] = []
     tokens: list[tuple[str, bool]] = []
     with Session(observer_config(fleet), "a test") as watch:
         watch.subscribe(
             topics.ALL.format(fleet="test"), lambda s: seen.append((s.key, s.encoding, s.size, s.payload()))
         )
-        watch.watch_tokens(topics.ALIVE.format(fleet="test", robot="*"), lambda s: tokens.append((s.key, s.is_put)))
+        watch.watch_tokens(
+            topics.ALIVE.format(fleet="test", robot="*", session="*"), lambda s: tokens.append((s.key, s.is_put))
+        )
         with Session(peer_config(fleet, "r1"), "a test") as r1:
             publish = r1.publisher(STATE, key)
             r1.announce(alive)
@@ -68,7 +73,7 @@ def test_a_payload_and_a_token_come_through(make_fleet: Callable[..., Fleet]) ->
 
 def test_who_comes_later_is_told_of_tokens_that_are_there(make_fleet: Callable[..., Fleet]) -> None:
     fleet, tokens = make_fleet({"r1": ()}), []
-    alive = topics.ALIVE.format(fleet="test", robot="r1")
+    alive = topics.ALIVE.format(fleet="test", robot="r1", session="1a")
     with Session(peer_config(fleet, "r1"), "a test") as r1:
         r1.announce(alive)
         with Session(observer_config(fleet), "a test") as watch:

@@ -60,6 +60,7 @@ def test_what_keeps_a_swarm_alive(make_fleet: Callable[..., Fleet]) -> None:
         assert accepted(text, "scouting/gossip/enabled") is False
         assert accepted(text, "scouting/delay") == 10
         assert accepted(text, "transport/link/tx/lease") == 2000
+        assert accepted(text, "transport/link/rx/max_message_size") == 65536
         assert accepted(text, "transport/shared_memory/enabled") is False
     assert accepted(session.peer_config(fleet, "r2"), "timestamping/enabled") is True
 

@@ -152,7 +152,7 @@ def test_what_cannot_be_believed_is_refused_counted_logged_and_changes_nothing(t
             believed = {name: it.state[name].posterior_m for name in ("r1", "r2")}
             for payload in (os.urandom(100), wrong_schema, nan, far, forged):
                 session.put(key, payload, encoding=encoding(Estimate))
-            session.put(key, b"\0" * 10_000_000, encoding=encoding(Estimate))
+            session.put(key, b"\0" * 60_000, encoding=encoding(Estimate))
             session.put(key, encode(honest), encoding="text/plain")
             want = {"garbage", "schema", "content", "place", "address", "too large", "wrong encoding"}
             it.until("refusals", lambda: want <= set(it.state["r1"].refused))

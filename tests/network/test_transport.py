@@ -74,10 +74,10 @@ def test_only_the_addressed_neighbour_hears(make_fleet: Fleets, estimate: Says) 
         linked(estimate, r1, r3, "r1", "r3")
         before_ns = time.time_ns()
         said = [estimate("r1", "r2", seq) for seq in range(20)]
-        for message in said:
-            r1.say(message)
         ear = Ear(r2)
-        until(lambda: len(ear.listen().heard) == 20)
+        for count, message in enumerate(said, start=1):
+            r1.say(message)
+            until(lambda count=count: len(ear.listen().heard) == count)
         assert [decode(heard.payload, Estimate) for heard in ear.heard] == said
         assert all(heard.src == "r1" for heard in ear.heard)
         assert all(before_ns <= heard.arrived_ns <= time.time_ns() for heard in ear.heard)
@@ -117,7 +117,7 @@ def test_what_cannot_be_a_message_is_turned_away_and_counted(make_fleet: Fleets,
             return bool(ear.listen().heard)
 
         until(say)
-        r1.put(key, bytes(10_000_000), encoding=encoding(Estimate), congestion_control=block)
+        r1.put(key, bytes(60_000), encoding=encoding(Estimate), congestion_control=block)
         r1.put(key, bytes(MAX_PAYLOAD + 1), encoding=encoding(Estimate), congestion_control=block)
         r1.put(key, good, congestion_control=block)
         r1.put(key, good, encoding=encoding(State), congestion_control=block)
@@ -130,24 +130,6 @@ def test_what_cannot_be_a_message_is_turned_away_and_counted(make_fleet: Fleets,
         r1.put(key, bytes(MAX_PAYLOAD), encoding=encoding(Estimate))  # just small enough, and not ours to decode
         until(lambda: len(ear.listen().heard) > heard)
         assert len(ear.heard[-1].payload) == MAX_PAYLOAD
-
-
-def test_a_full_inbox_keeps_the_newest(make_fleet: Fleets, estimate: Says) -> None:
-    fleet = make_fleet({"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)})
-    with all_up(fleet, "r1", "r2", "r3") as (r1, r2, r3):
-        linked(estimate, r1, r2, "r1", "r2")
-        linked(estimate, r3, r2, "r3", "r2")
-        r3.say(estimate("r3", "r2", seq=7))
-        for seq in range(100):
-            r1.say(estimate("r1", "r2", seq))
-            time.sleep(0.001)  # a burst would be lost on its way
-        until(lambda: sum(r2._refused.values()) == 36)
-        heard, refused = r2.drain()
-        loud = [decode(item.payload, Estimate).seq for item in heard if item.src == "r1"]
-        assert loud == list(range(36, 100))
-        assert [decode(item.payload, Estimate).seq for item in heard if item.src == "r3"] == [7]
-        assert [(row.reason, row.count) for row in refused] == [("inbox full", 36)]
-        assert r2.drain() == ((), ())
 
 
 def test_loss_is_drawn_from_the_seed(make_fleet: Fleets, estimate: Says) -> None:
@@ -229,12 +211,13 @@ def test_leaving_under_a_flood_does_not_hang(make_fleet: Fleets, estimate: Says)
 def test_a_robot_is_listed_while_it_is_up(make_fleet: Fleets) -> None:
     fleet = make_fleet(PAIR)
     config = zenoh.Config.from_json5(peer_config(fleet, "r2"))
-    key = topics.ALIVE.format(fleet="test", robot="*")
+    key = topics.ALIVE.format(fleet="test", robot="*", session="*")
     with zenoh.open(config) as r2:
 
         def listed() -> list[str]:
-            return [str(reply.ok.key_expr) for reply in r2.liveliness().get(key) if reply.ok]
+            replies = [str(reply.ok.key_expr) for reply in r2.liveliness().get(key) if reply.ok]
+            return [topics.chunks(topics.ALIVE, text)["robot"] for text in replies]
 
         with Transport(fleet, "r1", time.time_ns):
-            until(lambda: listed() == [topics.ALIVE.format(fleet="test", robot="r1")])
+            until(lambda: listed() == ["r1"])
         until(lambda: listed() == [])

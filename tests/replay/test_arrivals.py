@@ -13,7 +13,7 @@ from replay.recorder import Arrivals
 from tests.replay.small_box import START_NS, state
 
 KEY = topics.key(STATE, fleet="tank", robot="r1")
-ALIVE = topics.ALIVE.format(fleet="tank", robot="r1")
+ALIVE = topics.ALIVE.format(fleet="tank", robot="r1", session="1a")
 DATA = encode(state(START_NS, 7))
 
 

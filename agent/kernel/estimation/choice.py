@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from agent.kernel.config import Fleet
-from agent.kernel.estimation.authority import Verify
 from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Estimator
 from agent.kernel.estimation.metropolis import Metropolis
 from agent.kernel.estimation.paper import Paper
-from agent.kernel.estimation.signed import verify
+from agent.kernel.trust.authority import Verify
+from agent.kernel.trust.signed import verify
 
 
 def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Verify = verify) -> Estimator:

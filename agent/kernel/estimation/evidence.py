@@ -25,18 +25,18 @@ from functools import partial
 
 from msgspec.structs import replace
 
-from agent.kernel.estimation.authority import HEARSAY, Authority, Verify
-from agent.kernel.estimation.epoch_vote import EpochVote
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import NOTHING, Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Letter, Mailbox
 from agent.kernel.estimation.mode import Me, Mode
 from agent.kernel.estimation.motion import Motion
 from agent.kernel.estimation.moving_target import MovingTarget
-from agent.kernel.estimation.signed import proposal_bytes, verify
 from agent.kernel.estimation.static_target import StaticTarget
 from agent.kernel.estimation.window import WINDOW
 from agent.kernel.messages import Epoch, Gossip, Proposal, Symmetric
+from agent.kernel.trust.authority import HEARSAY, Authority, Verify
+from agent.kernel.trust.epoch_vote import EpochVote
+from agent.kernel.trust.signed import proposal_bytes, verify
 
 CARRIED = 8  # own samples that a new epoch begins with: fewer than it takes to notice a motion
 ENTRIES = 14  # in one message: two datagrams, and all there is in a swarm of that size

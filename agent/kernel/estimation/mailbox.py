@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from agent.kernel.codec import Refusal
 from agent.kernel.estimation.evidence_checks import CLOCKS_NS
-from agent.kernel.estimation.transit import Transit
 from agent.kernel.messages import Estimate
+from agent.kernel.trust.transit import Transit
 
 SAID_HZ = 100  # messages of a neighbour about a target, at most: five times what a fleet file can ask for
 AHEAD_S = 10  # of such messages that may be missing at any time

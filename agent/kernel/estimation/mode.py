@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
-from agent.kernel.estimation.authority import Authority
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.messages import Explain, Gossip, Symmetric
+from agent.kernel.trust.authority import Authority
 
 SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
 

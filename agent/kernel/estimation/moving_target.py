@@ -12,7 +12,6 @@ import math
 from collections.abc import Collection
 from functools import partial
 
-from agent.kernel.estimation.authority import HEARSAY
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
 from agent.kernel.estimation.evidence_checks import CLOCKS_NS, floored, inside
 from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
@@ -20,10 +19,11 @@ from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
-from agent.kernel.estimation.signed import sample_bytes
 from agent.kernel.estimation.track import Track, nis, predict
 from agent.kernel.estimation.window import MASK, Key, Window
 from agent.kernel.messages import Epoch, Explain, Gossip, Sample
+from agent.kernel.trust.authority import HEARSAY
+from agent.kernel.trust.signed import sample_bytes
 
 MATTERS = 0.02  # weight of a track without somebody below which it is not worth running
 SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold

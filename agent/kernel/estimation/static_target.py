@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from functools import partial
 
-from agent.kernel.estimation.authority import HEARSAY
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
 from agent.kernel.estimation.evidence_checks import CLOCKS_NS, entry_fault, floored
 from agent.kernel.estimation.evidence_table import Key, Table, mark
@@ -13,8 +12,9 @@ from agent.kernel.estimation.fuse import Fused, fuse
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, distance2, inverse, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
-from agent.kernel.estimation.signed import entry_bytes
 from agent.kernel.messages import Entry, Epoch, Explain, Gossip, Holding
+from agent.kernel.trust.authority import HEARSAY
+from agent.kernel.trust.signed import entry_bytes
 
 LET_GO_NS = 10_000_000_000  # for so long neighbours are told that an entry is here no more, and may send a better one
 

@@ -14,8 +14,8 @@ from collections.abc import Collection
 
 from agent.kernel.estimation.evidence_checks import Bounds, sample_fault
 from agent.kernel.estimation.fixed_lag_filter import Held
-from agent.kernel.estimation.origin_clocks import OriginClocks
 from agent.kernel.messages import Holding, Sample
+from agent.kernel.trust.origin_clocks import OriginClocks
 
 Key = tuple[str, int, int]  # origin, incarnation, number
 

@@ -129,4 +129,4 @@ def test_arming_checks_are_reported_together():
 
 
 def test_reasons_are_numbered_alike_on_both_sides():
-    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.WATCHDOG + 1
+    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.FAULT + 1

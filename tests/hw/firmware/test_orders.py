@@ -212,7 +212,16 @@ def test_a_wrong_tare_is_refused_and_the_old_one_stands(desk, wrong):
     assert json.loads(desk.flash_path.read_text())["tare_pa"] == [AIR_PA] * 4
 
 
-@pytest.mark.parametrize(("hours", "checks"), [(11.9, set()), (12.1, {"tare older than 12 h"})])
+@pytest.mark.parametrize(
+    ("hours", "checks"),
+    [
+        (11.9, set()),
+        (12.1, {"tare older than 12 h"}),
+        (-1 / 3600e3, set()),  # a clock that is a millisecond behind the one that was told with the tare
+        (-9.9 / 60, set()),
+        (-10.1 / 60, {"tare older than 12 h"}),  # whose clock that is nobody knows
+    ],
+)
 def test_a_tare_lasts_twelve_hours(put_on_desk, interpreter, hours, checks):
     """The desk tells its clock in each set-point; flash was written hours before, on the far side of 2**32 ms."""
     made_ms = round(5_000 - hours * 3600e3) & 0xFFFFFFFF

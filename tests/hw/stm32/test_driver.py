@@ -16,7 +16,9 @@ from agent.clock.keeper import start_clock
 from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError
 from hw.firmware import failsafe, wire
-from hw.stm32.driver import Stm32, open_port_path
+from hw.stm32.driver import Stm32
+from hw.stm32.fields import Level
+from hw.stm32.port import open_port_path
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
 from tests.waiting import until
 
@@ -118,9 +120,9 @@ def test_port_that_comes_late_and_is_another_one_later(desk, tmp_path, monkeypat
     path = tmp_path / "r1.serial"
     tries, lost = [], Stm32._lost
 
-    def count(driver: Stm32, error: OSError) -> None:
-        lost(driver, error)
-        tries.append(error)
+    def count(driver: Stm32, level: Level, why: str) -> None:
+        lost(driver, level, why)
+        tries.append(why)
 
     monkeypatch.setattr(Stm32, "_lost", count)
     with Stm32(str(path), SystemClock()) as driver:

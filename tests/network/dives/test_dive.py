@@ -19,12 +19,12 @@ import pytest
 from agent.clock.run_clock import RunClock
 from agent.kernel.codec import decode
 from agent.kernel.config import Access, Target
-from agent.kernel.estimation.signed import entry_bytes, verify
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate
 from agent.kernel.step_io import Inputs, Sighting
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
+from agent.kernel.trust.signed import entry_bytes, verify
 from agent.launch import crew, wait_for
 from agent.run_folder import temporary_folder
 from agent.transport import Observer

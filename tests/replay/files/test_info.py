@@ -7,21 +7,10 @@ import pytest
 from mcap.writer import Writer
 
 from agent.kernel.config import ConfigError
-from replay.check.black_box import open_box
 from replay.files.backlog import Entry
 from replay.files.info import describe, info, info_all
 from replay.files.log import LogWriter
-from replay.files.mcap_file import summary
 from tests.replay.small_box import STEPS, write_box
-
-
-def test_a_finished_file_says_the_same_at_its_end_as_a_walk_through_it(tmp_path: Path) -> None:
-    path = write_box(tmp_path)
-    ends = summary(path)
-    assert ends is not None
-    assert ends.notes["aucamp.end"] == info(path).end
-    assert ends.messages == {name: channel.messages for name, channel in info(path).channels.items()}
-    assert open_box(path).complete
 
 
 def test_one_screen_says_what_is_in_a_black_box(tmp_path: Path) -> None:

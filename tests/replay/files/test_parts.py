@@ -14,7 +14,7 @@ from agent.kernel.config import ConfigError
 from replay.check.check import check
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import FRAME, STEP_IN, STEP_OUT, entry_on
-from replay.files.info import info
+from replay.files.info import describe, info
 from replay.files.log import Limits, LogWriter, parts, read
 from tests.places import GOLDEN
 from tests.waiting import until
@@ -170,7 +170,10 @@ def test_viewer_channels_that_fail_do_not_end_the_recording(tmp_path: Path, capl
     with LogWriter(path, {}, derive=derive) as log:
         write_steps(log, range(40))
     channels = [record.channel for record in read(path)]
-    assert channels.count("/view") == 60
+    assert channels.count("/view") == 78  # of 80 messages two have none
     assert channels.count(STEP_IN.name) == 40
-    assert "no more viewer channels" in caplog.text
-    assert info(path).complete
+    assert caplog.text.count("not all for viewers of a message on") == 1
+    about = info(path)
+    assert about.complete
+    assert about.end["not_derived"] == '{"ZeroDivisionError": 2}'
+    assert "not shown to viewers: ZeroDivisionError 2" in describe(path, about)

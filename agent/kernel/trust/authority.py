@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from agent.kernel.estimation import signed
+from agent.kernel.trust import signed
 
 DIRECT_NS = 3_000_000_000  # a robot heard directly this lately speaks for itself
 VERIFIED_HZ = 20.0  # signatures of each neighbour, at most; a swarm of ten needs ten a second of all together

@@ -1,0 +1,1 @@
+"""What a robot's links bring, before a step takes it."""

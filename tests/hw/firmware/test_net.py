@@ -1,0 +1,200 @@
+"""What breaks off within a cycle: it is left out, counted and told, and the motors stop only as the ladder says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from hw.firmware import failsafe, wire
+from tests.hw.firmware.bare_board import CYCLE_US, BareBoard, BareHal, firmware_main
+from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M
+
+CONTROL = firmware_main().motor_control
+LOST_CYCLES = CONTROL.LOST_US // CYCLE_US
+
+
+def breaks(*_: Any) -> None:
+    raise ZeroDivisionError("on purpose")
+
+
+def breaks_when(bad: Callable[[], bool], do: Callable[..., Any]) -> Callable[..., Any]:
+    """`do`, but for when `bad` says so."""
+    return lambda *fields: breaks() if bad() else do(*fields)
+
+
+@pytest.fixture
+def board():
+    board = BareBoard()
+    board.arm()
+    board.hold(100)
+    board.frames.clear()
+    return board
+
+
+def text(board: BareBoard) -> str:
+    """All lines for people since frames were last cleared."""
+    return "\n".join(said.decode() for _, said in board.heard(wire.LOG))
+
+
+def ladder(board: BareBoard) -> tuple[int, str]:
+    return board.control.ladder.level, wire.REASONS[board.control.ladder.reason]
+
+
+def test_a_frame_that_breaks_its_parser_is_left_out_and_the_stop_behind_it_is_heard(board):
+    board.firmware.tether.orders._mode = breaks
+    board.hal.leak = 0
+    board.say(wire.MODE, 3, board.boot_id, wire.STABILISE, 0)
+    board.say(wire.DISARM, 4, board.boot_id)
+    board.tick(2)
+    assert [(ack[0], ack[2]) for ack in board.heard(wire.ACK)] == [(3, wire.REFUSED), (4, wire.OK)]
+    assert board.faults == 1 and board.control.state == wire.DISARMED
+    board.tick(10)
+    assert "fault 1, order: ZeroDivisionError" in text(board)
+
+
+@pytest.mark.parametrize("part", ["listen", "_on_set_point", "say_telemetry", "say_one", "say_status"])
+def test_a_broken_tether_does_not_stop_the_control_law(board, part):
+    """Heard or not, each cycle makes its pulses; where no set-point comes through, the ladder says what then."""
+    setattr(board.firmware.tether, part, breaks)
+    before = board.control.law._p[0]
+    board.hal.pressure_pa = [AIR_PA + 0.31 * PA_PER_M] * 4
+    board.hold(40)
+    assert board.control.state == wire.ARMED and board.control.law._p[0] == pytest.approx(0.31, abs=1e-3) != before
+    assert min(board.hal.pulses_us[:4]) > 1530, "a centimetre too deep: up"
+    board.hold(60)
+    assert board.faults >= 1
+    deaf = part in ("listen", "_on_set_point")
+    assert ladder(board) == ((failsafe.HOLD, "host silent") if deaf else (failsafe.OK, "none"))
+
+
+def test_faults_are_told_once_a_second_with_their_number(board):
+    board.firmware.tether._on_hello = breaks
+    for _ in range(250):
+        board.set_point()
+        board.say(wire.HELLO, 1, 2, 3)
+        board.tick()
+    assert board.faults == 250
+    assert text(board).count("ZeroDivisionError") == 3 and "fault 201, frame" in text(board)
+
+
+def test_a_fault_without_memory_for_words_is_counted(board):
+    board.firmware.tether._on_hello = breaks
+    board.firmware.tether.log = breaks
+    board.say(wire.HELLO, 1, 2, 3)
+    board.tick()
+    assert board.faults == 1 and board.control.state == wire.ARMED
+
+
+def test_an_order_to_arm_that_breaks_off_leaves_the_motors_off():
+    board = BareBoard()
+    board.greet()
+    board.tick(301)
+    board.set_point()
+    board.tick()
+    arm = board.control.arm
+
+    def arm_and_break() -> None:
+        arm()
+        breaks()
+
+    board.control.arm = arm_and_break
+    ((_, fields),) = board.answers(wire.ARM, 1, board.boot_id)
+    assert fields[2] == wire.REFUSED and board.control.state == wire.DISARMED
+
+
+def test_flash_that_cannot_be_written_refuses_the_order_and_no_more():
+    class WornOut(BareHal):
+        def save_flash(self, flash: dict[str, Any]) -> None:
+            raise OSError(5)
+
+    board = BareBoard(WornOut())
+    board.greet()
+    ((_, fields),) = board.answers(wire.PARAM_SAVE, 1, board.boot_id)
+    assert fields[2] == wire.REFUSED
+    board.hal.pressure_pa = [AIR_PA] * 4
+    board.answers(wire.TARE, 2, board.boot_id, 0)
+    board.tick(201)
+    assert board.heard(wire.ACK)[-1][:3] == (2, wire.TARE, wire.REFUSED) and board.faults == 2
+
+
+@pytest.mark.parametrize("part", ["law", "pulses", "sensors"])
+def test_one_fault_of_the_control_law_is_a_cycle_with_the_pulses_of_the_last(board, part, monkeypatch):
+    board.hal.pressure_pa = [AIR_PA + 0.31 * PA_PER_M] * 4
+    board.hold(10)
+    before = list(board.hal.pulses_us)
+    with monkeypatch.context() as broken:
+        where = {"law": (board.control.law, "step"), "pulses": (board.control, "_drive")}
+        broken.setattr(*where.get(part, (board.control.plane, "step")), breaks)
+        board.tick()
+    assert board.hal.pulses_us == before and board.faults == 1
+    board.hold(300)
+    assert board.control.state == wire.ARMED and ladder(board) == (failsafe.OK, "none")
+    assert board.hal.pulses_us != before and board.faults == 1
+
+
+def test_a_control_law_that_breaks_off_again_and_again_brings_the_robot_up_under_control(board):
+    """Every third cycle is lost: more than can be made up for. The law works in the others, and with it the ascent."""
+    count = iter(range(10_000))
+    board.control.law.step = breaks_when(lambda: next(count) % 3 == 0, board.control.law.step)
+    board.hold(3 * CONTROL.FAULTS_LIMIT + 3)
+    assert ladder(board) == (failsafe.SURFACE, "control fault")
+    assert any(event[5] == failsafe.FAULT for event in board.heard(wire.EVENT))
+    board.hold(200)
+    assert board.control.state == wire.ARMED and min(board.hal.pulses_us[:4]) > 1530
+    assert ladder(board)[0] == failsafe.SURFACE, "set-points do not call it back"
+
+
+def test_a_control_law_that_never_works_again_stops_the_motors_after_half_a_second(board):
+    board.control.law.step = breaks
+    board.hold(LOST_CYCLES - 1)
+    assert board.control.state == wire.ARMED and ladder(board)[0] == failsafe.SURFACE
+    board.hold(1)
+    assert board.control.state == wire.DISARMED and board.hal.pulses_us == [1500] * 8
+    assert ladder(board) == (failsafe.DISARM, "control fault")
+    board.hold(10)
+    assert any(event[3] == failsafe.DISARM and event[5] == failsafe.FAULT for event in board.heard(wire.EVENT))
+
+
+def test_a_fault_a_second_is_made_up_for(board):
+    count = iter(range(10_000))
+    board.control.law.step = breaks_when(lambda: next(count) % 100 == 0, board.control.law.step)
+    board.hold(1000)
+    assert CONTROL.FAULT_CYCLES < 100 and board.faults == 10
+    assert board.control.state == wire.ARMED and ladder(board) == (failsafe.OK, "none")
+
+
+def test_on_the_bench_the_first_fault_of_the_control_stops_the_thruster():
+    board = BareBoard()
+    board.greet()
+    board.answers(wire.MODE, 5, board.boot_id, wire.BENCH, 3)
+    board.arm(req_id=6)
+    board.hold(5)
+    assert board.hal.pulses_us[2] == 1560
+    board.control._turn_one = breaks
+    board.hold(1)
+    assert board.control.state == wire.DISARMED and board.hal.pulses_us == [1500] * 8
+
+
+@pytest.mark.parametrize("poison", [math.nan, math.inf, -1e30])
+def test_a_law_that_has_left_the_numbers_begins_anew_instead_of_running_the_motors_full(board, poison):
+    before = list(board.hal.pulses_us)
+    board.control.law._v[0] = poison
+    board.hold(1)
+    assert board.hal.pulses_us == before
+    board.hold(50)
+    assert board.control.state == wire.ARMED and all(abs(us - 1500) < 60 for us in board.hal.pulses_us)
+    assert board.faults == 1
+
+
+def test_a_servo_pulse_that_is_no_servos_leaves_the_gimbal_where_it_is(board):
+    for us in (0, 499, 2501, 65535):
+        fields = (3000, 0, 0, 0, 0, 0, 1600, us, 1500, 1500, 0, wire.VALID_ALL, 500, 7)
+        board.say(wire.SETPOINT, *fields)
+        board.tick()
+        assert board.hal.servos_us == [1500] * 4
+    board.say(wire.SETPOINT, 3000, 0, 0, 0, 0, 0, 500, 2500, 1500, 1500, 0, wire.VALID_ALL, 500, 7)
+    board.tick()
+    assert board.hal.servos_us == [500, 2500, 1500, 1500]

@@ -1,0 +1,163 @@
+"""What is kept of each neighbour between two steps, and what a neighbour that speaks too often can take from others."""
+
+import time
+from collections.abc import Callable
+
+import pytest
+from msgspec.structs import replace
+
+from agent.kernel import topics
+from agent.kernel.codec import decode, encode, encoding
+from agent.kernel.config import Fleet, Target
+from agent.kernel.messages import MAX_PAYLOAD, Estimate
+from agent.kernel.topics import LINK
+from agent.links.inboxes import BURST, FASTEST_HZ, Inboxes
+from agent.transport import Transport
+from tests.network.rogue import Rogue
+from tests.waiting import until
+
+FULL = {"r1": ("r2", "r3", "r4"), "r2": ("r1",), "r3": ("r1",), "r4": ("r1",)}
+STEP_NS = 50_000_000
+
+Fleets = Callable[..., Fleet]
+Says = Callable[..., Estimate]
+
+
+class Arriving:
+    """A sample as the door hands it over."""
+
+    is_put = True
+
+    def __init__(self, src: str, data: bytes = b"x", rest: str = "", encoding: str = encoding(Estimate)) -> None:
+        self.key, self._data, self.encoding = f"aucamp/test/link/{src}/r1{rest}", data, encoding
+
+    @property
+    def size(self) -> int:
+        return len(self._data)
+
+    def payload(self) -> bytes:
+        return self._data
+
+
+@pytest.fixture
+def inboxes(make_fleet: Fleets) -> Inboxes:
+    return Inboxes(make_fleet(FULL), "r1")
+
+
+def heard(inboxes: Inboxes, now_ns: int = 0) -> list[tuple[str, bytes]]:
+    return [(item.src, item.payload) for item in inboxes.drain(now_ns)[0]]
+
+
+def refused(inboxes: Inboxes, now_ns: int = 0) -> dict[tuple[str, str], int]:
+    return {(row.reason, row.src or ""): row.count for row in inboxes.drain(now_ns)[1]}
+
+
+def test_the_two_newest_of_each_and_all_in_turn(inboxes: Inboxes) -> None:
+    for k in range(9):
+        inboxes.put(Arriving("r4", b"%d" % k), k)
+    inboxes.put(Arriving("r2", b"late"), 10)
+    inboxes.put(Arriving("r2", b"later"), 11)
+    inboxes.put(Arriving("r3", b"last"), 12)
+    assert heard(inboxes) == [("r2", b"late"), ("r3", b"last"), ("r4", b"7"), ("r2", b"later"), ("r4", b"8")]
+    assert heard(inboxes) == []
+
+
+def test_each_target_has_places_of_its_own(make_fleet: Fleets) -> None:
+    fleet = replace(make_fleet(FULL), target={"ball": Target(radius_m=0.07), "buoy": Target(radius_m=0.07)})
+    inboxes = Inboxes(fleet, "r1")
+    for k in range(3):
+        inboxes.put(Arriving("r2", b"%d" % k, "/ball"), k)
+    inboxes.put(Arriving("r2", b"buoy", "/buoy"), 9)
+    inboxes.put(Arriving("r3", b"buoy", "/buoy"), 9)
+    assert heard(inboxes) == [("r2", b"1"), ("r2", b"buoy"), ("r3", b"buoy"), ("r2", b"2")]
+
+
+def test_a_target_that_our_file_lacks_is_for_the_step_to_refuse(inboxes: Inboxes) -> None:
+    for k in range(1000):
+        inboxes.put(Arriving("r2", b"%d" % k, f"/thing{k}"), k)
+    inboxes.put(Arriving("r2", b"ball"), 0)
+    assert heard(inboxes) == [("r2", b"ball"), ("r2", b"998"), ("r2", b"999")]
+
+
+def test_reasons_are_few_and_name_the_neighbour(inboxes: Inboxes) -> None:
+    for k in range(500):
+        inboxes.put(Arriving("r2", bytes(MAX_PAYLOAD + 1)), k)
+        inboxes.put(Arriving("r2", b"x", encoding=f"text/{k}"), k)
+        inboxes.put(Arriving(f"x{k}"), k)
+        inboxes.put(Arriving("r3", rest=f"/a/b{k}"), k)
+    want = {("too large", "r2"): 500, ("wrong encoding", "r2"): 500, ("unknown sender", ""): 1000}
+    assert refused(inboxes) == want
+    assert refused(inboxes) == {}
+
+
+def test_a_payload_is_copied_only_where_it_can_be_a_message(inboxes: Inboxes, monkeypatch: pytest.MonkeyPatch) -> None:
+    copied = []
+    monkeypatch.setattr(Arriving, "payload", lambda self: copied.append(self.key) or b"")
+    for bad in (Arriving("r9"), Arriving("r2", bytes(MAX_PAYLOAD + 1)), Arriving("r2", encoding="x")):
+        inboxes.put(bad, 0)
+    assert copied == []
+    inboxes.put(Arriving("r2"), 0)
+    assert len(copied) == 1
+
+
+@pytest.mark.parametrize("late_s", [0.5, 3.0, 60.0])
+def test_a_step_that_comes_late_makes_no_flood(inboxes: Inboxes, late_s: float) -> None:
+    now_ns = 0
+    for _ in range(20):
+        for k in range(round(late_s * 20)):  # as often as a fleet file may ask for
+            inboxes.put(Arriving("r2", b"%d" % k), now_ns)
+        now_ns += round(late_s * 1e9)
+        got, turned_away = inboxes.drain(now_ns)
+        assert [item.payload for item in got] == [b"%d" % (late_s * 20 - 2), b"%d" % (late_s * 20 - 1)]
+        assert turned_away == ()
+
+
+def test_a_flood_is_counted_but_for_what_a_neighbour_may_say(inboxes: Inboxes) -> None:
+    count = 0
+    inboxes.drain(0)
+    for step in range(100):
+        for _ in range(500):
+            inboxes.put(Arriving("r3"), step)
+        inboxes.put(Arriving("r2"), step)
+        counts = refused(inboxes, step * STEP_NS)
+        assert counts.keys() == {("flood", "r3")}
+        count += counts["flood", "r3"]
+    assert count == pytest.approx(500 * 100 - BURST - FASTEST_HZ * 99 * 0.05, abs=10)
+
+
+def test_through_real_sessions_one_that_shouts_takes_nobodys_place(make_fleet: Fleets, estimate: Says) -> None:
+    fleet = make_fleet(FULL)
+    with (
+        Transport(fleet, "r1", time.time_ns) as r1,
+        Transport(fleet, "r2", time.time_ns) as r2,
+        Rogue(fleet, "r3") as rogue,
+    ):
+        rogue.linked("r1")
+
+        def hears(seq: int, again: bool) -> bool:
+            if again:
+                r2.say(estimate("r2", "r1", seq))
+            return seq in [decode(item.payload, Estimate).seq for item in r1.drain()[0]]
+
+        until(lambda: hears(1, again=True))
+        r2.say(estimate("r2", "r1", 2))
+        until(lambda: hears(2, again=False))  # so all before it has come
+        said, began_s = 5000, time.monotonic()
+        for seq in range(1, said + 1):
+            rogue.say("r1", encode(estimate("r3", "r1", seq)))
+            if seq in (1, said // 2):
+                r2.say(estimate("r2", "r1", seq))
+        until(lambda: sum(inbox.arrived for inbox in r1._inboxes._inboxes) >= said + 2)
+        got, turned_away = r1.drain()
+        seqs = [(item.src, decode(item.payload, Estimate).seq) for item in got]
+        assert seqs[:2] == [("r2", 1), ("r3", said - 1)]
+        assert seqs[2:] == [("r2", said // 2), ("r3", said)]
+        assert [(row.reason, row.src) for row in turned_away] == [("flood", "r3")]
+        allowed = BURST + FASTEST_HZ * (time.monotonic() - began_s)
+        assert said - 2 - allowed <= turned_away[0].count <= said - 2
+
+
+def test_a_key_is_judged_as_the_table_of_topics_spells_it(inboxes: Inboxes) -> None:
+    inboxes.put(Arriving("r2"), 0)
+    assert topics.key(LINK, fleet="test", src="r2", dst="r1") == Arriving("r2").key
+    assert heard(inboxes) == [("r2", b"x")]
