@@ -9,8 +9,8 @@ from typing import Any
 
 import msgspec
 
-from tests.fuzz.episode import Plan
-from tests.fuzz.invariants import Broken
+from tests.fuzz.kernel.episode import Plan
+from tests.fuzz.kernel.invariants import Broken
 from tests.places import ROOT
 
 FOLDER = ROOT / "tests" / "fuzz" / "cases"

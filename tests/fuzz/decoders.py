@@ -14,8 +14,8 @@ import numpy as np
 from agent import decoder
 from agent.kernel import messages, step_io, topics
 from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.estimation import signed
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
+from agent.kernel.trust import signed
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
 from hw.camera.v4l2_format import MJPG, YUYV, Format
@@ -24,7 +24,7 @@ from hw.firmware import wire
 from replay.files.backlog import Entry
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.fuzz import mutate
-from tests.fuzz.swarm import Scene, fleet_of
+from tests.fuzz.kernel.swarm import Scene, fleet_of
 from tests.fuzz.values import integer, of_type
 
 LIMITS = {Image: topics.IMAGE.limit, step_io.Inputs: 10**6, step_io.Outputs: 10**6}  # bytes, where not the usual one

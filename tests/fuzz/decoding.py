@@ -10,8 +10,8 @@ from random import Random
 
 from tests.fuzz import cases
 from tests.fuzz.decoders import Decoder, bytes_for, decoders
-from tests.fuzz.episode import crash
-from tests.fuzz.invariants import Broken
+from tests.fuzz.kernel.episode import crash
+from tests.fuzz.kernel.invariants import Broken
 from tests.fuzz.shrink import shrink
 
 SLICE = 2000  # payloads for one decoder, then it is the next one's turn

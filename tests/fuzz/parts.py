@@ -10,7 +10,7 @@ from typing import Literal
 
 from agent.kernel.config import Protocol
 from tests.fuzz import decoding
-from tests.fuzz.kernel import PROTOCOLS, Fuzzer, scenes
+from tests.fuzz.kernel.search import PROTOCOLS, Fuzzer, scenes
 
 Name = Literal["kernel", "decoders", "wire", "firmware", "recordings", "all"]
 Say = Callable[[str], object]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from agent.kernel.codec import encode
 from agent.kernel.step_io import Heard, Inputs, Outputs
-from tests.fuzz.invariants import Broken, Watch
-from tests.fuzz.swarm import START_NS, STEP_NS, Known, Robot, Scene, known, record, wake
+from tests.fuzz.kernel.invariants import Broken, Watch
+from tests.fuzz.kernel.swarm import START_NS, STEP_NS, Known, Robot, Scene, known, record, wake
 
 SLOW_S = 0.25  # of the processor, for one step
 USUAL_S = 0.01  # of the processor, for a step that is not slow

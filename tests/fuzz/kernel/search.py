@@ -8,11 +8,11 @@ from random import Random
 
 from agent.kernel.config import Protocol
 from tests.fuzz import cases
-from tests.fuzz.episode import Lie, Plan, Tell, outcome, play
-from tests.fuzz.invariants import Broken
+from tests.fuzz.kernel.episode import Lie, Plan, Tell, outcome, play
+from tests.fuzz.kernel.invariants import Broken
+from tests.fuzz.kernel.swarm import ROBOTS, SAVED_S, STEP_NS, Scene, record
+from tests.fuzz.kernel.tellers import teller
 from tests.fuzz.shrink import shrink
-from tests.fuzz.swarm import ROBOTS, SAVED_S, STEP_NS, Scene, record
-from tests.fuzz.tellers import teller
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
 STEPS = (20, 60, 160, 300)  # with lies

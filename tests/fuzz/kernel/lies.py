@@ -8,9 +8,9 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
-from agent.kernel.estimation import signed
 from agent.kernel.messages import Entry, Epoch, Proposal, Sample
-from tests.fuzz import swarm
+from agent.kernel.trust import signed
+from tests.fuzz.kernel import swarm
 from tests.fuzz.values import integer, number, of_type, text
 
 Plain = Any  # maps, lists, numbers

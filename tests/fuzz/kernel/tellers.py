@@ -9,9 +9,9 @@ import msgpack
 
 from agent.kernel.messages import MAX_PAYLOAD, Estimate
 from tests.fuzz import mutate
-from tests.fuzz.episode import Lie, Plan, Tell
-from tests.fuzz.lies import Theme
-from tests.fuzz.swarm import ROBOTS, Recording
+from tests.fuzz.kernel.episode import Lie, Plan, Tell
+from tests.fuzz.kernel.lies import Theme
+from tests.fuzz.kernel.swarm import ROBOTS, Recording
 from tests.fuzz.values import integer, of_type, text
 
 HABITS = (  # shares of: made up, mutated, of wild types, broken bytes, bombs

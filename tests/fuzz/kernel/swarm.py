@@ -19,10 +19,10 @@ from msgspec.structs import replace
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet, Protocol
 from agent.kernel.core import Agent
-from agent.kernel.estimation import signed
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate, Gossip, Vector
 from agent.kernel.step_io import Heard, Inputs, Outputs
+from agent.kernel.trust import signed
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 from tests.places import ROOT
 

@@ -10,8 +10,8 @@ from agent.kernel.codec import Refusal, decode, encode
 from agent.kernel.estimation.matrix import semidefinite, trace
 from agent.kernel.messages import Estimate, State, Vector
 from agent.kernel.step_io import Outputs
-from tests.fuzz.sizes import largest
-from tests.fuzz.swarm import STEP_NS, Known, Recording, Robot
+from tests.fuzz.kernel.sizes import largest
+from tests.fuzz.kernel.swarm import STEP_NS, Known, Recording, Robot
 
 MOVED_M = 0.06  # coarse: what one liar of three may move who sees the target; the experiment has the exact bars
 AHEAD = 3  # iterations before what an honest swarm had reached
