@@ -18,7 +18,13 @@ from agent.kernel.config import Protocol
 from tests.fuzz import parts
 
 FOR_EVER_S = 10.0**9
-TURN = 4000  # messages, payloads or streams of a part before it is the next one's turn
+TURN_S = 10.0  # of one part, then it is the next one's turn
+TOLD_S = 60.0  # from one account of how far it is to the next
+TURN = 4000  # inputs of a turn, at most
+
+
+class Over(Exception):
+    """The time is up."""
 
 
 def main(
@@ -36,14 +42,17 @@ def main(
     end_s = time.monotonic() + (seconds or FOR_EVER_S)
     say(f"seed {seed}")
     running = [each(seed, say, keep) for each in parts.chosen(part, protocol)]
+    told_s = time.monotonic()
     try:
-        while time.monotonic() < end_s:
-            due = [each for each in running if not count or each.done < count]
-            if not due:
-                break
+        while due := [each for each in running if not count or each.done < count]:
             for each in due:
-                each.turn(min(TURN, count - each.done) if count else TURN, end_s)
-    except KeyboardInterrupt:
+                if (now_s := time.monotonic()) >= end_s:
+                    raise Over
+                if now_s - told_s > TOLD_S:
+                    told_s = now_s
+                    say(f"so far: {', '.join(f'{each.name} {each.done}' for each in running)}")
+                each.turn(min(TURN, count - each.done) if count else TURN, min(end_s, now_s + TURN_S))
+    except (Over, KeyboardInterrupt):
         pass
     for each in running:
         say(f"{each.name}: {each.done} {each.of}, {each.rate():.0f} a second; {each.faults} faults")

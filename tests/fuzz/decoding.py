@@ -14,7 +14,7 @@ from tests.fuzz.kernel.episode import crash
 from tests.fuzz.kernel.invariants import Broken
 from tests.fuzz.shrink import shrink
 
-SLICE = 2000  # payloads for one decoder, then it is the next one's turn
+SLICE = 500  # payloads for one decoder, then it is the next one's turn
 SLOW_S = 0.1  # of the processor, for one payload
 TRIES = 400
 
@@ -26,8 +26,9 @@ def run(
     keep: bool = True,
     until_s: float | None = None,
     names: tuple[str, ...] = (),
-) -> dict[str, Broken]:
-    """`count` payloads into each decoder, or as many as fit before a moment of time.monotonic. What was broken, once.
+) -> tuple[dict[str, Broken], int]:
+    """`count` payloads into each decoder, or as many as fit before a moment of time.monotonic: (what was broken, how
+    many payloads each decoder got).
 
     names: beginnings of the names of decoders; none: all.
     """
@@ -46,8 +47,8 @@ def run(
                     say(f"{one.name}: {fault.name}: {fault.detail} [{name}]")
                     if keep:
                         say(f"  {_kept(one, payload, fault, name)}")
-        done += SLICE
-    return found
+        done += min(SLICE, count - done)
+    return found, done
 
 
 def _slice(one: Decoder, pool: list[bytes], rng: Random, count: int) -> Iterator[tuple[bytes, Broken]]:

@@ -19,6 +19,7 @@ ELSEWHERE = {
     "firmware": "tests.fuzz.firmware_bytes",
     "recordings": "tests.fuzz.recordings",
 }
+AT_ONCE = {"wire": 1000, "firmware": 1000, "recordings": 20}  # inputs of one call
 SOCKETS = ("request", "reply", "frames")  # decoders that belong to the wire
 
 
@@ -68,9 +69,9 @@ class Decoders(Part):
         self._names, self._keep, self._found = names, keep, set[str]()
 
     def work(self, count: int, end_s: float) -> None:
-        found = decoding.run(count, self.seed * 1000 + self.turns, self.say, self._keep, end_s, self._names)
+        found, done = decoding.run(count, self.seed * 1000 + self.turns, self.say, self._keep, end_s, self._names)
         self._found |= set(found)
-        self.done, self.faults = self.done + count, len(self._found)
+        self.done, self.faults = self.done + done, len(self._found)
 
 
 class Elsewhere(Part):
@@ -83,15 +84,15 @@ class Elsewhere(Part):
         self._module = importlib.import_module(ELSEWHERE[name])
 
     def work(self, count: int, end_s: float) -> None:
-        part, step = 0, max(1, count // 20)
-        while part < count and time.monotonic() < end_s:
+        last, most = self.done + count, AT_ONCE[self.name]
+        while self.done < last and time.monotonic() < end_s:
+            step = min(most, last - self.done)
             seed = self.seed * 10**6 + self.done
             try:
                 self._module.run(step, seed)
             except Exception as error:  # noqa: BLE001 - it is told with its seed, and the others go on
                 self.faults += 1
                 self.say(f"{self.name}: {type(error).__name__}: {error!s:.2000} [run({step}, {seed})]")
-            part += step
             self.done += step
 
 

@@ -26,16 +26,8 @@ def scenes(protocol: Protocol, seconds: float = 40.0) -> list[Scene]:
     """What robots of this protocol do meanwhile."""
     if protocol != "evidence":
         return [Scene(protocol, seconds=seconds), Scene(protocol, targets=2, seconds=seconds)]
-    return [
-        Scene(protocol, targets=targets, moving=moving, keys=keys, seconds=seconds)
-        for targets, moving, keys in (
-            (1, False, False),
-            (1, False, True),
-            (1, True, True),
-            (2, False, True),
-            (1, True, False),
-        )
-    ]
+    still = [Scene(protocol, targets=n, keys=keys, seconds=seconds) for n, keys in ((1, False), (1, True), (2, True))]
+    return [*still, *(Scene(protocol, moving=True, keys=keys, seconds=seconds) for keys in (True, False))]
 
 
 def planned(scene: Scene, rng: Random) -> Plan:
