@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test bench lint format rooms clean
+.PHONY: venv run test bench fuzz lint format rooms clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -14,6 +14,11 @@ test: .venv/ready-test lint
 
 bench: .venv/ready-test
 	$(BIN)/python -m tests.bench
+
+# Hostile bytes into whatever takes bytes from outside, until Ctrl-C or for so long. A seed: make fuzz FUZZ="--seed 7".
+FUZZ_SECONDS ?= 600
+fuzz: .venv/ready-test
+	$(BIN)/python -m tests.fuzz all --seconds $(FUZZ_SECONDS) $(FUZZ)
 
 lint: .venv/ready-test
 	$(BIN)/ruff check .

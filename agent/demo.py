@@ -187,7 +187,8 @@ def dive(
     if not console.is_terminal:
         console.print()  # a table that was drawn once, into a pipe, has no end of line
     processes.stop(*fleet.robot)
-    processes.stop("recorder")
+    for complaint in processes.stop("recorder"):
+        console.print(complaint, style="red", markup=False)
     processes.stop("twin")
     for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:
         console.print(complaint)

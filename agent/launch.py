@@ -73,8 +73,11 @@ class Crew:
             raise Failed(f"{name} failed: {last_line(child.log)}")
         self._children.remove(child)
 
-    def stop(self, *names: str) -> None:
-        """SIGTERM to these at once, SIGKILL to whoever is left after a while; all are reaped."""
+    def stop(self, *names: str) -> list[str]:
+        """SIGTERM to these at once, SIGKILL to whoever is left after a while; all are reaped.
+
+        Returns a line for each that did not end well: its work may not be done.
+        """
         children = [self._child(name) for name in names]
         for child in children:
             if child.process.poll() is None:
@@ -87,6 +90,9 @@ class Crew:
                 child.process.kill()
                 child.process.wait()
             self._children.remove(child)
+        well = (0, 128 + signal.SIGTERM, -signal.SIGTERM)
+        bad = [child for child in children if child.process.returncode not in well]
+        return [f"{child.name} did not end well ({how_it_ended(child)}): {last_line(child.log)}" for child in bad]
 
     def stop_all(self) -> None:
         """The youngest first."""

@@ -36,6 +36,7 @@ logger = logging.getLogger(__name__)
 
 CHANNELS = 16_384  # keys that are recorded: a mesh of 64 robots has 4,200, and a file can number 65,535 channels
 PERIOD_S = 0.1  # how often arrivals are decoded and handed to the writer
+GIVEN_UP_S = 60.0  # a disk that takes nothing for so long will not: whoever started this has to know
 SILENCE_S = 3.0  # robots publish five times a second: by now something should have come
 BACKLOG_MESSAGES = 8192
 BACKLOG_BYTES = 16 * 1024 * 1024
@@ -72,8 +73,8 @@ def record(
             for entry in (*arrivals.drain(), *rate.due()):
                 log.put(entry)
             log.at_end["not_recorded"] = arrivals.not_recorded()
-            if log.failed:
-                raise ConfigError(f"{out}: recording stopped: {log.failed}")
+            if log.failed or log.stuck_s > GIVEN_UP_S:
+                raise ConfigError(f"{out}: recording stopped: {log.fault}")
             if stuck is not (stuck := log.fault is not None):
                 warn(f"{out}: {log.fault or 'the disk answers again; info says what was lost'}")
             if not warned and not any(arrivals.counts.values()) and clock.now_ns() - started_ns > SILENCE_S * 1e9:

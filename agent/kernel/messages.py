@@ -218,6 +218,8 @@ def _finite(value: Any) -> bool:
         return math.isfinite(value)
     if isinstance(value, (tuple, list)):
         return all(map(_finite, value))
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
     return True
 
 

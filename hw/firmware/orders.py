@@ -163,23 +163,24 @@ class Orders:
     def step(self, pressure_pa):
         """Go on with what takes more than a cycle."""
         if self._listing:
-            last = min(self._list_next + LISTED_AT_ONCE, len(parameters.TABLE))
-            for i in range(self._list_next, last):
+            first, last = self._list_next, min(self._list_next + LISTED_AT_ONCE, len(parameters.TABLE))
+            self._list_next, self._listing = last, last < len(parameters.TABLE)
+            for i in range(first, last):
                 self._say_value(self._list_req_id, i)
-            self._list_next = last
-            self._listing = last < len(parameters.TABLE)
-        if self._tare and self._tare.step(pressure_pa):
-            self._end_tare()
+        if self._tare:
+            self._go_on_taring(pressure_pa)
 
-    def _end_tare(self):
-        fields, medians = self._tare_fields, self._tare.result()
-        self._tare = None
-        result = wire.REFUSED
+    def _go_on_taring(self, pressure_pa):
+        fields, result = self._tare_fields, wire.REFUSED
         try:
+            if not self._tare.step(pressure_pa):
+                return
+            medians = self._tare.result()
             if medians and self._set_tare(medians, fields[2] * 1e-3):
                 result = wire.OK
         except Exception as error:
             self._line.fault("tare", error)
+        self._tare = None
         self._remember(wire.TARE, fields, result)
         self._line.say(wire.ACK, fields[0], wire.TARE, result, self._line.boot_id)
 

@@ -138,10 +138,10 @@ class Tether:
         """One waiting event or line of text."""
         if self._events:
             event = self._events[0]
-            self._hal.write(self._writer.frame(wire.EVENT, *event[1]))
             event[0] -= 1
             if not event[0]:
                 self._events.pop(0)
+            self._hal.write(self._writer.frame(wire.EVENT, *event[1]))
         elif self._logs:
             self._hal.write(self._writer.log(*self._logs.pop(0)))
 

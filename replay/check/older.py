@@ -10,7 +10,7 @@ from replay.check.compare import ABSENT, Difference
 
 NUMBERED = ("says.schema", "state.schema", "log.schema")  # fields that say the schema itself
 # What later schemas added, by the older one that lacks it: `common`; proposals, which end a gossip; the signature that
-# ends an entry; time and signature, which end a sample; of a state, what keys and doubts came to. Any other is none.
+# ends an entry; time and signature, which end a sample; of a state, `signed` and `sway_m`. Another entry is no such.
 ADDED = {
     1: r"says\[\d+\]\.(common|gossip\[4\]|gossip\[1\]\[\d+\]\[6\]|gossip\[2\]\[\d+\]\[[67]\])"
     r"|state\.(signed|explain\.sway_m)"

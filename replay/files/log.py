@@ -116,10 +116,15 @@ class LogWriter:
     @property
     def fault(self) -> str | None:
         """Why nothing is recorded: the recording has ended, or the disk does not answer. None: all is well."""
-        busy_s = self._busy_since_s
-        if self.failed is None and busy_s is not None and machine.monotonic_s() - busy_s > STUCK_S:
+        if self.failed is None and self.stuck_s > STUCK_S:
             return f"the disk has taken nothing for more than {STUCK_S:.0f} s"
         return self.failed
+
+    @property
+    def stuck_s(self) -> float:
+        """For how long the disk has been at what it was given last; 0: it is done."""
+        since_s = self._busy_since_s
+        return 0.0 if since_s is None else machine.monotonic_s() - since_s
 
     # --- the thread -------------------------------------------------------------------------------------------
 

@@ -41,7 +41,7 @@ from tests.replay.small_box import flat
 
 PAGE_EVERY = 50  # recordings: a page with its figures takes as long as a hundred other verbs
 COMMAND_EVERY = 100  # and the command line takes a while to build
-VERB_S = 20  # a verb that takes longer hangs
+VERB_S = 20  # of the processor: a verb that takes longer hangs
 MEMORY_BYTES = 3 * 2**30  # of address space, for one process
 
 
@@ -223,18 +223,18 @@ def originals(label: str) -> frozenset[Any]:
 
 @contextmanager
 def within(seconds: int) -> Iterator[None]:
-    """Raise TimeoutError in a block that takes longer."""
+    """Raise Late in a block that computes for longer, however busy the machine is."""
 
     def late(*_: object) -> None:
         raise Late(f"longer than {seconds} s")
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(seconds)
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 class Late(BaseException):

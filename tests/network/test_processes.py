@@ -69,7 +69,7 @@ def test_two_processes_hear_each_other_and_sigterm_ends_one(pair: tuple[Fleet, P
 
 def test_a_process_ends_by_itself_while_others_talk_to_it(pair: tuple[Fleet, Path]) -> None:
     fleet, path = pair
-    with Transport(fleet, "r2", time.time_ns) as r2, talk(path, "r1", "r2", last=20) as r1:
+    with Transport(fleet, "r2", time.time_ns) as r2, talk(path, "r1", "r2", last=150) as r1:
         try:
             until(lambda: r2.drain()[0], timeout_s=60)
             assert r1.wait(timeout=30) == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
 BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
-STEP_NS = 1_000_000_000  # a message that was quicker by more than this tells of another clock, or lies
+STEP_NS = 200_000_000  # a message that was quicker by more than this tells of another clock, or lies
 LOST_NS = 60_000_000_000  # and one that was slower by more than this: links give up long before
 INSISTS = 3  # such messages in a row, after which it is another clock
 

@@ -120,6 +120,35 @@ def test_flash_that_cannot_be_written_refuses_the_order_and_no_more():
     assert board.heard(wire.ACK)[-1][:3] == (2, wire.TARE, wire.REFUSED) and board.faults == 2
 
 
+@pytest.mark.parametrize("part", ["step", "result"])
+def test_a_tare_that_breaks_off_is_refused_once_and_no_order_waits_for_it(part, monkeypatch):
+    board = BareBoard()
+    board.greet()
+    board.hal.pressure_pa = [AIR_PA] * 4
+    board.answers(wire.TARE, 2, board.boot_id, 0)
+    monkeypatch.setattr(board.firmware.tether.orders._tare, part, breaks)
+    board.tick(250)
+    assert [ack[:3] for ack in board.heard(wire.ACK)] == [
+        (2, wire.TARE, wire.RUNNING),
+        (2, wire.TARE, wire.REFUSED),
+    ]
+    ((_, fields),) = board.answers(wire.PARAM_SAVE, 3, board.boot_id)
+    assert fields[2] == wire.OK and board.faults == 1
+
+
+def test_an_event_or_a_value_that_cannot_be_said_does_not_block_those_behind_it(board):
+    say_value, orders = board.firmware.tether.orders._say_value, board.firmware.tether.orders
+    orders._say_value = lambda req_id, i: breaks() if i == 2 else say_value(req_id, i)
+    board.firmware.tether.event(wire.EV_LADDER, 0, 0, wire.INFO, 1 << 20)  # more than its field holds
+    board.firmware.tether.event(wire.EV_LADDER, 0, 0, wire.INFO, 9)
+    board.say(wire.PARAM_LIST, 5, board.boot_id)
+    board.hold(40)
+    assert [event[5] for event in board.heard(wire.EVENT)] == [9, 9, 9]
+    heard = [value[2] for value in board.heard(wire.PARAM_VALUE)]
+    assert heard == [0, 1, *range(4, 19)], "the four of a cycle end with the one that broke off"
+    assert board.faults == 4
+
+
 @pytest.mark.parametrize("part", ["law", "pulses", "sensors"])
 def test_one_fault_of_the_control_law_is_a_cycle_with_the_pulses_of_the_last(board, part, monkeypatch):
     board.hal.pressure_pa = [AIR_PA + 0.31 * PA_PER_M] * 4

@@ -223,11 +223,20 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
 def test_a_kernel_that_raises_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from agent.kernel.core import Agent
 
-    monkeypatch.setattr(Agent, "_measure", lambda self, now_ns: 1 // 0)
+    monkeypatch.setattr(Agent, "step", lambda self, inputs, now_ns: 1 // 0)
     checked = check([R1])
     assert checked.exit_code == 1
     assert checked.first.step == 0
     assert "raised ZeroDivisionError" in text(checked)
+
+
+def test_what_the_kernel_s_net_catches_is_a_difference_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    from agent.kernel.core import Agent
+
+    monkeypatch.setattr(Agent, "_measure", lambda self, now_ns: 1 // 0)
+    checked = check([R1])
+    assert checked.exit_code == 1
+    assert checked.first.step == 0
 
 
 def test_inputs_of_another_version_cannot_be_checked(tmp_path: Path) -> None:

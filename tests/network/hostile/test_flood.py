@@ -1,0 +1,138 @@
+"""A neighbour that shouts at an agent ten thousand times a second, in every way that costs something. Real processes.
+
+The agent goes on as if it were one among many: its loop keeps time, its memory stays, and it hears the others. What it
+did is read from its own black box. Three seconds of each kind by default; AUCAMP_FLOOD_S=10 for the long version, and
+-s for the figures. On the wall: a flood is the machine's.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from agent.demo import demo_fleet
+from agent.kernel.codec import decode
+from agent.kernel.config import Fleet
+from agent.kernel.messages import State
+from agent.kernel.step_io import Inputs
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import STATE
+from agent.transport import Observer
+from replay.files.log import read
+from tests.network.rogue import flooding
+from tests.places import ROOT
+from tests.waiting import until
+
+SECONDS = float(os.environ.get("AUCAMP_FLOOD_S", "3"))
+RATE_HZ = 10_000.0
+VICTIM, HONEST, ROGUE = "r1", ("r2", "r3"), "r4"
+GAP_S = 0.25  # between two steps
+SILENT_S = 0.5  # between two words of a neighbour: as long as a word is valid
+GROWN_MB = 64.0
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(120 + 2 * SECONDS)]
+
+
+class Step(NamedTuple):
+    """One step of the victim's, from its black box."""
+
+    now_ns: int
+    heard: set[str]
+    refused: dict[tuple[str, str], int]
+
+
+class Agents:
+    """The victim and its honest neighbours, scripted, each a process; and what they show."""
+
+    def __init__(self, fleet: Fleet, folder: Path, observer: Observer) -> None:
+        self.fleet, self.box = fleet, folder / f"{VICTIM}.mcap"
+        self.state: dict[str, State] = {}
+        self._observer = observer
+        path = folder / "fleet.toml"
+        path.write_text(dump(fleet))
+        command = [sys.executable, "-m", "tests.network.scripted_agent", str(path)]
+        self.processes = {
+            name: subprocess.Popen([*command, name, str(folder), "0"], cwd=ROOT) for name in (VICTIM, *HONEST)
+        }
+
+    def listen(self) -> dict[str, State]:
+        """The newest state of each."""
+        for seen in self._observer.drain():
+            self.state[seen.chunks["robot"]] = decode(seen.payload, State)
+        dead = {name: p.returncode for name, p in self.processes.items() if p.poll() is not None}
+        assert not dead
+        return self.state
+
+    def agree(self) -> bool:
+        """Whether all of them see the target and count on each other."""
+        states = self.listen()
+        used = [{n.robot for n in state.neighbours if n.used} for state in states.values()]
+        return len(used) == 3 and all(len(names & {VICTIM, *HONEST}) == 2 for names in used)
+
+    def peak_mb(self) -> float:
+        """The victim's largest resident memory so far."""
+        status = Path(f"/proc/{self.processes[VICTIM].pid}/status").read_text()
+        return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) / 1024.0
+
+    def end(self) -> list[Step]:
+        """Stop the victim as planned, and read what it did."""
+        self.processes[VICTIM].send_signal(signal.SIGTERM)
+        assert self.processes[VICTIM].wait(timeout=30) == 0
+        steps = []
+        for record in read(self.box):
+            if record.channel == "/raw/step_in":
+                inputs = decode(record.data, Inputs, limit=1 << 24)
+                refused = {(row.reason, row.src or ""): row.count for row in inputs.refused}
+                steps.append(Step(record.log_time_ns, {item.src for item in inputs.heard}, refused))
+        return steps
+
+
+@pytest.fixture
+def agents(tmp_path: Path) -> Iterator[Agents]:
+    fleet = demo_fleet(4, "evidence", 0.0, 0, False, tmp_path)
+    with Observer(fleet, time.time_ns, (STATE,)) as observer:
+        it = Agents(fleet, tmp_path, observer)
+        try:
+            yield it
+        finally:
+            for process in it.processes.values():
+                process.kill()
+                process.wait()
+
+
+@pytest.mark.parametrize(
+    "kind", ["heartbeat", "entries", "signed", "incarnations", "samples", "epochs", "random", "stuffed"]
+)
+def test_a_flood_stops_nothing(agents: Agents, kind: str, tmp_path: Path) -> None:
+    until(agents.agree, what=agents.listen)
+    before_mb = agents.peak_mb()
+    with flooding(agents.fleet, ROGUE, [VICTIM], kind, RATE_HZ, tmp_path) as flood:
+        began_ns, stop_s = time.time_ns(), time.monotonic() + SECONDS
+        until(lambda: agents.listen() and time.monotonic() > stop_s, timeout_s=SECONDS + 60.0)
+        ended_ns = time.time_ns()
+    grown_mb = agents.peak_mb() - before_mb
+    steps = [step for step in agents.end() if began_ns <= step.now_ns <= ended_ns]
+    gap_s = max((b.now_ns - a.now_ns) * 1e-9 for a, b in pairwise(steps))
+    silent_s = {name: longest_s([s.now_ns for s in steps if name in s.heard], began_ns, ended_ns) for name in HONEST}
+    counted = sum(step.refused.get(("flood", ROGUE), 0) for step in steps)
+    sys.stdout.write(
+        f"\n{kind}: {flood.sent / flood.seconds:.0f}/s sent, {counted / SECONDS:.0f}/s counted; {len(steps)} steps, "
+        f"longest gap {gap_s:.3f} s; silent {silent_s}; {grown_mb:+.1f} MB\n"
+    )
+    assert flood.sent / flood.seconds > RATE_HZ / 20  # or the test does not flood
+    assert counted > 100 * SECONDS
+    assert gap_s < GAP_S
+    assert max(silent_s.values()) < SILENT_S
+    assert grown_mb < GROWN_MB
+
+
+def longest_s(times_ns: list[int], began_ns: int, ended_ns: int) -> float:
+    """The longest time without one of these."""
+    return max((b - a) * 1e-9 for a, b in pairwise([began_ns, *times_ns, ended_ns]))

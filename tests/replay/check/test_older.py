@@ -1,0 +1,78 @@
+"""Recordings of schema 1 are still read and replayed; what later schemas added is no difference, all else is."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from agent.kernel.config import ConfigError
+from agent.perception.rerun_vision import rerun_vision
+from replay.check.black_box import open_box
+from replay.check.check import check, text
+from replay.check.compare import ABSENT, Difference
+from replay.check.explain import explain
+from replay.check.older import must_differ
+from replay.check.update import update_recordings
+from replay.check.vision_check import check_vision
+from replay.files.recover import recover
+from replay.report.report import report
+from replay.report.run import open_run
+from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
+
+OLD = GOLDEN / "schema1"
+
+
+def test_todays_kernel_does_what_it_did_then() -> None:
+    checked = check([OLD])
+    assert checked.exit_code == 0, text(checked)
+    assert sum(each.steps for each in checked.results) == 3 * 320
+    assert "recorded with schema 1: compared but for the schema itself" in text(checked)
+    assert all(link.unknown == 0 for found in checked.links.values() for link in found)
+    assert [open_box(OLD / f"{robot}.mcap").agent() for robot in ("r1", "r2", "r3")]
+
+
+def test_another_behaviour_is_noticed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.kernel.core.LATEST_ITERATION", 1.4)
+    assert check([OLD]).exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("difference", "excused"),
+    [
+        (Difference("says[0].schema", 1, 2), True),
+        (Difference("says[0].schema", 2, 1), False),
+        (Difference("says[1].common", ABSENT, "ab"), True),
+        (Difference("says[1].common", "ab", "cd"), False),
+        (Difference("says[0].gossip[1][2][6]", ABSENT, b""), True),
+        (Difference("says[0].gossip[1][2]", ABSENT, ["r1"]), False),
+        (Difference("says[0].gossip[2][0][7]", ABSENT, b""), True),
+        (Difference("says[0].gossip[4]", ABSENT, []), True),
+        (Difference("state.signed", ABSENT, False), True),
+        (Difference("state.posterior_m", ABSENT, 1.0), False),
+        (Difference("state.refused.flood", ABSENT, 1), False),
+    ],
+)
+def test_only_what_the_older_one_lacks_is_excused(difference: Difference, excused: bool) -> None:
+    assert must_differ(1, difference) is excused
+    assert not must_differ(2, difference)
+
+
+def test_every_other_verb_reads_them(tmp_path: Path) -> None:
+    shutil.copytree(OLD, tmp_path / "run")
+    assert "iteration 15" in explain(OLD / "r1.mcap")
+    assert report(tmp_path / "run").stat().st_size > 10_000
+    assert [each.frames for each in check_vision([OLD], rerun_vision)] == [0, 0, 0]
+    torn = tmp_path / "r1.mcap.active"
+    torn.write_bytes((OLD / "r1.mcap").read_bytes()[:22_000])
+    copy = recover(torn).out
+    assert copy is not None
+    assert check([copy]).exit_code == 0
+    fleet = overheard_run(OLD, tmp_path / "fleet.mcap")
+    assert len(open_run(fleet).timelines) == 3
+
+
+def test_they_stay_what_they_are(tmp_path: Path) -> None:
+    shutil.copytree(OLD, tmp_path / "run")
+    with pytest.raises(ConfigError, match="recorded with schema 1; it stays the reference"):
+        update_recordings([tmp_path / "run"], "because")
