@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from agent.commands.options import OutFolder, Seed, terminal
-from agent.experiments.choices import DEFAULT_SENSOR, WATERS, Sensor
+from agent.experiments.choices import DEFAULT_SENSOR, WATERS, LocalizationKind, Sensor
 from agent.kernel.config import ConfigError, WaterKind
 
 app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
@@ -91,14 +91,15 @@ def experiment_localization(
     out: OutFolder = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few draws, small swarms: for a look.")] = False,
     full: Annotated[bool, typer.Option("--full", help="More draws, losses and robots.")] = False,
+    only: Annotated[LocalizationKind | None, typer.Option("--only", help="This kind of case; else both.")] = None,
 ) -> None:
-    """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, a robot that is wrong."""
+    """Protocols against the Cramer-Rao bound: graphs, loss, schedules of views, robots that are wrong or lie."""
     if quick and full:
         raise ConfigError("--quick and --full contradict each other; give one of them")
     from agent.experiments.localization import figures, run, tables
     from agent.experiments.perform import perform
 
-    asked = run.Settings(seed=seed, quick=quick, full=full)
+    asked = run.Settings(seed=seed, quick=quick, full=full, only=only)
     perform(run.run, asked, tables.table, out, terminal(), "dives", figures.figures)
 
 

@@ -7,5 +7,6 @@ from typing import Literal, get_args
 from agent.kernel.config import WaterKind
 
 Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens
+LocalizationKind = Literal["accuracy", "liar"]
 DEFAULT_SENSOR: Sensor = "imx519_640"
 WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

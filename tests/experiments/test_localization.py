@@ -15,9 +15,10 @@ from agent.experiments.localization.criteria import EVIDENCE_UNDER_LOSS, verdict
 from agent.experiments.localization.draws import score_draws
 from agent.experiments.localization.figures import figures
 from agent.experiments.localization.graphs import graph, metropolis_weights, paper_weights
+from agent.experiments.localization.liar_cases import LiarCase
 from agent.experiments.localization.lockstep import Swarm, prior, symmetric
 from agent.experiments.localization.run import Settings, rows_of
-from agent.experiments.localization.tables import cases_table, table, verdicts_table
+from agent.experiments.localization.tables import cases_table, liars_table, table, verdicts_table
 from agent.experiments.localization.world import draw_dive, draw_world
 from agent.experiments.result import write_result
 
@@ -131,7 +132,9 @@ def test_result_figures_and_tables(tmp_path, monkeypatch) -> None:
         Case("paper", "full", 3, 2, (3, 5), noise="iso"),
         Case("evidence", "line", 10, 2, (2,), loss=0.1, views="relay"),
     ]
+    lies = [LiarCase("full", 3, 2, protocol="paper"), LiarCase("full", 3, 2, protocol="metropolis", clip=True)]
     monkeypatch.setattr(experiment, "cases", lambda quick, full: few)
+    monkeypatch.setattr(experiment, "liar_cases", lambda quick, full: lies)
     done = []
     result = experiment.run(Settings(seed=3, quick=True), lambda n, total: done.append((n, total)))
     assert done[-1][0] == done[-1][1]
@@ -148,11 +151,23 @@ def test_result_figures_and_tables(tmp_path, monkeypatch) -> None:
     assert "closed_form_mm" in result.cases[0]
     assert "closed_form_mm" not in result.cases[2]
     assert cases_table(result.cases).row_count == 3
+    assert [(row["protocol"], row["clip"]) for row in result.liars] == [("paper", False), ("metropolis", True)]
+    assert result.liars[0]["moved_max_mm"] > 10.0 * result.liars[1]["moved_max_mm"] > 0.0
+    assert liars_table(result.liars).row_count == 2
     assert verdicts_table(result.verdicts).row_count == len(result.verdicts) > 0
-    assert len(table(result).renderables) == 2
+    assert len(table(result).renderables) == 3
     write_figures(figures(result), tmp_path)
     drawn = {path.name for path in tmp_path.glob("localization_*")}
     assert drawn == {f"localization_loss_{loss}.{kind}" for loss in (0, 30) for kind in ("svg", "png")}
+
+
+def test_one_kind_can_be_run_alone(monkeypatch) -> None:
+    monkeypatch.setattr(experiment, "cases", lambda quick, full: [Case("paper", "full", 3, 1, (2,))])
+    monkeypatch.setattr(experiment, "liar_cases", lambda quick, full: [LiarCase("full", 3, 1, protocol="paper")])
+    for only, cases_, lies in (("accuracy", 1, 0), ("liar", 0, 1)):
+        result = experiment.run(Settings(only=only), lambda done, total: None)
+        assert (len(result.cases), len(result.liars)) == (cases_, lies)
+        assert len(table(result).renderables) == 2
 
 
 def test_the_same_seed_gives_the_same_draws_and_another_does_not() -> None:
@@ -169,8 +184,9 @@ def test_verdicts_say_yes_only_to_what_meets_the_target() -> None:
         assert verdict["met"] is met
         assert verdict["measured"] == ratio
     wrong = said | {"topology": "full", "robots": 3, "systematic": True, "nees": 400.0, "ratio": 1.0}
-    assert [v["met"] for v in verdicts([wrong])] == [False]
-    assert [v["met"] for v in verdicts([wrong | {"nees": 3.0}])] == [True]
+    assert [v["met"] for v in verdicts([wrong])] == [True, False]
+    assert [v["met"] for v in verdicts([wrong | {"nees": 3.0}])] == [True, True]
+    assert [v["met"] for v in verdicts([wrong | {"nees": 3.0, "ratio": 1.05}])] == [False, True]
     assert [v["met"] for v in verdicts([wrong | {"outlier_mm": 300.0, "ratio": 20.0}])] == [False]
     failed = said | {"protocol": "paper", "ratio": 1.1, "rmse_mm": 1.1}
     assert [v["met"] for v in verdicts([failed])] == [False], "the paper's failure is to be reproduced"
@@ -182,7 +198,7 @@ def test_every_target_is_about_some_case_of_the_usual_run() -> None:
         for c in cases()
         for t in c.at
     ]
-    assert len({v["target"] for v in verdicts(rows)}) == 7
+    assert len({v["target"] for v in verdicts(rows)}) == 8
 
 
 def test_the_list_of_cases() -> None:

@@ -2,14 +2,16 @@
 
 All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it.
 Nothing is encoded: what the bytes do is the business of other tests, and this makes a thousand robots affordable.
+Signatures are perfect ones that cost nothing (perfect_keys.py), where there are any.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from random import Random
 
 from agent.experiments.localization.graphs import Graph
+from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify
 from agent.experiments.localization.world import Array
 from agent.kernel.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
 from agent.kernel.estimation.choice import estimator
@@ -25,16 +27,32 @@ class Swarm:
     """One estimator per robot; `robots[i]` shows what robot i believes."""
 
     def __init__(
-        self, protocol: Protocol, graph: Graph, loss: float, random: Random, iteration_s: float = 1.0, says: int = 1
+        self,
+        protocol: Protocol,
+        graph: Graph,
+        loss: float,
+        random: Random,
+        iteration_s: float = 1.0,
+        says: int = 1,
+        *,
+        liars: int = 1,
+        clip: bool = False,
+        signed: bool = False,
     ) -> None:
-        """loss: share of messages that vanish, each on its own. says: how often all speak in an iteration."""
-        self._fleet = fleet(protocol, graph, iteration_s)
+        """loss: share of messages that vanish, each on its own. says: how often all speak in an iteration.
+
+        liars, clip: as in the fleet file. signed: evidence is signed by its origin.
+        """
+        self._fleet = fleet(protocol, graph, iteration_s, liars, clip)
         self._validity_ns = round(self._fleet.estimation.validity_s * 1e9)
         self._iteration_ns = round(iteration_s * 1e9)
         self._names = list(self._fleet.robot)
         self._loss, self._random, self._says = loss, random, says
-        self._restarts = [0] * len(graph)
+        self._starts_ns = [0] * len(graph)
+        self._signs = [perfect_signing(name) for name in self._names] if signed else None
+        self._trusted = public_keys(self._names) if signed else None
         self._seq = 0
+        self.tamper: Callable[[int, Estimate], Estimate] = lambda i, estimate: estimate  # what robot i says instead
         self.sides: tuple[frozenset[int], ...] = ()  # nothing passes from one to another
         self.graph = graph
         self.now_ns = self._iteration_ns
@@ -58,8 +76,15 @@ class Swarm:
 
     def restart(self, i: int) -> None:
         """Robot i forgets everything and comes back as a new incarnation."""
-        self._restarts[i] += 1
+        self._starts_ns[i] = self.now_ns
         self.robots[i], self._boxes[i] = self._fresh(i), self._mailbox(i)
+
+    def distrust(self, i: int) -> None:
+        """The key of robot i is taken away, everywhere."""
+        assert self._trusted is not None
+        del self._trusted[self._names[i]]
+        for robot in self.robots:
+            robot.trust(self._trusted)
 
     def speak(self) -> None:
         """All speak once to their neighbours; then time goes on to when the next one is due."""
@@ -75,7 +100,7 @@ class Swarm:
                     fleet=self._fleet.fleet,
                     src=self._names[i],
                     dst=self._names[j],
-                    incarnation=self._restarts[i],
+                    incarnation=self._starts_ns[i],
                     seq=self._seq,
                     sent_ns=now_ns,
                     target=TARGET,
@@ -83,27 +108,33 @@ class Swarm:
                     valid=self.robots[i].valid,
                     **word._asdict(),
                 )
-                letters.append((j, estimate))
+                said = self.tamper(i, estimate)
+                letters.append((j, said if self._signs is None else self._signs[i](said)))
         for j, estimate in letters:
             self.robots[j].hear(self._boxes[j].put(estimate.src, estimate, now_ns))
         self.now_ns += self._iteration_ns // self._says
 
     def _fresh(self, i: int) -> Estimator:
-        return estimator(self._fleet, self._names[i], TARGET, self._restarts[i])
+        robot = estimator(self._fleet, self._names[i], TARGET, self._starts_ns[i], verify)
+        if self._trusted is not None:
+            robot.trust(self._trusted)
+        return robot
 
     def _mailbox(self, i: int) -> Mailbox:
         name = self._names[i]
         return Mailbox(self._fleet.fleet, name, TARGET, self._fleet.robot[name].neighbours)
 
 
-def fleet(protocol: Protocol, graph: Graph, iteration_s: float) -> Fleet:
+def fleet(protocol: Protocol, graph: Graph, iteration_s: float, liars: int = 1, clip: bool = False) -> Fleet:
     """The fleet file that robots with this graph would have; their devices are never opened."""
     names = [f"r{i}" for i in range(len(graph))]
     return Fleet(
         fleet="lockstep",
         tank=Tank(),
         target={TARGET: Target(radius_m=0.07)},
-        estimation=Estimation(protocol=protocol, iteration_s=iteration_s, validity_s=VALIDITY * iteration_s),
+        estimation=Estimation(
+            protocol=protocol, iteration_s=iteration_s, validity_s=VALIDITY * iteration_s, liars=liars, clip=clip
+        ),
         robot={
             name: Robot(
                 neighbours=tuple(names[j] for j in near),

@@ -8,23 +8,28 @@ that have an estimate, those that are wrong on purpose left out.
 All protocols see the same draws, and so does a central fusion that has every sample; its error is known beforehand: it
 is the bound. What its mean square is off the bound is the luck of these draws, and is taken off everybody's (a control
 variate with coefficient 1: unbiased, and tens of draws do the work of thousands for a protocol near the bound).
+
+The other kind of case has robots that lie, as well as they can (liar.py).
 """
 
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 
 import msgspec
 
+from agent.experiments.choices import LocalizationKind
 from agent.experiments.localization.bounds import bound_m, closed_form_m
 from agent.experiments.localization.cases import Case, cases
 from agent.experiments.localization.criteria import verdicts
 from agent.experiments.localization.draws import WORLD, Score, mean_score, score_draws, world_of
 from agent.experiments.localization.graphs import graph, metropolis_weights, paper_weights
+from agent.experiments.localization.liar_cases import liar_cases
+from agent.experiments.localization.liar_rows import UNIT as LIAR_UNIT
+from agent.experiments.localization.liar_rows import attack_draws, liar_cost, liar_row, liar_verdicts
+from agent.experiments.localization.pieces import Task, all_draws
 from agent.experiments.localization.world import MonteCarloWorld, seen
 from agent.experiments.result import ExperimentResult, Row
 from agent.progress import Progress
@@ -38,46 +43,37 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0  # of the draws
     quick: bool = False  # a twentieth of the draws and no swarm above ten robots, for a look
     full: bool = False  # more draws, losses and robots
+    only: LocalizationKind | None = None  # this kind of case; none: all
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):
-    """A row in `cases` for each case and iteration; a verdict for each target and row that it is about."""
+    """A row in `cases` for each case and iteration, one in `liars` for each case in which robots lie or are knocked; a
+    verdict for each target and row that it is about."""
 
     schema: int = 1
     source: str = "simulation"
     seed: int
     world: int = WORLD
     cases: list[Row]
+    liars: list[Row]
     verdicts: list[Row]
 
 
 def run(settings: Settings, progress: Progress) -> Result:
     """Run all cases; progress counts draws by their `cost`."""
-    chosen = cases(settings.quick, settings.full)
-    scores = all_scores(chosen, settings.seed, progress)
-    rows = [row for case, found in zip(chosen, scores, strict=True) for row in rows_of(case, found)]
-    return Result(seed=settings.seed, cases=rows, verdicts=verdicts(rows))
-
-
-def all_scores(chosen: Sequence[Case], seed: int, progress: Progress) -> list[list[list[Score]]]:
-    """The draws of each case, and of each draw the scores at case.at. Works on all processors."""
-    work = [(n, first) for n, case in enumerate(chosen) for first in range(0, case.draws, UNIT)]
-    work.sort(key=lambda item: -cost(chosen[item[0]]))  # the longest first, so that all end together
-    found: list[dict[int, list[list[Score]]]] = [{} for _ in chosen]
-    total, done = sum(case.draws * cost(case) for case in chosen), 0
-    progress(done, total)
-    processes = multiprocessing.get_context("spawn")  # a fork would copy the progress bar's thread in mid-step
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=processes) as pool:
-        jobs = {}
-        for n, first in work:
-            last = min(first + UNIT, chosen[n].draws)
-            jobs[pool.submit(score_draws, chosen[n], seed, first, last)] = (n, first, last)
-        for job in as_completed(jobs):
-            n, first, last = jobs[job]
-            found[n][first] = job.result()
-            done += (last - first) * cost(chosen[n])
-            progress(done, total)
-    return [[scores for first in sorted(parts) for scores in parts[first]] for parts in found]
+    seed, quick, full = settings.seed, settings.quick, settings.full
+    chosen = [] if settings.only == "liar" else cases(quick, full)
+    lies = [] if settings.only == "accuracy" else liar_cases(quick, full)
+    found = all_draws(
+        [
+            *(Task(partial(score_draws, case, seed), case.draws, cost(case), UNIT) for case in chosen),
+            *(Task(partial(attack_draws, case, seed), case.draws, liar_cost(case), LIAR_UNIT) for case in lies),
+        ],
+        progress,
+    )
+    rows = [row for case, scores in zip(chosen, found, strict=False) for row in rows_of(case, scores)]
+    told = [liar_row(case, outcomes) for case, outcomes in zip(lies, found[len(chosen) :], strict=True)]
+    return Result(seed=seed, cases=rows, liars=told, verdicts=[*verdicts(rows), *liar_verdicts(told)])
 
 
 def cost(case: Case) -> int:

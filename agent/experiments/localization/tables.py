@@ -5,13 +5,16 @@ from __future__ import annotations
 from rich.console import Group
 from rich.table import Table
 
+from agent.experiments.localization.liar_rows import lie
 from agent.experiments.localization.run import Result
 from agent.experiments.result import Row
 
 
 def table(result: Result) -> Group:
-    """Both tables."""
-    return Group(cases_table(result.cases), verdicts_table(result.verdicts))
+    """A table for each kind of case that was run, and the verdicts."""
+    shown = [cases_table(result.cases)] if result.cases else []
+    shown += [liars_table(result.liars)] if result.liars else []
+    return Group(*shown, verdicts_table(result.verdicts))
 
 
 def cases_table(rows: list[Row]) -> Table:
@@ -24,6 +27,21 @@ def cases_table(rows: list[Row]) -> Table:
         names = (row["protocol"], row["topology"], str(row["robots"]), row["noise"], f"{row['loss']:.0%}", row["views"])
         figures = (number(row["rmse_mm"]), number(row["bound_mm"]), number(row["ratio"]), number(row["nees"], 1))
         shown.add_row(*names, what_else(row), str(row["t"]), *figures, f"{row['covered']:.0%}")
+    return shown
+
+
+def liars_table(rows: list[Row]) -> Table:
+    """A line for each case."""
+    shown = Table(title="localization: how far a liar moves the honest, millimetres (simulation)")
+    heads = ("protocol", "graph", "robots", "what")
+    for head in (*heads, "draws", "median", "95 %", "max", "bound", "over bound", "10 later", "share"):
+        shown.add_column(head, justify="left" if head in ("protocol", "graph", "what") else "right")
+    for row in rows:
+        names = (row["protocol"], row["topology"], str(row["robots"]), lie(row).removeprefix(", ") or "one liar")
+        moved = (number(row[f"moved_{which}_mm"], 1) for which in ("median", "p95", "max"))
+        against = (number(row["bound_median_mm"], 1), number(row["ratio_max"]))
+        later = (number(row["after_10_max_mm"], 1), number(row["share_least"]))
+        shown.add_row(*names, str(row["draws"]), *moved, *against, *later)
     return shown
 
 
@@ -48,7 +66,7 @@ def verdicts_table(verdicts: list[Row]) -> Table:
         low, high = verdict["least"], verdict["most"]
         asked = f"{low:g} to {high:g}" if low and high else f">= {low:g}" if low else f"<= {high:g}"
         measured, met = number(verdict["measured"], 3), "yes" if verdict["met"] else "no"
-        draws, t = str(verdict["draws"]), str(verdict["t"])
+        draws, t = str(verdict["draws"]), "-" if verdict["t"] is None else str(verdict["t"])
         shown.add_row(verdict["target"], verdict["case"], draws, t, asked, measured, met)
     return shown
 

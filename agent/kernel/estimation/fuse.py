@@ -15,7 +15,7 @@ systematic error of their robot, so no robot grows surer than its survey and cal
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
@@ -135,9 +135,15 @@ def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, 
 # --- who stands out -------------------------------------------------------------------------------------------
 
 
-def doubts(group: Sequence[Opinion], liars: int = 1) -> Doubt:
-    """Who of a group that agrees may still be wrong; nobody in a group too small to tell."""
-    return _doubt(group, list(_leaving_one_out(group)) if len(group) >= DOUBTED else [], liars)
+def doubts(group: Sequence[Opinion], liars: int = 1, beside: Mapping[str, float] | None = None) -> Doubt:
+    """Who of a group that agrees may still be wrong; nobody in a group too small to tell.
+
+    beside: d^2 of each by what else is known of it, where one is left out; the larger counts.
+    """
+    singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
+    if beside:
+        singles = [way._replace(d2=max(way.d2, *(beside.get(name, 0.0) for name in way.out))) for way in singles]
+    return _doubt(group, singles, liars)
 
 
 def _doubt(group: Sequence[Opinion], singles: list[Without], liars: int) -> Doubt:

@@ -20,6 +20,7 @@ from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
 from agent.kernel.estimation.track import Track, nis, predict
+from agent.kernel.estimation.track_distance import distances2
 from agent.kernel.estimation.window import MASK, Key, Window
 from agent.kernel.messages import Epoch, Explain, Gossip, Sample
 from agent.kernel.trust.authority import HEARSAY
@@ -128,12 +129,14 @@ class MovingTarget:
         fresh, horizon_ns = self._window.fresh(), self._window.horizon_ns(now_ns)
         for ledger in self._ledgers.values():
             ledger.drop(self._window.samples)
-        opinions = self._opinions(fresh, horizon_ns, now_ns)
+        tracks = self._tracks(fresh, horizon_ns, now_ns)
+        opinions = [Opinion(name, t.x_m, t.A, invert(t.A)) for name, t in tracks.items()]
         track, ballot, posterior, doubt = None, None, None, Doubt(0.0, [])
         if opinions:
             ballot = vote(opinions)
             track = self._agree(ballot, fresh, horizon_ns, now_ns)
-            doubt = doubts([opinion for opinion in opinions if opinion.origin in ballot.group], self._me.liars)
+            apart2 = distances2({name: track for name, track in tracks.items() if name in ballot.group})
+            doubt = doubts([o for o in opinions if o.origin in ballot.group], self._me.liars, apart2)
         if track is not None and ballot is not None:
             posterior = _doubted(track, doubt, {n: fresh[n] for n in fresh if n in ballot.group}, now_ns)
         self._window.freeze(horizon_ns)
@@ -158,12 +161,12 @@ class MovingTarget:
             return Conclusion(alone or posterior, "ambiguous", alpha, explain)
         return Conclusion(posterior, "track", alpha, explain)
 
-    def _opinions(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> list[Opinion]:
-        """Where each origin places the target now, by its own samples alone."""
+    def _tracks(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> dict[str, Track]:
+        """Of each origin by its own samples alone, as of now."""
         self._own = {origin: self._own.get(origin, FixedLagFilter()) for origin in fresh}
         tracks = {origin: self._own[origin].run(held, horizon_ns, now_ns) for origin, held in fresh.items()}
         self._mine = tracks.get(self._me.key[0])
-        return [Opinion(name, t.x_m, t.A, invert(t.A)) for name, t in tracks.items() if t is not None]
+        return {name: track for name, track in tracks.items() if track is not None}
 
     def _agree(self, ballot: Ballot, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> Track | None:
         """The track through the samples of those that agree. One made by others alone is not continued."""

@@ -49,7 +49,7 @@ def predict(track: Track, t_ns: int) -> Track:
     q = ACCELERATION_PSD
     both = (2.0 * C[0], C[1] + C[3], C[2] + C[6], 2.0 * C[4], C[5] + C[7], 2.0 * C[8])  # C + C^T
     A = plus(plus(A, times(dt, both)), plus(times(dt * dt, D), times(q * dt * dt * dt / 3.0, IDENTITY)))
-    C = _add(C, dt, _square(plus(D, times(0.5 * q * dt, IDENTITY))))
+    C = add_times(C, dt, square(plus(D, times(0.5 * q * dt, IDENTITY))))
     D = plus(D, times(q * dt, IDENTITY))
     return Track(t_ns, (x[0] + dt * v[0], x[1] + dt * v[1], x[2] + dt * v[2]), v, A, C, D)
 
@@ -60,17 +60,17 @@ def correct(track: Track, information: Symmetric, vector: Vector) -> Track:
     R = invert(information)
     z = apply(R, vector)
     r = (z[0] - x[0], z[1] - x[1], z[2] - x[2])
-    W = _square(invert(plus(A, R)))  # S^-1
-    K = _times(_square(A), W)
-    L = _times(_transpose(C), W)  # gain of the velocity
-    dx, dv = _apply(K, r), _apply(L, r)
+    W = square(invert(plus(A, R)))  # S^-1
+    K = product(square(A), W)
+    L = product(transpose(C), W)  # gain of the velocity
+    dx, dv = image(K, r), image(L, r)
     return Track(
         t_ns,
         (x[0] + dx[0], x[1] + dx[1], x[2] + dx[2]),
         (v[0] + dv[0], v[1] + dv[1], v[2] + dv[2]),
-        minus(A, _upper(_times(K, _square(A)))),
-        _add(C, -1.0, _times(K, C)),
-        minus(D, _upper(_times(L, C))),
+        minus(A, symmetric_part(product(K, square(A)))),
+        add_times(C, -1.0, product(K, C)),
+        minus(D, symmetric_part(product(L, C))),
     )
 
 
@@ -89,30 +89,30 @@ def summed(samples: list[tuple[Symmetric, Vector]]) -> tuple[Symmetric, Vector]:
     return information, (x, y, z)
 
 
-def _square(a: Symmetric) -> Square:
+def square(a: Symmetric) -> Square:
     xx, xy, xz, yy, yz, zz = a
     return xx, xy, xz, xy, yy, yz, xz, yz, zz
 
 
-def _upper(a: Square) -> Symmetric:
+def symmetric_part(a: Square) -> Symmetric:
     return a[0], 0.5 * (a[1] + a[3]), 0.5 * (a[2] + a[6]), a[4], 0.5 * (a[5] + a[7]), a[8]
 
 
-def _transpose(a: Square) -> Square:
+def transpose(a: Square) -> Square:
     return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
 
 
-def _add(a: Square, k: float, b: Square) -> Square:
+def add_times(a: Square, k: float, b: Square) -> Square:
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = (p + k * q for p, q in zip(a, b, strict=True))
     return a0, a1, a2, a3, a4, a5, a6, a7, a8
 
 
-def _apply(a: Square, v: Vector) -> Vector:
+def image(a: Square, v: Vector) -> Vector:
     x, y, z = v
     return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
 
 
-def _times(a: Square, b: Square) -> Square:
+def product(a: Square, b: Square) -> Square:
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = a
     b0, b1, b2, b3, b4, b5, b6, b7, b8 = b
     return (
