@@ -19,7 +19,7 @@ from tests.fuzz import cases, decoding, mutate, parts
 from tests.fuzz.decoders import Decoder, bytes_for, decoders
 from tests.fuzz.kernel import episode
 from tests.fuzz.kernel.episode import Plan, play
-from tests.fuzz.kernel.search import PROTOCOLS, Fuzzer, again, scenes
+from tests.fuzz.kernel.search import Fuzzer, again, scenes
 from tests.fuzz.kernel.sizes import largest
 from tests.fuzz.kernel.swarm import Robot, Scene
 from tests.fuzz.shrink import shrink
@@ -33,7 +33,7 @@ SHORT_S = 14.0  # of a recorded dive: all robots see the target at its end
 PLAN = Plan(Scene("paper", seconds=SHORT_S), "r2", 160, 40, ("r1",), silent=False, quiet=False)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("protocol", ["paper", "metropolis", pytest.param("evidence", marks=pytest.mark.slow)])
 def test_no_message_stops_a_kernel_or_breaks_its_promises(protocol: Protocol) -> None:
     said: list[str] = []
     fuzzer = Fuzzer(SEED, said.append, keep=False)

@@ -8,21 +8,23 @@ from random import Random
 
 from agent.kernel.config import Protocol
 from tests.fuzz import cases
-from tests.fuzz.kernel.episode import Lie, Plan, Tell, outcome, play
+from tests.fuzz.kernel.episode import QUIET_STEPS, Lie, Plan, Tell, outcome, play
 from tests.fuzz.kernel.invariants import Broken
 from tests.fuzz.kernel.swarm import ROBOTS, SAVED_S, STEP_NS, Scene, record
 from tests.fuzz.kernel.tellers import teller
 from tests.fuzz.shrink import shrink
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
+DIVE_S = 28.0  # all see the target, and know if it moves, for its second half
 STEPS = (20, 60, 160, 300)  # with lies
 AGAIN = 40  # episodes from one that is made twice, to see the same bytes, to the next
+AFTERWARDS = ("silenced", "aged")  # faults that show when all is over
 TRIES = 80  # of leaving lies out, for a case
 
 Told = list[tuple[int, str, bytes]]  # step, from whom, what
 
 
-def scenes(protocol: Protocol, seconds: float = 40.0) -> list[Scene]:
+def scenes(protocol: Protocol, seconds: float = DIVE_S) -> list[Scene]:
     """What robots of this protocol do meanwhile."""
     if protocol != "evidence":
         return [Scene(protocol, seconds=seconds), Scene(protocol, targets=2, seconds=seconds)]
@@ -78,10 +80,19 @@ class Fuzzer:
             f"{plan.scene.named()}: {fault.name}: {fault.detail} [{seed}, {self.messages} messages, {took_s:.1f} s]"
         )
         if self._keep:
+            plan = trimmed(plan, step, fault)
             small = shrink([lie for lie in told if lie[0] <= step], lambda part: breaks(plan, part, fault.name), TRIES)
             path = cases.write(plan, small, fault, seed)
             self._say(f"  {len(small)} messages are enough: {path.name}")
         self._began_s += time.process_time() - self._began_s - took_s  # making a case is not searching
+
+
+def trimmed(plan: Plan, step: int, fault: Broken) -> Plan:
+    """The plan up to where the fault was seen: what comes after it need not be played again."""
+    if fault.name not in AFTERWARDS:
+        plan = plan._replace(steps=step - plan.start + 1, quiet=False)
+    last = plan.start + plan.steps + (QUIET_STEPS if plan.quiet else 0)
+    return plan._replace(scene=plan.scene._replace(seconds=min(plan.scene.seconds, last * STEP_NS * 1e-9)))
 
 
 def again(told: Told) -> Tell:

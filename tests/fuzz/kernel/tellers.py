@@ -20,7 +20,7 @@ HABITS = (  # shares of: made up, mutated, of wild types, broken bytes, bombs
     (0.2, 0.7, 0.1, 0.0, 0.0),
     (0.2, 0.2, 0.2, 0.2, 0.2),
 )
-RATES = (1, 1, 2, 2, 4, 8, 30)  # lies in a step; more than a robot would take are to be dropped by somebody
+RATES = (1, 2, 2, 4, 4, 8, 30)  # lies in a step; more than a robot would take are to be dropped by somebody
 GAP = 0.2  # share of steps without a lie
 
 
