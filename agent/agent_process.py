@@ -150,7 +150,7 @@ class AgentProcess:
         def faults() -> tuple[str, ...]:
             given_up = GIVEN_UP if arm and not self._module.wants_armed else None
             found = {
-                "not recording": self.log.failed,
+                "not recording": self.log.fault,
                 "no camera": self._eyes.fault,
                 "frames frozen": self._eyes.frozen,
                 "motors off": given_up,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from agent.clock import machine
@@ -58,15 +58,25 @@ def view(
             say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
             while not machine.wait(stop, PERIOD_S):
                 for entry in (*arrivals.drain(), *rate.due()):
-                    try:
-                        for derived in derive(entry):
-                            show(derived)
-                    except Exception as error:  # noqa: BLE001 - one message is not shown, all others are
-                        arrivals.trouble(entry.channel, error)
+                    show_all_of(entry, derive, show, arrivals.trouble)
             if arrivals.raised:
                 say(f"not shown: {', '.join(f'{count} messages {kind}' for kind, count in arrivals.raised.items())}")
         finally:
             server.stop()
+
+
+def show_all_of(
+    entry: Entry,
+    derive: Callable[[Entry], Iterable[Entry]],
+    show: Callable[[Entry], None],
+    trouble: Callable[[str, Exception], None],
+) -> None:
+    """Show what follows from one message. Where it raises, `trouble` is told, and the next one is shown as ever."""
+    try:
+        for derived in derive(entry):
+            show(derived)
+    except Exception as error:  # noqa: BLE001 - whatever a message does, the view goes on
+        trouble(entry.channel, error)
 
 
 def where_the_layout_is(fleet: Fleet) -> str:

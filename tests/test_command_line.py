@@ -191,3 +191,22 @@ def test_one_that_hangs_when_its_parent_is_gone_ends_too(tmp_path: Path) -> None
         (pid,) = until(lambda: children(started.pid), 10.0)
         started.kill()
     until(lambda: not Path(f"/proc/{pid}").exists(), 4.0)
+
+
+def test_who_does_not_end_well_is_told_with_its_last_words(tmp_path: Path) -> None:
+    def ended() -> bool:
+        try:
+            processes.check()
+        except Failed:
+            return True
+        return False
+
+    with crew(tmp_path) as processes:
+        processes.start("recorder", "replay", "info", str(tmp_path / "none.mcap"))
+        until(ended)
+        (line,) = processes.stop("recorder")
+        assert line.startswith("recorder did not end well (exit 2): aucamp: ")
+        assert "cannot be read" in line
+        processes.start("good", "--help")
+        until(ended)
+        assert processes.stop("good") == []

@@ -47,8 +47,10 @@ class Presence:
         """An agent came or went, or a neighbour began or ceased to see two of one name."""
         if (seen := topics.chunks(topics.ALIVE, sample.key)) is not None:
             self._agent(seen["fleet"], seen["robot"], seen["session"], sample.is_put, now_s)
-        elif (seen := topics.chunks(topics.TWICE, sample.key)) is not None and seen["witness"] in self._since_s:
+        elif (seen := topics.chunks(topics.TWICE, sample.key)) is not None and seen["robot"] == self._robot:
             with self._lock:
+                if seen["witness"] not in self._since_s:
+                    return
                 (self._witnesses.add if sample.is_put else self._witnesses.discard)(seen["witness"])
 
     def faults(self, own_session: str, announce: Announce, now_s: float) -> tuple[str, ...]:

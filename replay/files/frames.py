@@ -6,6 +6,8 @@ and that order matters: where vision looks next depends on the frame before.
 
 from __future__ import annotations
 
+import contextlib
+import struct
 from typing import Annotated, Literal
 
 import cv2
@@ -26,6 +28,7 @@ JPEG = [
     *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
 ]
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+MAX_PIXELS = 32 * 10**6  # of an image that is decoded: twice the largest sensor of a small camera
 MAX_FRAME = 16 * 1024 * 1024  # bytes of a Picture: for `codec.decode`
 
 Format = Literal["jpeg", "png"]
@@ -64,7 +67,29 @@ def picture(image: NDArray[np.uint8], roi: tuple[int, int, int, int], sighting: 
 
 def pixels(of: Picture) -> NDArray[np.uint8]:
     """The image of a record, (height, width, 3), blue green red. Raises ConfigError where it does not decode."""
-    image = cv2.imdecode(np.frombuffer(of.data, np.uint8), cv2.IMREAD_COLOR)
+    size = stated_size(of.data)
+    image = None
+    if size is not None and 0 < size[0] * size[1] <= MAX_PIXELS:  # before memory is taken for it
+        with contextlib.suppress(cv2.error):
+            image = cv2.imdecode(np.frombuffer(of.data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise ConfigError(f"frame {of.frame}: its {of.format} is broken; run `aucamp replay recover` on the file")
     return image.astype(np.uint8, copy=False)
+
+
+def stated_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height in pixels as the head of a PNG or JPEG states them; None: it is neither.
+
+    Source: W3C PNG, 11.2.2 (IHDR); ITU-T T.81, B.1.1.3 and B.2.2 (markers and frame header).
+    """
+    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        return width, height
+    at = 2
+    while data.startswith(b"\xff\xd8") and at + 9 <= len(data) and data[at] == 0xFF:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4])
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # start of a frame; those three are tables
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height
+        at += 2 + length
+    return None

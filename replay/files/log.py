@@ -136,8 +136,11 @@ class LogWriter:
             self.failed = why or f"{type(error).__name__}: {error}"
             logger.error("%s: recording stopped: %s", active(self._part.path), self.failed)
             self._part.abandon()
+        finally:
+            self._busy_since_s = None
 
     def _write_all(self) -> None:
+        self._busy_since_s = machine.monotonic_s()
         self._begin_part()
         synced_s = machine.monotonic_s()
         while True:

@@ -100,7 +100,7 @@ class Life:
         rng, hal, control = self.rng, self.board.hal, self.board.control
         hal.to_board = b"".join(streams)
         self.sensors()
-        if control.state == wire.DISARMED and rng.random() < 0.1:
+        if control.state == wire.DISARMED and rng.random() < 0.3:
             control.arm()  # the checks would need three quiet seconds
         hal.us += rng.choice((0, CYCLE_US, CYCLE_US, CYCLE_US, 3 * CYCLE_US, 1 << 32)) - CYCLE_US
         self.board.tick()

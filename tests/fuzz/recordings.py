@@ -134,7 +134,7 @@ def informed(file: Path, harm: Harm) -> str:
     if harm.changed and harm.digests:
         assert not about.complete, f"not noticed: {lines[0]}"
     if harm.changed and not about.torn and not about.damage:
-        assert "finished, clean; it is older" in lines[0], f"not noticed: {lines[0]}"
+        assert "; it is older than digests" in lines[0], f"not noticed: {lines[0]}"
     return "whole" if about.complete else "not whole"
 
 

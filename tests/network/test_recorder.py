@@ -1,5 +1,6 @@
 """The fleet recorder: all of a fleet's traffic, bytes unchanged, also when it is killed. On the wall: nobody dives."""
 
+import errno
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from agent.transport import Transport
 from replay.files.backlog import Entry
 from replay.files.channels import ON_NETWORK
 from replay.files.log import Limits, LogWriter, info, read
+from replay.files.mcap_file import Part
 from router_config.session import peer_config
 from tests.network.recorder_thread import StartRecorder, heard_everywhere
 from tests.places import ROOT
@@ -150,6 +152,19 @@ def test_a_full_disk_ends_the_recording_and_not_the_swarm(
         r2.drain()
         until(hears)
     assert info(out).end["cause"] == "disk_floor"
+
+
+def test_a_recording_that_cannot_be_finished_is_no_success(
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    recorder = start_recorder(make_fleet({"r1": ()}), tmp_path / "fleet.mcap")
+    until((tmp_path / "fleet.mcap.active").exists)
+    monkeypatch.setattr(Part, "finish", full)
+    with pytest.raises(ConfigError, match="recording stopped: No space left on device"):
+        recorder.end()
 
 
 def test_silence_is_told_once(

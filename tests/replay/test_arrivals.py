@@ -1,16 +1,27 @@
 """What the recorder makes of what reaches it, without a network."""
 
+import json
+from pathlib import Path
 from typing import NamedTuple
 
+import msgpack
 import pytest
+from msgspec.structs import replace
 
+import replay.files.log
+import replay.recorder
 from agent.kernel import topics
 from agent.kernel.codec import encode, encoding
-from agent.kernel.messages import MAX_PAYLOAD
+from agent.kernel.messages import MAX_PAYLOAD, NeighbourState, State
 from agent.kernel.topics import STATE
-from replay.files.channels import NETWORK, PRESENCE, name
+from replay.files.backlog import Entry
+from replay.files.channels import DROPS, NETWORK, PRESENCE, name
+from replay.files.info import describe, info
+from replay.files.log import LogWriter, read
 from replay.recorder import Arrivals
-from tests.replay.small_box import START_NS, state
+from replay.view import show_all_of
+from replay.viewers.viewer_channels import ViewerChannels
+from tests.replay.small_box import FLEET, START_NS, state
 
 KEY = topics.key(STATE, fleet="tank", robot="r1")
 ALIVE = topics.ALIVE.format(fleet="tank", robot="r1", session="1a")
@@ -77,3 +88,78 @@ def test_who_comes_and_goes_stands_on_a_channel(arrivals: Arrivals) -> None:
         (name(PRESENCE, fleet="tank", robot="r1"), PRESENCE.encoding)
     }
     assert arrivals.counts["alive"] == 2
+
+
+def test_a_message_that_makes_trouble_is_recorded_counted_by_kind_and_told_once(
+    arrivals: Arrivals, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def falls(*_: object) -> None:
+        raise RecursionError("too deep")
+
+    monkeypatch.setattr(replay.recorder, "decode", falls)
+    for _ in range(3):
+        arrivals.message(STATE, Arriving())
+    assert [entry.data for entry in arrivals.drain()] == [DATA] * 3
+    assert arrivals.counts["not decoded"] == 3
+    assert arrivals.raised == {"raised RecursionError": 3}
+    assert caplog.text.count("raised RecursionError: too deep") == 1
+    assert json.loads(arrivals.not_recorded()) == {"overrun": 0, "raised RecursionError": 3}
+
+
+def test_a_stranger_who_invents_keys_does_not_fill_the_file_with_channels(
+    arrivals: Arrivals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay.recorder, "CHANNELS", 2)
+    for number in range(5):
+        arrivals.message(STATE, Arriving(key=KEY.replace("r1", f"r{number}")))
+        arrivals.token(Arriving(key=ALIVE.replace("r1", f"r{number}"), data=b""))
+    assert len(list(arrivals.drain())) == 2
+    assert arrivals.refused == {"too many keys": 8}
+    arrivals.message(STATE, Arriving(key=KEY.replace("r1", "r0")))
+    assert len(list(arrivals.drain())) == 1
+
+
+def test_a_flood_is_held_within_bounds_and_what_is_lost_is_in_the_file(
+    arrivals: Arrivals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for _ in range(3 * replay.recorder.BACKLOG_MESSAGES):
+        arrivals.message(STATE, Arriving())
+    assert len(arrivals._backlog) == replay.recorder.BACKLOG_MESSAGES
+    monkeypatch.setattr(replay.files.log, "BACKLOG_MESSAGES", 10**6)
+    path = tmp_path / "fleet.mcap"
+    with LogWriter(path, {"kind": "fleet"}) as log:
+        for entry in arrivals.drain():
+            log.put(entry)
+        log.at_end["not_recorded"] = arrivals.not_recorded()
+    lost = 2 * replay.recorder.BACKLOG_MESSAGES
+    notes = [msgpack.unpackb(record.data) for record in read(path) if record.channel == DROPS.name]
+    assert [note["messages"] for note in notes] == [lost]
+    assert f"of what came, not recorded or no message: overrun {lost}" in describe(path, info(path))
+
+
+def test_the_view_goes_on_behind_a_message_that_makes_trouble(arrivals: Arrivals) -> None:
+    shown: list[Entry] = []
+
+    def derive(entry: Entry) -> list[Entry]:
+        if entry.sequence == 1:
+            raise RecursionError("odd")
+        return [entry]
+
+    entries = [_entry(state(START_NS, n))._replace(sequence=n) for n in range(3)]
+    for entry in entries:
+        show_all_of(entry, derive, shown.append, arrivals.trouble)
+    assert shown == [entries[0], entries[2]]
+    assert arrivals.raised == {"raised RecursionError": 1}
+
+
+def test_names_that_a_robot_invents_make_no_channels_for_viewers() -> None:
+    derive = ViewerChannels(FLEET)
+    shown = state(START_NS, 7)
+    invented = tuple(NeighbourState(robot=f"x{number}") for number in range(9))
+    for said in (replace(shown, neighbours=(*shown.neighbours, *invented)), replace(shown, target="ghost")):
+        made = {entry.channel for entry in derive(_entry(said))}
+        assert made <= {entry.channel for entry in derive(_entry(shown))}
+
+
+def _entry(said: State) -> Entry:
+    return Entry(name(NETWORK, key=KEY), 0, 0, 0, encode(said), "msgpack", {})

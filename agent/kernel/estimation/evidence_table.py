@@ -16,7 +16,7 @@ from zlib import crc32
 from agent.kernel.estimation.evidence_checks import floored
 from agent.kernel.estimation.fuse import AGREE, Opinion
 from agent.kernel.estimation.interface import Prior
-from agent.kernel.estimation.matrix import ZERO, apply, distance2, inverse, plus, times
+from agent.kernel.estimation.matrix import ZERO, apply, distance2, inverse, plus, times, trace
 from agent.kernel.messages import Entry, Symmetric, Vector
 
 Key = tuple[str, int]  # origin, incarnation
@@ -110,19 +110,22 @@ class Table:
 def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     """One origin's mean over its incarnations, given newest first; None while some direction is unseen.
 
-    The newest counts; older ones are added as long as their means agree with it. A robot that was knocked, repaired and
-    started again is believed at once, and one that merely started again has lost nothing.
+    The newest counts; older ones are added as long as their means agree with it, and none says more than the newest
+    does. A robot that was knocked, repaired and started again is believed at once, one that merely started again has
+    lost nothing once it has measured as much again, and one that lied is not held to its lie.
 
     Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
     """
-    information, vector, systematic, total = ZERO, (0.0, 0.0, 0.0), ZERO, 0
+    information, vector, systematic, total = ZERO, (0.0, 0.0, 0.0), ZERO, 0.0
+    most = trace(entries[0].information) if entries else 0.0
     for entry in entries:
         if total and not _agrees(information, vector, entry):
             break
-        information = plus(information, entry.information)
-        vector = _sum(vector, entry.vector)
-        systematic = plus(systematic, times(entry.count, entry.systematic_m2))
-        total += entry.count
+        share = min(1.0, most / trace(entry.information))
+        information = plus(information, times(share, entry.information))
+        vector = _sum(vector, share, entry.vector)
+        systematic = plus(systematic, times(share * entry.count, entry.systematic_m2))
+        total += share * entry.count
     random = inverse(information)
     if random is None:
         return None
@@ -150,5 +153,5 @@ def _rank(entry: Entry) -> tuple[Any, ...]:
     return entry.count, entry.information, entry.vector, entry.systematic_m2
 
 
-def _sum(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+def _sum(a: Vector, k: float, b: Vector) -> Vector:
+    return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]

@@ -27,6 +27,22 @@ def test_one_stamp_from_nowhere_makes_nothing_late() -> None:
         assert late_ns == 0, "as its first word it is forgotten by the third honest one"
 
 
+def test_a_first_stamp_a_little_ahead_is_forgotten_when_all_others_agree() -> None:
+    transit, tenth_ns = Transit(), SECOND_NS // 10
+    transit.late_ns(-SECOND_NS, 0)
+    late_ns = [transit.late_ns(k % 3 * 10**6, k * tenth_ns) for k in range(1, 60)]
+    assert late_ns[0] == SECOND_NS + 10**6
+    assert max(late_ns[32:]) < 3 * 10**6
+
+
+def test_a_queue_that_drains_is_no_clock() -> None:
+    transit, tenth_ns = Transit(), SECOND_NS // 10
+    transit.late_ns(0, 0)
+    for k in range(1, 60):
+        queued_ns = 2 * SECOND_NS - k * tenth_ns // 4
+        assert transit.late_ns(queued_ns, k * tenth_ns) == queued_ns
+
+
 def test_a_clock_that_was_really_set_is_believed_the_third_time() -> None:
     transit = Transit()
     transit.late_ns(1000, SECOND_NS)

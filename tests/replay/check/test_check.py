@@ -223,7 +223,7 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
 def test_a_kernel_that_raises_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from agent.kernel.core import Agent
 
-    monkeypatch.setattr(Agent, "step", lambda self, inputs, now_ns: 1 // 0)
+    monkeypatch.setattr(Agent, "step", lambda self, inputs, now_ns: 1 // 0)  # beyond its own net
     checked = check([R1])
     assert checked.exit_code == 1
     assert checked.first.step == 0

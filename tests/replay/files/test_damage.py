@@ -6,6 +6,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from agent.kernel.config import ConfigError
@@ -14,6 +16,7 @@ from replay.check.check import check
 from replay.check.explain import explain
 from replay.check.vision_check import check_vision
 from replay.files.digests import HashedFile
+from replay.files.frames import Picture, pixels, stated_size
 from replay.files.info import describe, info
 from replay.files.log import read
 from replay.files.mcap_walk import Tear, records
@@ -212,3 +215,20 @@ def test_a_chunk_that_would_fill_the_memory_is_not_opened(box: Path) -> None:
     struct.pack_into("<Q", data, chunk + 16, 2**60)
     box.write_bytes(data)
     assert info(box).torn
+
+
+@pytest.mark.parametrize("format_", [".png", ".jpg"])
+def test_an_image_says_its_size_before_it_is_decoded(format_: str) -> None:
+    _, data = cv2.imencode(format_, np.zeros((48, 64, 3), np.uint8))
+    assert stated_size(data.tobytes()) == (64, 48)
+    assert stated_size(data.tobytes()[:12]) is None
+
+
+def test_an_image_that_would_fill_the_memory_is_refused() -> None:
+    _, data = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))
+    head = bytearray(data.tobytes())
+    struct.pack_into(">II", head, 16, 30_000, 30_000)
+    struct.pack_into(">I", head, 29, zlib.crc32(head[12:29]))
+    huge = Picture(t_ns=0, frame=3, roi=(0, 0, 64, 48), format="png", data=bytes(head))
+    with pytest.raises(ConfigError, match="frame 3: its png is broken"):
+        pixels(huge)

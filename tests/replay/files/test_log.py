@@ -5,6 +5,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from agent.kernel.config import ConfigError
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import DROPS
 from replay.files.log import LogWriter, info, read, unused
+from replay.files.mcap_file import Part
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -200,3 +202,23 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
     assert len(records) >= 300 - 200  # 5 ms each: one second is 200 at most
     assert len(records) <= max(written, default=300) + 2
     assert not info(path.with_name("r1.mcap.active")).complete
+
+
+def test_a_disk_that_does_not_answer_is_a_fault_until_it_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay.files.log, "STUCK_S", 0.05)
+    answers, flush = threading.Event(), Part.flush
+
+    def slow(part: Part) -> None:
+        answers.wait(60)
+        flush(part)
+
+    with LogWriter(tmp_path / "r1.mcap", RUN) as writer:
+        until(lambda: writer.fault is None)
+        monkeypatch.setattr(Part, "flush", slow)
+        write(writer, 3)
+        until(lambda: writer.fault)
+        assert "the disk has taken nothing for more than" in str(writer.fault)
+        assert writer.failed is None
+        answers.set()
+        until(lambda: writer.fault is None)
+    assert len(list(read(tmp_path / "r1.mcap"))) == 3
