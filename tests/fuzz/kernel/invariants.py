@@ -97,6 +97,8 @@ class Watch:
             yield Broken(
                 "left", f"in {said.gossip.epoch} for {LEFT_STEPS} steps, where all others are in {honest.epoch}"
             )
+        if self._robot.scene.moving and not said.gossip.epoch.moving:
+            return  # nobody has noticed yet: honest robots place it differently, each where it saw it
         if same and said.x_m is not None and honest.x_m is not None:
             moved_m = math.dist(said.x_m, honest.x_m)
             if moved_m > MOVED_M and math.dist(said.x_m, self._unlied(step, said.target) or said.x_m) > MOVED_M:
