@@ -152,5 +152,8 @@ def how_it_ended(child: Child) -> str:
 
 def last_line(log: Path) -> str:
     """What a process said last, and where the rest is."""
-    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    try:
+        lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    except OSError:  # somebody has cleared it away
+        lines = []
     return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"

@@ -18,7 +18,7 @@ LEAST = 1e-6  # 1/m^2, trace of an information that says anything: a sigma of a 
 SLACK = 1e-9  # of the trace: rounding of sums that travelled
 RATE = 1.25  # samples for each iteration of the origin, at most: iterations are not exactly even
 FIRST = 2  # samples that may come before the first iteration is over
-CLOCKS_NS = 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
+CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
 
 
 class Bounds(NamedTuple):

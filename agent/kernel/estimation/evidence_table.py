@@ -16,11 +16,23 @@ from zlib import crc32
 from agent.kernel.estimation.evidence_checks import floored
 from agent.kernel.estimation.fuse import AGREE, Opinion
 from agent.kernel.estimation.interface import Prior
-from agent.kernel.estimation.matrix import ZERO, apply, distance2, inverse, plus, times, trace
+from agent.kernel.estimation.matrix import (
+    ZERO,
+    apply,
+    distance2,
+    inverse,
+    minus,
+    plus,
+    semidefinite,
+    times,
+    trace,
+)
 from agent.kernel.messages import Entry, Symmetric, Vector
 
 Key = tuple[str, int]  # origin, incarnation
 
+ALIKE = 4.0  # times a covariance may differ from one start of a robot to the next: targets are seen from other places
+NOTHING_M2 = 1e-12  # a micrometre
 INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day must not fill everybody's memory
 
 
@@ -110,9 +122,10 @@ class Table:
 def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     """One origin's mean over its incarnations, given newest first; None while some direction is unseen.
 
-    The newest counts; older ones are added as long as their means agree with it, and none says more than the newest
-    does. A robot that was knocked, repaired and started again is believed at once, one that merely started again has
-    lost nothing once it has measured as much again, and one that lied is not held to its lie.
+    The newest counts; older ones are added as long as their means agree with it. One that claims to have seen
+    better, or with other systematic errors, says no more than the newest does. So a robot that was knocked, repaired
+    and started again is believed at once, one that merely started again has lost nothing, and one that lied is not
+    held to its lie, unless that looked like its own samples.
 
     Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
     """
@@ -121,7 +134,7 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     for entry in entries:
         if total and not _agrees(information, vector, entry):
             break
-        share = min(1.0, most / trace(entry.information))
+        share = 1.0 if _alike(entries[0], entry) else min(1.0, most / trace(entry.information))
         information = plus(information, times(share, entry.information))
         vector = _sum(vector, share, entry.vector)
         systematic = plus(systematic, times(share * entry.count, entry.systematic_m2))
@@ -142,6 +155,16 @@ def _agrees(information: Symmetric, vector: Vector, older: Entry) -> bool:
     x, y, z = apply(random, vector)
     ox, oy, oz = apply(before, older.vector)
     return distance2(plus(random, before), (x - ox, y - oy, z - oz)) < AGREE
+
+
+def _alike(newest: Entry, older: Entry) -> bool:
+    """Whether the same camera can have measured both: samples as good, and the same systematic errors."""
+    new, old = newest.systematic_m2, older.systematic_m2
+    return (
+        trace(older.information) * newest.count <= ALIKE * trace(newest.information) * older.count
+        and semidefinite(minus(times(ALIKE, new), old), NOTHING_M2)
+        and semidefinite(minus(times(ALIKE, old), new), NOTHING_M2)
+    )
 
 
 def mark(entry: Entry) -> int:

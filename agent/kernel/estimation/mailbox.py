@@ -59,7 +59,7 @@ class Mailbox:
         if (estimate.fleet, estimate.dst, estimate.target) != (self._fleet, self._me, self._target):
             raise Refusal("address", "not addressed to us")
         if estimate.incarnation > arrived_ns + CLOCKS_NS:
-            raise Refusal("clock", "its clock is more than an hour ahead of ours; set the clocks")
+            raise Refusal("clock", "its clock is more than three hours ahead of ours; set the clocks")
         sender = self._numbered(src, estimate, arrived_ns)
         late_ns = self._transit[src].late_ns(arrived_ns - estimate.sent_ns, arrived_ns)
         letter = Letter(estimate, arrived_ns, late_ns)

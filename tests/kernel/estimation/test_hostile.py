@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from agent.kernel.codec import Refusal, decode, encode
+from agent.kernel.estimation.evidence_checks import CLOCKS_NS
 from agent.kernel.estimation.evidence_table import INCARNATIONS
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.mailbox import Letter, Mailbox
@@ -88,7 +89,7 @@ def test_two_words_under_one_count_end_as_one_on_all_robots_and_are_told() -> No
 def test_a_count_that_no_time_allows_and_a_start_that_is_yet_to_come_are_refused() -> None:
     net, me = mesh(), NAMES[0]
     assert tell(net, me, entry(LIAR, 1, 10**6)) == ("too many samples",)
-    assert tell(net, me, entry(LIAR, net.now_ns + 4000 * SECOND_NS, 1)) == ("from the future",)
+    assert tell(net, me, entry(LIAR, net.now_ns + CLOCKS_NS + SECOND_NS, 1)) == ("from the future",)
 
 
 def test_whose_key_is_gone_does_not_count_from_this_moment_on() -> None:
