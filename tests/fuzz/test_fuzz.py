@@ -27,7 +27,7 @@ from tests.fuzz.values import of_type
 
 CASES = sorted(cases.FOLDER.glob("*.json"))
 SEED = 15
-MESSAGES = 2000  # to the kernel of each protocol
+MESSAGES = 1000  # to the kernel of each protocol
 PAYLOADS = 300  # to each decoder
 SHORT_S = 14.0  # of a recorded dive: all robots see the target at its end
 PLAN = Plan(Scene("paper", seconds=SHORT_S), "r2", 160, 40, ("r1",), silent=False, quiet=False)

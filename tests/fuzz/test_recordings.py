@@ -11,7 +11,7 @@ from tests.fuzz.recordings import Harm, fuzz, one, run
 
 @pytest.mark.slow
 def test_no_verb_of_replay_shows_more_than_a_line() -> None:
-    run(60, seed=1)
+    run(20, seed=1)
 
 
 def test_each_verb_is_asked_and_most_recordings_are_refused() -> None:
