@@ -1,8 +1,8 @@
 """A neighbour that shouts at an agent ten thousand times a second, in every way that costs something. Real processes.
 
 The agent goes on as if it were one among many: its loop keeps time, its memory stays, and it hears the others. What it
-did is read from its own black box. Three seconds of three kinds by default; AUCAMP_FLOOD_S=10 for the long version, with
-all kinds, and -s for the figures. On the wall: a flood is the machine's.
+did is read from its own black box. Three seconds of three kinds by default; AUCAMP_FLOOD_S=10 for the long version,
+with all kinds, and -s for the figures. On the wall: a flood is the machine's.
 """
 
 import os
