@@ -62,18 +62,21 @@ class Net:
         if self._refused:
             inputs = replace(inputs, heard=tuple(h for h in inputs.heard if digest(h) not in self._refused))
         before = Savepoint(state, apart=self)
+        outputs: Outputs | None
         try:
             outputs = work(inputs, now_ns)
         except Exception as error:  # noqa: BLE001 - whatever it is, the robot is under water
             before.restore()
             outputs = self._without_it(before, work, inputs, now_ns, error)
-        else:
-            self._in_a_row = 0
-        self._set_point = outputs.set_point
+        if outputs is None:
+            return self._hold(inputs)
+        self._in_a_row, self._set_point = 0, outputs.set_point
         return outputs
 
-    def _without_it(self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception) -> Outputs:
-        """The outputs of the same step without what broke it."""
+    def _without_it(
+        self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception
+    ) -> Outputs | None:
+        """The outputs of the same step without what broke it; None: nothing helped."""
 
         def attempt(heard: tuple[Heard, ...]) -> Exception | None:
             try:
@@ -98,29 +101,30 @@ class Net:
             self._tell(f"{named(what)}, by a message of {guilty.src} of {len(guilty.payload)} bytes, left out", now_ns)
             heard = heard[: broken - 1] + heard[broken:]
             try:
-                outputs = work(replace(inputs, heard=heard), now_ns)
-                self._in_a_row = 0
-                return outputs
+                return work(replace(inputs, heard=heard), now_ns)
             except Exception as another:  # noqa: BLE001
                 before.restore()
                 what = another
         return self._deaf(before, work, inputs, now_ns, what)
 
-    def _deaf(self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception) -> Outputs:
-        """The outputs of the step without messages, then without devices, then without the kernel."""
+    def _deaf(self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception) -> Outputs | None:
+        """The outputs of the step without messages, then without devices; None: the kernel itself is broken."""
         self._tell(f"{named(error)}, in a step whose inputs were left out", now_ns)
         deaf = replace(inputs, heard=())
         for less in (deaf, replace(deaf, sightings=()), Inputs(faults=inputs.faults, keys=inputs.keys)):
             try:
-                outputs = work(less, now_ns)
-                self._in_a_row = 0
-                return outputs
+                return work(less, now_ns)
             except Exception:  # noqa: BLE001
                 before.restore()
+        return None
+
+    def _hold(self, inputs: Inputs) -> Outputs:
+        """What is done without the kernel: nothing new, and after a while the way up."""
         self._in_a_row += 1
         self._keys = inputs.keys
         held = self._set_point or SetPoint(depth_m=SURFACE_M)
-        return Outputs(set_point=replace(held, depth_m=SURFACE_M) if self._in_a_row >= SURFACE_AFTER else held)
+        self._set_point = replace(held, depth_m=SURFACE_M) if self._in_a_row >= SURFACE_AFTER else held
+        return Outputs(set_point=self._set_point)
 
     def _refuse(self, heard: Heard) -> None:
         self._refused[digest(heard)] = None

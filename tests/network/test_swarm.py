@@ -27,6 +27,7 @@ from agent.kernel.toml_files import dump
 from agent.transport import Observer
 from replay.files.log import read
 from router_config.session import observer_config
+from tests.killing import killed_after
 from tests.network.kept_time import kept_time
 from tests.places import ROOT
 from tests.sample_messages import estimate
@@ -88,12 +89,8 @@ def swarm(folder: Path, *robots: str):
     fleet = msgspec.structs.replace(fleet, estimation=msgspec.structs.replace(fleet.estimation, iteration_s=0.25))
     with kept_time(fleet, robots), Observer(fleet, time.monotonic_ns, (topics.STATE, topics.LOG)) as observer:
         it = Swarm(fleet, folder, observer)
-        try:
+        with killed_after(it.processes):
             yield it
-        finally:
-            for process in it.processes.values():
-                process.kill()
-                process.wait()
 
 
 def test_told_then_seen_then_agreed_and_sigterm_leaves_nothing(tmp_path) -> None:

@@ -39,8 +39,7 @@ INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day mus
 class Table:
     """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
 
-    def __init__(self, me: str) -> None:
-        self._me = me
+    def __init__(self) -> None:
         self.entries: dict[Key, Entry] = {}
         self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
         self.hearsay: set[Key] = set()  # entries of which only others told

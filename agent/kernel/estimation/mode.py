@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
-from agent.kernel.estimation.evidence_checks import Bounds
+from agent.kernel.estimation.evidence_checks import CLOCKS_NS, Bounds
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.messages import Explain, Gossip, Symmetric
 from agent.kernel.trust.authority import Authority
@@ -64,3 +64,11 @@ class Mode(Protocol):
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         """Where the target is by all that is held. `before`: the posterior until now."""
+
+
+def outliving(known: int | None, incarnation: int, me: Me, now_ns: int) -> int | None:
+    """The newest incarnation of ours that is later than the one we write under, after this one was heard of.
+
+    An earlier life of ours, by a clock that was ahead: ours has to begin after it, or is taken for the older.
+    """
+    return max(known or 0, incarnation) if me.key[1] < incarnation <= now_ns + CLOCKS_NS else known

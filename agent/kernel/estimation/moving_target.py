@@ -13,12 +13,12 @@ from collections.abc import Collection
 from functools import partial
 
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
-from agent.kernel.estimation.evidence_checks import CLOCKS_NS, floored, inside
+from agent.kernel.estimation.evidence_checks import floored, inside
 from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture, vote
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
-from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
+from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
 from agent.kernel.estimation.track import Track, nis, predict
 from agent.kernel.estimation.track_distance import distances2
 from agent.kernel.estimation.window import MASK, Key, Window
@@ -92,8 +92,7 @@ class MovingTarget:
         """Why a sample that we do not have does not count."""
         authority, own = self._me.authority, self._me.key
         if sample.origin == own[0] and (sample.incarnation >= own[1] or authority.keys is None):
-            if own[1] < sample.incarnation <= now_ns + CLOCKS_NS:
-                self.outlived = max(self.outlived or 0, sample.incarnation)
+            self.outlived = outliving(self.outlived, sample.incarnation, self._me, now_ns)
             return "own name"  # nobody else makes one; one of ours that we have let go is of no use any more
         says = partial(sample_bytes, *self._me.subject, self._epoch, sample)
         fault = self._window.fault(sample, now_ns)

@@ -6,12 +6,12 @@ from collections.abc import Collection
 from functools import partial
 
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
-from agent.kernel.estimation.evidence_checks import CLOCKS_NS, entry_fault, floored
+from agent.kernel.estimation.evidence_checks import entry_fault, floored
 from agent.kernel.estimation.evidence_table import Key, Table, mark
 from agent.kernel.estimation.fuse import Fused, fuse
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import apply, distance2, inverse, plus, trace
-from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me
+from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
 from agent.kernel.messages import Entry, Epoch, Explain, Gossip, Holding
 from agent.kernel.trust.authority import HEARSAY
 from agent.kernel.trust.signed import entry_bytes
@@ -24,7 +24,7 @@ class StaticTarget:
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
-        self._table = Table(me.key[0])
+        self._table = Table()
         self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
         self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
@@ -80,20 +80,15 @@ class StaticTarget:
         """Why an entry that is news does not count."""
         authority, (me, incarnation) = self._me.authority, self._me.key
         if entry.origin == me and (entry.incarnation == incarnation or authority.keys is None):
-            self._outlived(entry, now_ns)
+            self.outlived = outliving(self.outlived, entry.incarnation, self._me, now_ns)
             return "own name"  # nobody else writes it, and without a signature nobody else can know what we wrote
         says = partial(entry_bytes, *self._me.subject, self._epoch, entry)
         fault = entry_fault(entry, self._me.bounds, now_ns)
         fault = fault or authority.fault(src, entry.origin, entry.signature, says, now_ns)
         if fault is None and entry.origin == me and entry.incarnation > incarnation:
-            self._outlived(entry, now_ns)
+            self.outlived = outliving(self.outlived, entry.incarnation, self._me, now_ns)
             return "own name"
         return fault
-
-    def _outlived(self, entry: Entry, now_ns: int) -> None:
-        """An earlier life of ours by a clock that was ahead: ours has to begin after it, or is taken for the older."""
-        if self._me.key[1] < entry.incarnation <= now_ns + CLOCKS_NS:
-            self.outlived = max(self.outlived or 0, entry.incarnation)
 
     def _drop(self, key: Key, until_ns: int) -> None:
         self._table.drop(key)

@@ -145,3 +145,25 @@ def diving_robot(folder: Path, faults: Sequence[AnyFault] = ()) -> Iterator[Divi
     finally:
         robot.hang_up()
         robot.board.close()
+
+
+# A host as a process of its own, python -c HOST PORT: says "armed" when it is, and breaks at SIGUSR1.
+HOST = """
+import signal, sys, time
+from agent.clock.clock import SystemClock
+from agent.kernel.step_io import SetPoint
+from hw.stm32.driver import Stm32
+
+def break_off(*_):
+    raise RuntimeError("the agent is broken")
+
+signal.signal(signal.SIGUSR1, break_off)
+with Stm32(sys.argv[1], SystemClock()) as board:
+    board.arm()
+    while True:
+        board.send(SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5), time.time_ns())
+        telemetry, _ = board.drain()
+        if telemetry and telemetry[-1].armed:
+            print("armed", flush=True)
+        time.sleep(0.02)
+"""

@@ -16,7 +16,7 @@ import pytest
 
 from hw.firmware import failsafe, wire
 from hw.twin.pace import LOCK_STEP_S
-from tests.hw.firmware.diving_robot import HOVER, REST_N, diving_robot
+from tests.hw.firmware.diving_robot import HOST, HOVER, REST_N, diving_robot
 
 
 @pytest.fixture
@@ -175,22 +175,6 @@ def test_emergency_stop_lasts_until_the_power_was_off(hovering):
     assert not robot.armed and not robot.protocol.wants_armed  # nor was the wish to arm kept over the restart
     robot.arm()
     assert robot.armed and not at_rest(robot)
-
-
-HOST = """
-import sys, time
-from agent.clock.clock import SystemClock
-from agent.kernel.step_io import SetPoint
-from hw.stm32.driver import Stm32
-with Stm32(sys.argv[1], SystemClock()) as board:
-    board.arm()
-    while True:
-        board.send(SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5), time.time_ns())
-        telemetry, _ = board.drain()
-        if telemetry and telemetry[-1].armed:
-            print("armed", flush=True)
-        time.sleep(0.02)
-"""
 
 
 def test_an_agent_that_is_killed_leaves_a_robot_that_comes_up(robot):

@@ -16,7 +16,7 @@ from agent.clock.clock import SystemClock
 from hw.firmware import failsafe, wire
 from hw.stm32.driver import Stm32
 from hw.twin.pace import LOCK_STEP_S
-from tests.hw.firmware.diving_robot import HOVER, diving_robot
+from tests.hw.firmware.diving_robot import HOST, HOVER, diving_robot
 from tests.hw.stm32.driven_desk import Port, drive
 from tests.waiting import until
 
@@ -127,27 +127,6 @@ def test_a_fault_of_the_driver_itself_is_told_and_the_port_opened_again(desk, po
         drive(desk, driver, lambda: bool(desk.tick()[-1]), ticks=3000)
         assert driver.counters.reconnects == 1
         assert any("the driver broke off: IndexError: on purpose" in text for text in desk.said)
-
-
-HOST = """
-import signal, sys, time
-from agent.clock.clock import SystemClock
-from agent.kernel.step_io import SetPoint
-from hw.stm32.driver import Stm32
-
-def break_off(*_):
-    raise RuntimeError("the agent is broken")
-
-signal.signal(signal.SIGUSR1, break_off)
-with Stm32(sys.argv[1], SystemClock()) as board:
-    board.arm()
-    while True:
-        board.send(SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5), time.time_ns())
-        telemetry, _ = board.drain()
-        if telemetry and telemetry[-1].armed:
-            print("armed", flush=True)
-        time.sleep(0.02)
-"""
 
 
 def test_a_host_that_breaks_leaves_a_robot_that_goes_up_level_at_once(tmp_path):

@@ -36,7 +36,7 @@ def history() -> list[Entry]:
     """Every version that three robots, one of them started twice, ever said."""
     said, random = [], Random(3)
     for key in (("r1", 1), ("r2", 5), ("r2", 6), ("r3", 1)):
-        table = Table("r0")
+        table = Table()
         for _ in range(4):
             table.measure(key, prior(0.7 + random.gauss(0.0, 0.01)))
             said.append(table.entries[key])
@@ -50,12 +50,12 @@ LATEST = {(e.origin, e.incarnation): e for e in SAID}
 @given(st.permutations(SAID), st.lists(st.sampled_from(SAID), max_size=20))
 @settings(max_examples=100, deadline=None)
 def test_any_order_and_any_repetition_end_in_the_same_table(order, repeated) -> None:
-    table = Table("r0")
+    table = Table()
     for entry in [*repeated, *order, *repeated]:
         _, fault = take(table, entry)
         assert fault is None
     assert table.entries == LATEST
-    reference = Table("r0")
+    reference = Table()
     for entry in SAID:
         take(reference, entry)
     assert table.opinions() == reference.opinions(), "to the last bit"
@@ -63,7 +63,7 @@ def test_any_order_and_any_repetition_end_in_the_same_table(order, repeated) -> 
 
 def joined(*tables: Table) -> Table:
     """One table after it was told all that the tables hold, in their order."""
-    found = Table("r0")
+    found = Table()
     for table in tables:
         for entry in table.entries.values():
             take(found, entry)
@@ -76,7 +76,7 @@ tables = st.lists(st.sampled_from(SAID), max_size=12)
 @given(tables, tables, tables)
 @settings(max_examples=100, deadline=None)
 def test_joining_tables_is_commutative_associative_and_idempotent(first, second, third) -> None:
-    a, b, c = (Table("r0") for _ in range(3))
+    a, b, c = (Table() for _ in range(3))
     for table, entries in zip((a, b, c), (first, second, third), strict=True):
         for entry in entries:
             take(table, entry)
@@ -92,7 +92,7 @@ def test_restarts_split_the_sum_and_lose_nothing(lives, seed) -> None:
     """A robot that measures under several incarnations says what one that never stopped says, from when on it has
     measured as much as in the longest life before."""
     lives.sort()
-    whole, split, random = Table("r0"), Table("r0"), Random(seed)
+    whole, split, random = Table(), Table(), Random(seed)
     for incarnation, count in enumerate(lives):
         for _ in range(count):
             sample = prior(0.7 + random.gauss(0.0, 0.01))
@@ -104,14 +104,14 @@ def test_restarts_split_the_sum_and_lose_nothing(lives, seed) -> None:
 
 
 def test_a_repeat_is_no_news() -> None:
-    table = Table("r0")
+    table = Table()
     assert take(table, SAID[2]) == (True, None)
     assert take(table, SAID[2]) == (False, None)
     assert take(table, SAID[1]) == (False, None)
 
 
 def test_the_systematic_error_enters_once_however_many_samples_and_starts() -> None:
-    table = Table("r0")
+    table = Table()
     for key in (("r1", 1), ("r1", 2)):
         for _ in range(5):
             table.measure(key, prior(0.7))
@@ -120,7 +120,7 @@ def test_the_systematic_error_enters_once_however_many_samples_and_starts() -> N
 
 
 def test_a_robot_that_restarts_all_day_does_not_fill_the_memory() -> None:
-    table = Table("r0")
+    table = Table()
     for start in range(100):
         take(table, msgspec.structs.replace(SAID[0], incarnation=start))
     assert sorted(e for _, e in table.entries) == list(range(100 - INCARNATIONS, 100))
@@ -145,7 +145,7 @@ NAN = math.nan
     ],
 )
 def test_nonsense_is_refused_by_name_and_changes_nothing(why, changes) -> None:
-    table = Table("r0")
+    table = Table()
     take(table, GOOD)
     before = dict(table.entries)
     bad = msgspec.structs.replace(GOOD, **{"count": GOOD.count + 1, **changes})
@@ -157,7 +157,7 @@ def test_nonsense_is_refused_by_name_and_changes_nothing(why, changes) -> None:
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=15, max_size=15), st.integers(1, 2**63))
 @settings(max_examples=200, deadline=None)
 def test_garbage_never_breaks_the_fusion(numbers, count) -> None:
-    table = Table("r0")
+    table = Table()
     take(table, GOOD)
     take(table, Entry("r2", 9, count, tuple(numbers[:6]), tuple(numbers[6:9]), tuple(numbers[9:])))
     fused = fuse(table.opinions())

@@ -26,6 +26,7 @@ from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
 from agent.transport import Observer
 from replay.files.log import read
+from tests.killing import killed_after
 from tests.network.rogue import flooding
 from tests.places import ROOT
 from tests.waiting import until
@@ -101,12 +102,8 @@ def agents(tmp_path: Path) -> Iterator[Agents]:
     fleet = demo_fleet(4, "evidence", 0.0, 0, False, tmp_path)
     with Observer(fleet, time.time_ns, (STATE,)) as observer:
         it = Agents(fleet, tmp_path, observer)
-        try:
+        with killed_after(it.processes):
             yield it
-        finally:
-            for process in it.processes.values():
-                process.kill()
-                process.wait()
 
 
 @pytest.mark.parametrize("kind", KINDS if "AUCAMP_FLOOD_S" in os.environ else DEAREST)

@@ -33,6 +33,7 @@ from agent.keys.key_files import private_file, public_file, read_private
 from agent.keys.make import make_keys
 from agent.keys.signing import signing
 from agent.transport import Observer
+from tests.killing import killed_after
 from tests.network.rogue import Rogue
 from tests.places import ROOT
 from tests.sample_messages import estimate
@@ -162,12 +163,8 @@ def swarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Swarm]:
     fleet = replace(demo_fleet(3, "evidence", 0.0, 0, False, tmp_path), access=Access(keys="keys"))
     with Observer(fleet, time.time_ns, (STATE,)) as observer, Rogue(fleet, LIAR, listens=True) as rogue:
         it = Swarm(fleet, tmp_path, observer, rogue)
-        try:
+        with killed_after(it.processes):
             yield it
-        finally:
-            for process in it.processes.values():
-                process.kill()
-                process.wait()
 
 
 def test_what_the_best_lie_moves_and_what_ends_it(swarm: Swarm, tmp_path: Path) -> None:
