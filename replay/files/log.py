@@ -20,6 +20,7 @@ from typing import NamedTuple, Self
 import msgpack
 
 from agent.clock import machine
+from agent.kernel.codec import prepare
 from replay.files.backlog import Backlog, Drop, Entry
 from replay.files.channels import DROPS, entry_on
 from replay.files.info import ChannelInfo, Info, info
@@ -93,6 +94,7 @@ class LogWriter:
     def __enter__(self) -> Self:
         """Create the file. Raises ConfigError if it cannot be, or if there is one already."""
         self._part = Part(self.path)
+        prepare()  # the thread reads messages, for viewers
         self._thread.start()
         return self
 

@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from replay.files.backlog import Backlog, Entry
 from replay.files.channels import FRAME, STEP_IN, STEP_OUT, entry_on
 from replay.files.info import describe, info
 from replay.files.log import Limits, LogWriter, parts, read
-from tests.places import GOLDEN
+from tests.places import GOLDEN, ROOT
 from tests.waiting import until
 
 
@@ -177,3 +178,25 @@ def test_viewer_channels_that_fail_do_not_end_the_recording(tmp_path: Path, capl
     assert about.complete
     assert about.end["not_derived"] == '{"ZeroDivisionError": 3}'
     assert "not shown to viewers: ZeroDivisionError 3" in describe(path, about)
+
+
+FIRST = """
+import sys, typing
+from pathlib import Path
+from agent.kernel.codec import decode, encode
+from agent.kernel.step_io import Inputs
+from replay.files.log import LogWriter
+
+def look(*_):
+    raise RuntimeError("msgspec looks into it only now")
+
+payload = encode(Inputs())
+with LogWriter(Path(sys.argv[1]), {}):
+    typing._eval_type = look
+    decode(payload, Inputs)
+"""
+
+
+def test_messages_are_known_before_a_second_thread_reads_them(tmp_path: Path) -> None:
+    """In a fresh process, for what msgspec has seen once it never looks into again."""
+    subprocess.run([sys.executable, "-c", FIRST, str(tmp_path / "r1.mcap")], check=True, cwd=ROOT, timeout=60)
