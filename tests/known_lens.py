@@ -32,3 +32,32 @@ FITTED = FocusFit(
     rmse_m=0.001,
     held_out_rmse_m=0.001,
 )
+# What the bench finds of r1 in the tank of seed 0, rounded: for a dive that shall see its ball without a bench.
+TWIN_CAMERA = CameraFit(
+    width_px=640,
+    height_px=480,
+    f_px=1184.0,
+    cx_px=319.5,
+    cy_px=239.5,
+    bend=0.392,
+    ahead_m=-0.0009,
+    pan_zero_deg=-0.56,
+    tilt_zero_deg=0.31,
+    pan_gain=0.992,
+    tilt_gain=0.995,
+)
+TWIN = FocusFit(
+    u_inf_m=0.0012,
+    b_m=136.5,
+    rho0=91.7,
+    covariance=(6.0357e-07, -4.6495e-04, 5.7052e-04, 0.36813, -0.46705, 0.62577),
+    noise=0.4,
+    width=119.0,
+    lowest=208,
+    highest=717,
+    r2=0.999,
+    rmse_m=0.008,
+    held_out_rmse_m=0.008,
+    sag=5.1,
+    sag_sigma=0.8,
+)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from agent.kernel.picture_head import stated_size
 from hw.camera import v4l2_calls as v4l2
 from hw.camera.camera import CameraError, Image
 from hw.camera.v4l2_calls import FORMAT, STREAM_PARAMETERS, Device
@@ -48,7 +49,8 @@ def decode(data: memoryview, form: Format) -> Image | None:
     """The picture in a buffer's filled part, (height, width, 3) blue green red; None if it is torn."""
     width, height = form.size
     if form.fourcc == MJPG:
-        if not bytes(data).rstrip(b"\0").endswith(END_OF_JPEG):  # some drivers pad
+        jpeg = bytes(data).rstrip(b"\0")  # some drivers pad
+        if not jpeg.endswith(END_OF_JPEG) or stated_size(jpeg) != form.size:
             return None
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         return None if image is None or image.shape != (height, width, 3) else np.asarray(image, np.uint8)

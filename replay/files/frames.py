@@ -7,7 +7,6 @@ and that order matters: where vision looks next depends on the frame before.
 from __future__ import annotations
 
 import contextlib
-import struct
 from typing import Annotated, Literal
 
 import cv2
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from agent.kernel.codec import encode
 from agent.kernel.config import ConfigError
 from agent.kernel.messages import Message
+from agent.kernel.picture_head import stated_size
 from agent.kernel.step_io import Sighting
 
 # Of a JPEG: 60 kB for a full frame of 640x480 with sensor noise, 1.1 ms; PNG: 520 kB, 16 ms. Colour is kept at full
@@ -75,21 +75,3 @@ def pixels(of: Picture) -> NDArray[np.uint8]:
     if image is None:
         raise ConfigError(f"frame {of.frame}: its {of.format} is broken; run `aucamp replay recover` on the file")
     return image.astype(np.uint8, copy=False)
-
-
-def stated_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels as the head of a PNG or JPEG states them; None: it is neither.
-
-    Source: W3C PNG, 11.2.2 (IHDR); ITU-T T.81, B.1.1.3 and B.2.2 (markers and frame header).
-    """
-    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
-        width, height = struct.unpack_from(">II", data, 16)
-        return width, height
-    at = 2
-    while data.startswith(b"\xff\xd8") and at + 9 <= len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4])
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # start of a frame; those three are tables
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return width, height
-        at += 2 + length
-    return None

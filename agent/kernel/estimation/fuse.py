@@ -33,7 +33,7 @@ PAIRS = (7, 32)  # fewest opinions among which two liars can be told, and most o
 # Of honest opinions one in ten stands farther than LOW from the others, and one in nine hundred farther than HIGH.
 LOW = 2.5  # sigma; up to here nobody stands out. What one robot can move unseen grows with it
 HIGH = 4.0  # sigma; from here on somebody is wrong
-TEMPER = 0.5  # of the likelihoods: covariances are themselves only estimates
+TEMPER = 0.3  # of the likelihoods: covariances are themselves only estimates. 0.5 lets a liar move more, and costs more
 
 
 class Opinion(NamedTuple):

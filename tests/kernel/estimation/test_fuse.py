@@ -187,11 +187,11 @@ def test_it_turns_with_the_world_and_does_not_care_for_names(seed, n) -> None:
 
 
 def test_who_stands_apart_takes_itself_out_however_sure_it_is() -> None:
-    """4.5 sigma: near enough for the vote, sure enough to be the mean of all."""
+    """6 sigma of the others: near enough to each for the vote, sure enough to be the mean of all."""
     opinions = crowd(5, np.random.default_rng(3), spread=0.2)
     honest = fuse(opinions[1:])
     root = np.linalg.cholesky(full(honest.cov_m2))
-    boast = opinion("r000", np.add(honest.x_m, 4.5 * root[:, 0]), 1e-9 * np.eye(3))
+    boast = opinion("r000", np.add(honest.x_m, 6.0 * root[:, 0]), 1e-9 * np.eye(3))
     fused = fuse([boast, *opinions[1:]])
     assert fused.verdict == "ok"
     assert math.dist(mean([boast, *opinions[1:]])[0], honest.x_m) > 4.0 * math.dist(fused.x_m, honest.x_m)

@@ -4,9 +4,11 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from agent.clock.run_clock import RunClock
 from agent.demo import demo_fleet
@@ -16,7 +18,7 @@ from agent.kernel.topics import STATE
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
-from tests.known_lens import CAMERA, PLAIN
+from tests.known_lens import TWIN, TWIN_CAMERA
 from tests.network.dives.shown_states import ShownStates
 from tests.places import ROOT
 from tests.waiting import until
@@ -24,9 +26,11 @@ from tests.waiting import until
 READY_S = 180.0  # of the wall: on a fresh machine every kernel is compiled first
 ENDS_S = 30.0  # of the wall
 
+Between = Callable[[Path], AbstractContextManager[Path]]  # the twin's folder -> the one that r1 takes for it
+
 
 class DiveOfTwo:
-    """r1 and r2 with somebody else's calibrations: they find the ball, though not where it is."""
+    """r1 and r2 with calibrations that nobody made in this dive: r1's is its own of another day, r2's is r1's."""
 
     def __init__(self, folder: Path, twin_folder: Path) -> None:
         self.folder, self._twin_folder = folder, twin_folder
@@ -34,17 +38,21 @@ class DiveOfTwo:
         self.path = folder / "fleet.toml"
         self.path.write_text(dump(self.fleet))
         for name, robot in self.fleet.robot.items():
-            known = Calibration(robot=name, made="2026-01-01", source="a test", focus=PLAIN, camera=CAMERA)
+            known = Calibration(robot=name, made="2026-01-01", source="a test", focus=TWIN, camera=TWIN_CAMERA)
             (folder / robot.calibration).parent.mkdir(exist_ok=True)
             (folder / robot.calibration).write_text(dump(known))
         self.clock = RunClock(clock_path(self.fleet))
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self) -> None:
+    def start_twin(self) -> None:
         self._start("twin", "twin", str(self.path), "--speed", "max")
         until((self._twin_folder / "ready").exists, READY_S, lambda: self.log("twin"))
-        for name in self.fleet.robot:
-            self._start(name, "agent", str(self.path), "--robot", name, "--out", str(self.folder), "--arm")
+
+    def start_agents(self, twin_of_r1: Path) -> None:
+        of_r1 = self.folder / "fleet_of_r1.toml"
+        of_r1.write_text(dump(replace(self.fleet, twin=replace(self.fleet.twin, dir=str(twin_of_r1)))))
+        for name, path in (("r1", of_r1), ("r2", self.path)):
+            self._start(name, "agent", str(path), "--robot", name, "--out", str(self.folder), "--arm")
 
     def check(self) -> None:
         for name, process in self.processes.items():
@@ -77,16 +85,18 @@ class DiveOfTwo:
 
 
 @contextmanager
-def dive_of_two(folder: Path) -> Iterator[tuple[DiveOfTwo, ShownStates]]:
-    """Both are armed and well, and hear each other."""
+def dive_of_two(folder: Path, between: Between = nullcontext) -> Iterator[tuple[DiveOfTwo, ShownStates]]:
+    """Both are armed and well, and hear each other. `between`: something stands between r1 and its devices."""
     with temporary_folder() as twin_folder:
         dive = DiveOfTwo(folder, twin_folder)
         try:
             with Observer(dive.fleet, dive.clock.now_ns, (STATE,)) as observer:
                 shown = ShownStates(observer, tuple(dive.fleet.robot), dive.check)
-                dive.start()
-                well = "armed and well"
-                shown.until(well, lambda s: s.armed and not s.faults and s.neighbours[0].heard > 0, READY_S)
-                yield dive, shown
+                dive.start_twin()
+                with between(twin_folder) as twin_of_r1:
+                    dive.start_agents(twin_of_r1)
+                    well = "armed and well"
+                    shown.until(well, lambda s: s.armed and not s.faults and s.neighbours[0].heard > 0, READY_S)
+                    yield dive, shown
         finally:
             dive.kill()

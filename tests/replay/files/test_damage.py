@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from agent.kernel.config import ConfigError
+from agent.kernel.picture_head import stated_size
 from agent.perception.rerun_vision import rerun_vision
 from replay.check.check import check
 from replay.check.explain import explain
 from replay.check.vision_check import check_vision
 from replay.files.digests import HashedFile
-from replay.files.frames import Picture, pixels, stated_size
+from replay.files.frames import Picture, pixels
 from replay.files.info import describe, info
 from replay.files.log import read
 from replay.files.mcap_walk import Tear, records
