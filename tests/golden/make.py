@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.agent_process import run_facts
@@ -21,9 +23,11 @@ from agent.kernel.codec import decode, encode
 from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Vector
+from agent.kernel.messages import Estimate, Vector
 from agent.kernel.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
 from agent.kernel.toml_files import dump
+from agent.keys.key_files import public_bytes
+from agent.keys.signing import signing, unsigned
 from replay.files.backlog import Entry
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.log import parts
@@ -48,10 +52,13 @@ class Case(NamedTuple):
     dead: tuple[float, float] = (0.0, 0.0)  # r3 is down, and comes back without memory
     pushed: tuple[float, float] = (0.0, 0.0)  # r2 is knocked, and rights itself
     wrong_m: float = 0.0  # by which r3 was surveyed wrongly along x: it is convinced of another place
+    signed: bool = False  # robots have keys
+    forged: tuple[float, float] = (0.0, 0.0)  # r2 tells r1 what r3 never said
     fleet: str = "tank"
     targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
 
 
+KEY = {name: Ed25519PrivateKey.from_private_bytes(name.encode() * 16) for name in ("r1", "r2", "r3")}  # no secrets
 TWO_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}  # as hw/twin/scenes/two_balls.toml has them
 
 CASES = {
@@ -61,6 +68,7 @@ CASES = {
     "liar": Case("evidence", 18.0, wrong_m=0.1),
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
     "push": Case("evidence", 18.0, pushed=(11.0, 12.5)),
+    "signed": Case("evidence", 16.0, signed=True, forged=(11.0, 13.0)),
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
 }
 TORN = "torn"  # r1 of `three`, cut
@@ -95,7 +103,8 @@ def dive(case: Case, out: Path) -> None:
         for robot in robots.values():
             for dst, heard in robot.step() if robot.agent else ():
                 if not ("r2" in (robot.name, dst) and clock.within(case.mute)):
-                    robots[dst].post.append(heard)
+                    forged = (robot.name, dst) == ("r2", "r1") and clock.within(case.forged)
+                    robots[dst].post.append(forge(heard) if forged else heard)
     for robot in robots.values():
         robot.alive(False, out)
 
@@ -119,6 +128,7 @@ class Robot:
         self.calibration = replace(CALIBRATION, robot=name)
         self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden), case.targets_m)
         self.motors = Knocked(self.script, clock, case.pushed) if name == "r2" else Motors(self.script)
+        self.sign, self.keys = (signing(name, KEY[name]), public_keys()) if case.signed else (unsigned, UNSET)
         self.agent: Agent | None = None
         self.post: list[Heard] = []
         self.starts = 0
@@ -147,8 +157,9 @@ class Robot:
         now_ns = self.clock.now_ns
         telemetry, _ = self.motors.drain()
         # Through bytes and back, so that nothing but what is recorded can reach the kernel.
+        keys = UNSET if self.steps else self.keys
         inputs = encode(
-            Inputs(telemetry=tuple(telemetry), sightings=tuple(self.script.drain()), heard=tuple(self.post))
+            Inputs(telemetry=tuple(telemetry), sightings=tuple(self.script.drain()), heard=tuple(self.post), keys=keys)
         )
         self.post = []
         outputs = self.agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
@@ -156,7 +167,7 @@ class Robot:
             self.part.add(Entry(channel, now_ns, now_ns, self.steps, data, "msgpack", {}))
         self.steps += 1
         self.act(outputs.set_point, outputs.sweep)
-        return [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(e))) for e in outputs.says]
+        return [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(self.sign(e)))) for e in outputs.says]
 
     def act(self, set_point: SetPoint, sweep: SweepPlan | None) -> None:
         self.motors.send(set_point, self.clock.now_ns)
@@ -234,6 +245,21 @@ def surveyed(fleet: Fleet, robot: str, case: Case) -> Fleet:
     r3 = fleet.robot["r3"]
     elsewhere = replace(r3, pose=replace(r3.pose, x_m=r3.pose.x_m + case.wrong_m))
     return replace(fleet, robot={**fleet.robot, "r3": elsewhere})
+
+
+def public_keys() -> dict[str, bytes]:
+    """Of all robots."""
+    return {name: public_bytes(private.public_key()) for name, private in KEY.items()}
+
+
+def forge(heard: Heard) -> Heard:
+    """The same message, which says beside it that r3 has seen the target where r2 did, and oftener. r2 signed that."""
+    said = decode(heard.payload, Estimate)
+    if said.gossip is None:
+        return heard
+    as_r3 = tuple(replace(e, origin="r3", count=e.count + 100) for e in said.gossip.entries if e.origin == "r2")
+    gossip = replace(said.gossip, entries=(*said.gossip.entries, *as_r3))
+    return replace(heard, payload=encode(replace(said, gossip=gossip)))
 
 
 def tear(whole: Path, out: Path) -> None:

@@ -1,7 +1,7 @@
 """What ended an agent, a board or an eye once, against all of a robot: its process, its firmware, its camera.
 
-One dive of two, in whose water something goes wrong again and again; after each r1 is as well as before. What it bore is
-read from its states, its log and its black box, when the dive is over. All in run time.
+One dive of two, in which something goes wrong again and again; each time r1 is soon as well as before. What it bore is
+read from its states, its log and its black box. All in run time.
 """
 
 import itertools
