@@ -39,7 +39,7 @@ from tests.fuzz.recording_bases import bases
 from tests.fuzz.recording_mutants import BYTES, rewritten
 from tests.replay.small_box import flat
 
-PAGE_EVERY = 50  # recordings: a page with its figures takes as long as a hundred other verbs
+PAGE_EVERY = 250  # recordings: a page with its figures takes as long as a hundred other verbs
 COMMAND_EVERY = 100  # and the command line takes a while to build
 VERB_S = 20  # of the processor: a verb that takes longer hangs
 MEMORY_BYTES = 3 * 2**30  # of address space, for one process
