@@ -75,7 +75,7 @@ class Evidence:
         self._recent: deque[tuple[int, Prior]] = deque(maxlen=CARRIED)
         self._starts: dict[str, int] = {}  # the incarnation of each neighbour
         self.epoch = Epoch()
-        self._vote = EpochVote(me, len(neighbours))
+        self._vote = EpochVote(me)
         self._motion = Motion()
         self._doubted = 0  # iterations in a row
         self._anew_ns = 0  # when we last began anew

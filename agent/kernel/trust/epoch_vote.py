@@ -2,7 +2,8 @@
 
 A robot whose own samples say that the target started or stopped moving proposes the next epoch. It begins when two have
 proposed it, or where two neighbours are in it already: one of two is honest. Where fewer than three robots see the
-target nobody could second, and one proposal is enough, but not more often than every ten seconds.
+target nobody could second, and one proposal is enough, but not more often than every ten seconds. A robot that has just
+started joins the epoch of those that it hears, as soon as it has had the time to hear them all.
 
 Epochs at rest have even counters, those in motion odd ones; every robot names the same epoch by the same counter.
 """
@@ -14,7 +15,7 @@ from agent.kernel.messages import Epoch, Proposal
 ALARM_NS = 20_000_000_000  # a proposal that nobody seconds for so long was a knock
 WITNESSES = 2  # one more than may lie
 LEAST_NS = 10_000_000_000  # an epoch lasts so long before a single proposal ends it
-BESIDE_NS = 3_000_000_000  # how long a neighbour counts as being in the epoch that it spoke of
+BESIDE_NS = 3_000_000_000  # how long a neighbour counts as being in the epoch that it spoke of; all speak within it
 JUMP = 1000  # epochs that a swarm may be ahead of a robot that has just started
 LAST = 10**8  # no honest swarm gets there
 
@@ -27,13 +28,13 @@ def epoch_of(counter: int) -> Epoch:
 class EpochVote:
     """Who proposes which epoch, as one robot knows it."""
 
-    def __init__(self, me: str, neighbours: int) -> None:
+    def __init__(self, me: str) -> None:
         self._me = me
-        self._needed = min(WITNESSES, neighbours)  # neighbours that can show a robot which starts late where they are
+        self._woke_ns: int | None = None  # since when we listen
         self._proposals: dict[str, tuple[Proposal, int]] = {}  # of each robot its newest, and when we first heard it
         self._witnesses: tuple[Proposal, ...] = ()  # for the epoch that we are in
         self._beside: dict[str, tuple[int, int]] = {}  # neighbour -> counter of its epoch, and when it said so
-        self._began_ns: int | None = None  # the epoch that we are in; none: the one that everybody starts with
+        self._began_ns: int | None = None  # the epoch that we are in; none: we just started, and met nobody in it
 
     def is_news(self, proposal: Proposal, epoch: Epoch) -> bool:
         """Whether it could matter and was not heard before."""
@@ -65,8 +66,12 @@ class EpochVote:
 
     def next(self, epoch: Epoch, seeing: int, now_ns: int) -> Epoch | None:
         """The epoch to begin now; None: the one that we are in goes on. seeing: robots known to see the target."""
+        self._woke_ns = now_ns if self._woke_ns is None else self._woke_ns
         fresh = [p for p, heard_ns in self._proposals.values() if now_ns - heard_ns <= ALARM_NS]
         beside = [counter for counter, at_ns in self._beside.values() if now_ns - at_ns <= BESIDE_NS]
+        if self._began_ns is None and epoch.counter in beside:
+            self._began_ns = now_ns
+        joins = self._began_ns is None and now_ns - self._woke_ns >= BESIDE_NS
         for counter in sorted({p.counter for p in fresh} | set(beside), reverse=True):
             if counter <= epoch.counter or counter > LAST:
                 continue
@@ -74,7 +79,7 @@ class EpochVote:
             there = sum(c >= counter for c in beside)
             if proposals >= WITNESSES or there >= WITNESSES:
                 return epoch_of(counter)
-            if self._began_ns is None and seeing == 0 and there >= self._needed and counter <= JUMP:
+            if joins and 0 < there == len(beside) and counter <= JUMP:
                 return epoch_of(counter)
             if proposals and 0 < seeing <= WITNESSES and self._may_end_alone(epoch, counter, now_ns):
                 return epoch_of(counter)
@@ -96,8 +101,8 @@ class EpochVote:
         return held if held is not None and held[0].counter == counter else None
 
     def _may_end_alone(self, epoch: Epoch, counter: int, now_ns: int) -> bool:
-        """One robot's word leads on by an epoch in ten seconds; who just started cannot know how far others are."""
+        """One robot's word leads on by an epoch in ten seconds."""
         if self._began_ns is None:
-            return counter <= epoch.counter + JUMP
+            return counter == epoch.counter + 1
         elapsed_ns = now_ns - self._began_ns
         return elapsed_ns >= LEAST_NS and counter <= epoch.counter + 1 + elapsed_ns // LEAST_NS

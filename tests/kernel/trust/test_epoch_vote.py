@@ -3,7 +3,7 @@
 import pytest
 
 from agent.kernel.messages import Epoch, Proposal
-from agent.kernel.trust.epoch_vote import ALARM_NS, JUMP, LEAST_NS, EpochVote, epoch_of
+from agent.kernel.trust.epoch_vote import ALARM_NS, BESIDE_NS, JUMP, LEAST_NS, EpochVote, epoch_of
 
 REST = Epoch()
 
@@ -12,9 +12,9 @@ def proposed(by: str, counter: int = 1, since_ns: int = 5) -> Proposal:
     return Proposal(by, since_ns, counter, counter % 2 == 1)
 
 
-def vote(*heard: Proposal, neighbours: int = 3, now_ns: int = 0) -> EpochVote:
+def vote(*heard: Proposal, now_ns: int = 0) -> EpochVote:
     """What r1 knows after it heard these."""
-    found = EpochVote("r1", neighbours)
+    found = EpochVote("r1")
     for proposal in heard:
         assert found.is_news(proposal, REST)
         found.hear(proposal, now_ns)
@@ -44,23 +44,43 @@ def test_where_two_see_one_is_enough_but_not_more_often_than_every_ten_seconds()
 
 
 def test_two_neighbours_that_are_there_show_the_way() -> None:
-    found = EpochVote("r1", 3)
+    found = EpochVote("r1")
     found.neighbour("r2", epoch_of(7), 0)
     assert found.next(REST, 0, 0) is None
     found.neighbour("r3", epoch_of(7), 1)
     assert found.next(REST, 0, 1) == Epoch(7, True)
 
 
-def test_a_robot_with_one_neighbour_that_has_just_started_follows_it_within_reason() -> None:
-    found = EpochVote("r1", 1)
+def test_who_has_just_started_joins_those_that_it_hears_within_reason() -> None:
+    found = EpochVote("r1")
     found.neighbour("r2", epoch_of(6), 0)
-    assert found.next(REST, 0, 0) == Epoch(6, False)
-    found.neighbour("r2", epoch_of(JUMP + 1), 0)
+    assert found.next(REST, 0, 0) is None, "the others may not have spoken yet"
+    assert found.next(REST, 0, BESIDE_NS) == Epoch(6, False)
+    found.neighbour("r2", epoch_of(JUMP + 1), BESIDE_NS)
+    assert found.next(REST, 0, BESIDE_NS) is None
+
+
+def test_one_of_two_that_it_hears_does_not_lead_away_who_has_just_started() -> None:
+    found = vote(proposed("r2", 21))
+    found.neighbour("r2", epoch_of(21), 0)
+    found.neighbour("r3", epoch_of(1), 0)
+    for seeing in (0, 1, 2, 3):
+        assert found.next(REST, seeing, 0) == epoch_of(1), "where both have been"
+    found.begin(epoch_of(1), BESIDE_NS)
+    assert found.next(epoch_of(1), 2, BESIDE_NS + 1) is None
+
+
+def test_who_met_others_where_it_started_has_not_just_started() -> None:
+    found = EpochVote("r1")
+    found.neighbour("r3", REST, 0)
     assert found.next(REST, 0, 0) is None
+    late_ns = 10 * BESIDE_NS
+    found.neighbour("r2", epoch_of(6), late_ns)
+    assert found.next(REST, 0, late_ns) is None
 
 
 def test_a_proposal_that_nobody_seconds_was_a_knock() -> None:
-    found = EpochVote("r1", 3)
+    found = EpochVote("r1")
     found.propose(REST, 0)
     assert not found.unseconded(REST, ALARM_NS)
     assert found.unseconded(REST, ALARM_NS + 1)
@@ -83,4 +103,4 @@ def test_who_joins_hears_the_witnesses_of_the_epoch_that_is() -> None:
 
 @pytest.mark.parametrize("proposal", [proposed("r2", 10**9), Proposal("r2", 5, 1, False), Proposal("r2", 5, 2, True)])
 def test_what_no_epoch_can_be_is_no_news(proposal) -> None:
-    assert not EpochVote("r1", 3).is_news(proposal, REST)
+    assert not EpochVote("r1").is_news(proposal, REST)
