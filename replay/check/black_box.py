@@ -27,6 +27,7 @@ from replay.files.suspect import suspecting
 
 T = TypeVar("T")
 
+DIGITS = 20  # of a number in a header that is repeated in a line for people
 STEP_BYTES = 4 * 1024 * 1024  # limit of one step: this is the robot's own file, not a stranger's message
 
 
@@ -124,8 +125,8 @@ def _open_box(path: Path) -> BlackBox:
     needs += [name for name in ("fleet.toml", "calibration.toml") if name not in attachments]
     if needs:
         raise ConfigError(f"{path}: has no {needs[0]}, so its agent cannot be built again; record with this version")
-    if run.get("part", "1") != "1":
-        raise ConfigError(f"{path}: is part {run['part']}, and its steps build on those before; give the first part")
+    if (part := run.get("part", "1")) != "1":
+        raise ConfigError(f"{path}: is part {part[:DIGITS]}, and its steps build on those before; give the first part")
     fleet = attached_toml(path, "fleet.toml", attachments, Fleet)
     if run["robot"] not in fleet.robot or not run["incarnation"].isdecimal():
         raise ConfigError(f"{path}: damaged: its header names no robot of its fleet, or no start; take another copy")
@@ -146,7 +147,8 @@ def schema_of(path: Path, run: Mapping[str, str]) -> int:
     """The schema of a recording's messages, by its header. Raises ConfigError if we cannot read it."""
     schema = run.get("schema", str(SCHEMA))
     if schema not in map(str, READABLE):
-        raise ConfigError(f"{path}: message schema {schema}, ours is {SCHEMA}; replay it with the version it names")
+        said = schema[:DIGITS]
+        raise ConfigError(f"{path}: message schema {said}, ours is {SCHEMA}; replay it with the version it names")
     return int(schema)
 
 

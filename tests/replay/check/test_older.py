@@ -7,7 +7,7 @@ import pytest
 
 from agent.kernel.config import ConfigError
 from agent.perception.rerun_vision import rerun_vision
-from replay.check.black_box import open_box
+from replay.check.black_box import open_box, schema_of
 from replay.check.check import check, text
 from replay.check.compare import ABSENT, Difference
 from replay.check.explain import explain
@@ -35,6 +35,13 @@ def test_todays_kernel_does_what_it_did_then() -> None:
 def test_another_behaviour_is_noticed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("agent.kernel.core.LATEST_ITERATION", 1.4)
     assert check([OLD]).exit_code == 1
+
+
+@pytest.mark.parametrize("schema", ["3", "x" * 9000])
+def test_a_schema_that_we_cannot_read_is_named_in_one_line(schema: str) -> None:
+    with pytest.raises(ConfigError, match="ours is 2; replay it with the version it names") as caught:
+        schema_of(Path("r1.mcap"), {"schema": schema})
+    assert len(str(caught.value)) < 120
 
 
 @pytest.mark.parametrize(
