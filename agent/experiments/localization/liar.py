@@ -33,7 +33,8 @@ FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on
 SLACK = 1.16  # what a lie may do beyond a bound that is exact to second order only: the largest of 800 lies of 1.16
 GROWTH = 1.1  # of the information that a liar claims, in an iteration: what is added must lie in the tank
-FORGED = 10**6  # samples that a forged entry claims
+FORGED = 5000  # samples that a forged entry claims: more than anybody has, and no more than a robot may have
+FAR_M = (0.3, 0.3, 0.07)  # where they all place the target in a fleet without keys
 
 
 class Outcome(NamedTuple):
@@ -83,7 +84,7 @@ def attacked(case: LiarCase, seed: int, number: int) -> Outcome:
 
 def fleet_of(case: LiarCase, random: Random) -> Swarm:
     """A fleet as the case wants it, nobody lying yet."""
-    signed = case.protocol == "evidence"
+    signed = case.protocol == "evidence" and case.keys
     near = graph(case.topology, case.robots)
     return Swarm(case.protocol, near, case.loss, random, liars=case.liars, clip=case.clip, signed=signed)
 
@@ -175,8 +176,9 @@ class Speech:
         if estimate.gossip is None:
             return replace(estimate, valid=True, x_m=self._far_m, cov_m2=(1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6))
         mine = self._entries[i]
+        other = mine if self._case.keys else replace(mine, vector=apply(mine.information, FAR_M))
         forged = [
-            replace(mine, origin=f"r{j}", count=FORGED, signature=bytes(64))
+            replace(other, origin=f"r{j}", count=FORGED, signature=bytes(64))
             for j in range(self._case.robots)
             if j >= self._case.liars
         ]

@@ -81,14 +81,16 @@ def lie(row: Row) -> str:
         ", two liars" if row["liars"] == 2 else "",
         f", {row['speed_mm_s']:g} mm/s" if row["speed_mm_s"] else "",
         ", clip" if row["clip"] else "",
+        "" if row["keys"] else ", unsigned",
         "" if row["then"] == "silent" else f", then {row['then']}",
     )
     return "".join(parts)
 
 
 def _told(row: Row) -> bool:
-    """One liar of an `evidence` fleet at rest."""
-    return row["protocol"] == "evidence" and not row["bumped_mm"] and not row["speed_mm_s"] and row["liars"] == 1
+    """One liar of an `evidence` fleet at rest, whose robots have keys."""
+    signed = row["protocol"] == "evidence" and row["keys"]
+    return signed and not row["bumped_mm"] and not row["speed_mm_s"] and row["liars"] == 1
 
 
 TARGETS = (
