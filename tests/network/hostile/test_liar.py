@@ -39,7 +39,7 @@ from tests.places import ROOT
 from tests.sample_messages import estimate
 from tests.waiting import until
 
-LIES_S = float(os.environ.get("AUCAMP_LIES_S", "10"))
+LIES_S = float(os.environ.get("AUCAMP_LIES_S", "6"))
 SAY_S = 0.1
 MOVED_M, AFTER_M = 0.030, 0.0025
 HONEST, LIAR = ("r1", "r2"), "r3"
@@ -169,7 +169,7 @@ def swarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Swarm]:
 
 def test_what_the_best_lie_moves_and_what_ends_it(swarm: Swarm, tmp_path: Path) -> None:
     until(lambda: all(s.knows == "sees" for s in swarm.listen().values()) and len(swarm.opinions()) == 2, 60.0)
-    quiet_m = swarm.spend(3.0, tuple)
+    quiet_m = swarm.spend(1.0, tuple)
     lied_m = swarm.spend(LIES_S, Search(swarm))
     refused = {name: state.refused for name, state in swarm.state.items()}
     repaired = Truth(swarm)
