@@ -59,14 +59,12 @@ def test_paper_fails_where_messages_are_lost_and_evidence_does_not() -> None:
     at = (10, 50, 200)
     paper = ratios(Case("paper", "geometric", 10, 80, at, loss=0.3))
     assert paper == pytest.approx([9.6, 27.0, 56.0], rel=0.25)  # the scatter of 80 draws
-    evidence = ratios(Case("evidence", "geometric", 10, 8, (50, 120), loss=0.3))
-    assert evidence[0] < 1.25
-    assert evidence[1] < 1.15
+    assert ratios(Case("evidence", "geometric", 10, 8, (50,), loss=0.3))[0] < 1.15
 
 
 @pytest.mark.slow
 def test_ten_messages_an_iteration_make_distance_cheap() -> None:
-    once, often = (ratios(Case("evidence", "geometric", 10, 30, (10,), loss=0.3, says=n))[0] for n in (1, 10))
+    once, often = (ratios(Case("evidence", "geometric", 10, 12, (10,), loss=0.3, says=n))[0] for n in (1, 10))
     assert often < 1.25
     assert often < once
 
@@ -98,7 +96,7 @@ def test_all_without_a_view_are_covered_by_relays(topology) -> None:
 
 @pytest.mark.slow
 def test_a_moving_target_is_followed() -> None:
-    case = Case("evidence", "geometric", 10, 2, (50,), loss=0.3, speed_mm_s=20.0, ticks=5)
+    case = Case("evidence", "geometric", 10, 2, (30,), loss=0.3, speed_mm_s=20.0, ticks=5)
     row = next(rows_of(case, score_draws(case, 0, 0, case.draws)))
     assert row["bound_mm"] < row["rmse_mm"] < 1.5 * row["bound_mm"]
 
