@@ -18,6 +18,7 @@ from agent.kernel.topics import STATE
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
+from tests.killing import killed_after
 from tests.known_lens import TWIN, TWIN_CAMERA
 from tests.network.dives.shown_states import ShownStates
 from tests.places import ROOT
@@ -72,11 +73,6 @@ class DiveOfTwo:
             for name in names:
                 assert self.processes[name].wait(ENDS_S) == 0, self.log(name)
 
-    def kill(self) -> None:
-        for process in self.processes.values():
-            process.kill()
-            process.wait()
-
     def _start(self, name: str, *arguments: str) -> None:
         with (self.folder / f"{name}.log").open("wb") as log:
             command = [sys.executable, "-m", "agent", *arguments]
@@ -89,14 +85,11 @@ def dive_of_two(folder: Path, between: Between = nullcontext) -> Iterator[tuple[
     """Both are armed and well, and hear each other. `between`: something stands between r1 and its devices."""
     with temporary_folder() as twin_folder:
         dive = DiveOfTwo(folder, twin_folder)
-        try:
-            with Observer(dive.fleet, dive.clock.now_ns, (STATE,)) as observer:
-                shown = ShownStates(observer, tuple(dive.fleet.robot), dive.check)
-                dive.start_twin()
-                with between(twin_folder) as twin_of_r1:
-                    dive.start_agents(twin_of_r1)
-                    well = "armed and well"
-                    shown.until(well, lambda s: s.armed and not s.faults and s.neighbours[0].heard > 0, READY_S)
-                    yield dive, shown
-        finally:
-            dive.kill()
+        with killed_after(dive.processes), Observer(dive.fleet, dive.clock.now_ns, (STATE,)) as observer:
+            shown = ShownStates(observer, tuple(dive.fleet.robot), dive.check)
+            dive.start_twin()
+            with between(twin_folder) as twin_of_r1:
+                dive.start_agents(twin_of_r1)
+                well = "armed and well"
+                shown.until(well, lambda s: s.armed and not s.faults and s.neighbours[0].heard > 0, READY_S)
+                yield dive, shown
