@@ -118,7 +118,10 @@ def exact(value: Any) -> str:
     """repr, and for a float all of its bits."""
     if isinstance(value, float):
         return f"{value!r} ({value.hex()})"
-    text = repr(value)
+    try:
+        text = repr(value)
+    except RecursionError:  # a recording that something has damaged may nest deeper than Python writes
+        text = f"a {type(value).__name__} in itself, beyond what can be shown"
     return text if len(text) <= 200 else f"{text[:200]}…"
 
 
