@@ -29,7 +29,7 @@ class Hal:
         self._act = bytearray(bus.ACT_SIZE)
         self._begun = False
         self._now_us = 0
-        self.pressure_pa = [0.0] * 4  # absolute
+        self.pressure_mPa = [0] * 4  # absolute
         self.answered = 0  # bit mask of sensors that did
         self.battery_mv = self.current_10ma = self.leak = 0
         self.pulses_us = [1500] * 8
@@ -48,10 +48,14 @@ class Hal:
             if not n:
                 return False
             got += n
-        pa = self.pressure_pa
+        pa = [0.0] * 4
+        before_us = self._now_us
         (self._now_us, pa[0], pa[1], pa[2], pa[3], self.battery_mv, self.current_10ma, self.leak, self.answered) = (
             struct.unpack(bus.TICK, self._tick)
         )
+        for k in range(4):
+            self.pressure_mPa[k] = int(pa[k] * 1000 + 0.5) if pa[k] == pa[k] else 0
+        self.dt_us = self._now_us - before_us if before_us else 10000
         return True
 
     def write_pins(self):
@@ -64,6 +68,9 @@ class Hal:
         except OSError:
             return False
         return True
+
+    def cycle_us(self):
+        return 0
 
     def now_us(self):
         """The board's clock, 32 bits. It stands still within a cycle: a computer's speed says nothing of a board's."""
