@@ -76,6 +76,7 @@ def _whole_gains(i, inertia, lag_s):
         l2 * H_S * 32.0 * 1024.0,
         l3 * H_S * H_S * 32.0 * 4096.0,
         lead * 1024.0,
+        9.6e8 / (unit_un * (1 << shift)),  # beyond any thruster, and just what fits 31 bits
     )
     return (SIGN[i], shift) + tuple([int(gain + 0.5) for gain in gains])
 
@@ -83,16 +84,16 @@ def _whole_gains(i, inertia, lag_s):
 @micropython.native
 def _step(state, gains, y, ref, realised, ticks):
     """Predict and correct one axis; the wrench that it wants."""
-    sign, shift, unit, decay, linear, quadratic, k1, k2, cap, l1, l2, l3, lead = gains
+    sign, shift, unit, decay, linear, quadratic, k1, k2, cap, l1, l2, l3, lead, most = gains
     p, v, a, d = state
     realised = ((realised << shift) + (unit >> 1)) // unit
     for _ in range(ticks):
         p += (v + 16) >> 5
         v += sign * a + d - ((v >> 4) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 2048 >> 12)
-        a += (realised - a) * decay + 8192 >> 14
+        a += (realised - a + 2 >> 2) * decay + 2048 >> 12
     r = y - p
     p += r * l1 + 512 >> 10
-    v += r * l2 + 512 >> 10
+    v += (r + 2 >> 2) * l2 + 128 >> 8
     d += r * l3 + 2048 >> 12
     state[0] = p
     state[1] = v
@@ -105,5 +106,9 @@ def _step(state, gains, y, ref, realised, ticks):
         e = -cap
     drag = (v >> 4) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 2048 >> 12
     want = sign * (drag - (k1 * e + 2048 >> 12) - ((v >> 2) * k2 + 512 >> 10) - d)
-    want += (want - a) * lead + 512 >> 10
+    want += (want - a + 2 >> 2) * lead + 128 >> 8
+    if want > most:
+        want = most
+    elif want < -most:
+        want = -most
     return want * unit + (1 << shift >> 1) >> shift

@@ -10,8 +10,8 @@ _ARM_X_MM = const(80)  # half-distances of the central thrusters, the paper's a 
 _ARM_Y_MM = const(60)
 _FLAT_ARM_MM = const(170)  # from the middle to T5-T8, which sit at 45, 135, 225 and 315 degrees
 
-_REVERSE_PERCENT = const(80)  # thrust backwards at full pulse; a propeller is weaker in reverse
-_ATTITUDE_PERCENT = const(90)  # of the weaker direction: level but shallow can be mended, tilted cannot
+_REVERSE_FIFTHS = const(4)  # of the thrust forward at full pulse: a propeller is weaker in reverse
+_ATTITUDE_TENTHS = const(9)  # of the weaker direction: level but shallow can be mended, tilted cannot
 
 NEUTRAL_US = 1500  # Blue Robotics Basic ESC
 _LOWEST_US = const(1100)
@@ -53,11 +53,11 @@ def central(want, full, slew, forces, realised):
     Attitude goes first, depth gets the room that it leaves. full: thrust at full pulse; slew: largest change from
     `forces` as it was. `realised` becomes the wrench of these forces, for the law.
     """
-    reverse = full * _REVERSE_PERCENT // 100
-    roll = want[1] * 250 // _ARM_Y_MM
-    pitch = want[2] * 250 // _ARM_X_MM
+    reverse = full * _REVERSE_FIFTHS // 5
+    roll = want[1] * 25 // _ARM_Y_MM * 10
+    pitch = want[2] * 25 // _ARM_X_MM * 10
     worst = (roll if roll > 0 else -roll) + (pitch if pitch > 0 else -pitch)  # some corner has both signs alike
-    limit = reverse * _ATTITUDE_PERCENT // 100
+    limit = reverse * _ATTITUDE_TENTHS // 10
     cut = worst > limit
     if cut:
         share = (limit << 4) // (worst >> 10)  # in 1/16384
@@ -96,11 +96,11 @@ def flat(fx, fy, mz, full, forces):
     share = 4096
     for j in range(4):
         # half of sqrt(1/2) is 5793/16384
-        forces[4 + j] = f = ((FLAT_X[j] * fx + FLAT_Y[j] * fy >> 8) * 5793 >> 6) + turn
+        forces[4 + j] = f = ((FLAT_X[j] * fx + FLAT_Y[j] * fy >> 9) * 5793 >> 5) + turn
         limit = full
         if f < 0:
             f = -f
-            limit = full * _REVERSE_PERCENT // 100
+            limit = full * _REVERSE_FIFTHS // 5
         if f > limit:
             fits = limit // (f >> 12)
             if fits < share:
@@ -123,7 +123,7 @@ def pulses(forces, neutral_us, full, pulses_us):
         f = forces[j]
         us = neutral_us[j]
         if f:
-            size = f if f > 0 else -f * 100 // _REVERSE_PERCENT
+            size = f if f > 0 else -f * 5 // _REVERSE_FIFTHS
             share = 65536
             if size < full:
                 share = (size >> down) * inverse >> 13
