@@ -24,7 +24,7 @@ _MOVING_US = const(1000000)
 _PARITY_LIMIT_100nm = const(200000)
 _PARITY_FOR_US = const(500000)
 _STANDARD_AIR_mPa = const(101325000)
-_SERIES = const(5000000)  # up to sin 30 degrees asin and 1/cos are the first terms of their series
+_SERIES = const(4200000)  # up to 25 degrees asin and 1/cos are the first terms of their series
 
 
 class Plane:
@@ -98,7 +98,8 @@ class Plane:
         if -_SERIES < nose < _SERIES:
             s = nose >> 9
             square = (s * s >> 13) * 45 >> 6  # of the sine, in 1/32768
-            left += (left >> 5) * (square * (16384 + (square * (12288 + (square * 10240 >> 15)) >> 15)) >> 15) >> 10
+            more = 12288 + (square * (10240 + (square * 8960 >> 15)) >> 15)
+            left += (left >> 5) * (square * (16384 + (square * more >> 15)) >> 15) >> 10
         else:
             left = int(left / math.cos(_asin(nose) * 1e-7))
         self.pitch_100nrad = _asin(nose)
