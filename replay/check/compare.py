@@ -114,14 +114,19 @@ def _leaf(value: Any) -> Any:
     return {"absent": True} if value is ABSENT else value
 
 
+def written(value: Any) -> str:
+    """repr, or in a recording that something has damaged: that it nests deeper than Python writes."""
+    try:
+        return repr(value)
+    except RecursionError:
+        return f"a {type(value).__name__} in itself, beyond what can be shown"
+
+
 def exact(value: Any) -> str:
     """repr, and for a float all of its bits."""
     if isinstance(value, float):
         return f"{value!r} ({value.hex()})"
-    try:
-        text = repr(value)
-    except RecursionError:  # a recording that something has damaged may nest deeper than Python writes
-        text = f"a {type(value).__name__} in itself, beyond what can be shown"
+    text = written(value)
     return text if len(text) <= 200 else f"{text[:200]}…"
 
 

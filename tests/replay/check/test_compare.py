@@ -7,6 +7,7 @@ import sys
 import msgpack
 
 from replay.check.compare import differences
+from replay.check.reexecute import Divergence
 
 
 def test_what_nests_deeper_than_python_writes_is_told_in_one_short_line():
@@ -19,3 +20,8 @@ def test_what_nests_deeper_than_python_writes_is_told_in_one_short_line():
     for replayed in (3, [4], {"a": 5}):
         (difference,) = differences(recorded, msgpack.packb(replayed))
         assert "beyond what can be shown" in str(difference) and len(str(difference)) < 300
+
+
+def test_its_json_form_is_written_too():
+    (difference,) = differences(b"\x91" * 1020 + b"\x02", msgpack.packb(3))
+    assert "beyond what can be shown" in Divergence("r1", 1, 2, difference, ()).as_json()["recorded"]
