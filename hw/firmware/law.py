@@ -3,7 +3,8 @@
 # Yaw and the horizontal position cannot be had from pressure; those the host drives, open loop.
 # A law has reset(y), step(y, ref, realised, want, ticks) and disturbance(axis), for the axes depth, roll, pitch, in
 # this order. y and ref: down in 100 nm, 100 nrad. want and realised: force up uN, roll and pitch moment uNm. ticks: of
-# 10 ms, since the step before; where some were lost the pulses stood, and so did the wrench.
+# 10 ms, since the step before; where some were lost the pulses stood, and so did the wrench. ValueError: what it believes
+# is not of this world.
 #
 # This is the default law; law_pid.py and law_pi.py hold the two that it is compared with.
 try:
@@ -12,6 +13,9 @@ except ImportError:
     from hw.firmware import no_emitter as micropython
 import math
 
+const = micropython.const
+
+_ABSURD = const(1 << 28)  # 84 m/s, 84 rad/s
 H_S = 0.01  # a tick; all gains hold for this one alone
 SIGN = (-1, 1, 1)  # what a positive wrench does to depth, roll, pitch
 
@@ -99,6 +103,8 @@ def _step(state, gains, y, ref, realised, ticks):
     state[1] = v
     state[2] = a
     state[3] = d
+    if not -_ABSURD < v < _ABSURD:
+        raise ValueError("law diverged")
     e = p - ref
     if e > cap:
         e = cap

@@ -34,7 +34,10 @@ class Pi:
         )
         for i in range(3):
             self._integral[i] += H_S * ticks * e[i]
-            want[i] = int(ARMS_M[i] * (KP * e[i] + KI * self._integral[i]) * 1e6)
+            asked = ARMS_M[i] * (KP * e[i] + KI * self._integral[i])
+            if not -1000.0 < asked < 1000.0:  # no number is neither
+                raise ValueError("law diverged")
+            want[i] = int(asked * 1e6)
 
     def disturbance(self, i):
         """What the integrator holds against, uN down or uNm."""

@@ -34,6 +34,8 @@ class Pid:
             e = -SIGN[i] * (y[i] - ref[i]) * 1e-7
             self._integral[i] += h_s * (ki * e + unwind * (realised[i] * 1e-6 - self._asked[i]))
             self._asked[i] = kp * e + self._integral[i] - SIGN[i] * kd * rate
+            if not -1000.0 < self._asked[i] < 1000.0:  # no number is neither
+                raise ValueError("law diverged")
             want[i] = int(self._asked[i] * 1e6)
 
     def disturbance(self, i):

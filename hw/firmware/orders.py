@@ -188,7 +188,7 @@ class Orders:
         """Take these pressures for those at depth_m. False where that leaves no air above the water."""
         control = self._control
         plane = control.plane
-        tare_pa = [mPa * 1e-3 - depth_m * plane.pa_per_m for mPa in medians]
+        tare_pa = [mPa / 1000 - depth_m * plane.pa_per_m for mPa in medians]
         tare_mPa = tare.whole(tare_pa)
         if tare_mPa is None:
             return False

@@ -37,6 +37,8 @@ FLEET = Fleet(
     twin=Twin(seed=5),
 )
 HOVER = SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5)
+# What the robot does by itself, hw/README.md, "When things go wrong".
+ASCENT_M_S, SURFACED_M, TILTED_DEG = 0.07, 0.10, 45.0
 REST_N = 0.01  # a thruster that stops fades with its lag: a second leaves less than this of 10 N
 
 
