@@ -3,8 +3,8 @@
 # Yaw and the horizontal position cannot be had from pressure; those the host drives, open loop.
 # A law has reset(y), step(y, ref, realised, want, ticks) and disturbance(axis), for the axes depth, roll, pitch, in
 # this order. y and ref: down in 100 nm, 100 nrad. want and realised: force up uN, roll and pitch moment uNm. ticks: of
-# 10 ms, since the step before; where some were lost the pulses stood, and so did the wrench. ValueError: what it believes
-# is not of this world.
+# 10 ms, since the step before; where some were lost the pulses stood, and so did the wrench. A step raises ValueError
+# where what the law believes is not of this world.
 #
 # This is the default law; law_pid.py and law_pi.py hold the two that it is compared with.
 try:

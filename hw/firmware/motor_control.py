@@ -12,13 +12,17 @@ except ImportError:
     from hw.firmware.no_emitter import const
 
 _SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
-_BATTERY_TICKS = const(100)  # the voltage that thrust is scaled with is smoothed over these: a probe's noise is not a battery's
+_BATTERY_TICKS = const(
+    100
+)  # the voltage that thrust is scaled with is smoothed over these: a probe's noise is not a battery's
 _STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
 _NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
 # A cycle whose control broke off is made up for by so many good ones; where debts add up, the robot goes up.
 _FAULT_CYCLES = const(20)
 _FAULTS_LIMIT = const(10)
-_LOST_US = const(500000)  # without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop
+_LOST_US = const(
+    500000
+)  # without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop
 _TICK_US = const(10000)
 _TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly

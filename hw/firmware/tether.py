@@ -111,7 +111,11 @@ class Tether:
         )
         i16 = wire.fixed
         z1, z2, z3, z4 = [(z + 50) // 100 * 9789 // 10000 for z in plane.zeta_100nm]
-        roll, pitch, depth = i16(plane.roll_100nrad, CDEG * 1e-7), i16(plane.pitch_100nrad, CDEG * 1e-7), i16(plane.depth_100nm, 1e-3)
+        roll, pitch, depth = (
+            i16(plane.roll_100nrad, CDEG * 1e-7),
+            i16(plane.pitch_100nrad, CDEG * 1e-7),
+            i16(plane.depth_100nm, 1e-3),
+        )
         push, roll_push, pitch_push = [i16(law.disturbance(i), 1e-2 if i else 1e-3) for i in range(3)]
         loop_us = min(self.loop_us, 65535)
         # fmt: off

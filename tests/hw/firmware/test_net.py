@@ -62,7 +62,10 @@ def test_a_broken_tether_does_not_stop_the_control_law(board, part):
     before = board.control.law._state[0][0]
     board.hal.pressure_pa = [AIR_PA + 0.31 * PA_PER_M] * 4
     board.hold(40)
-    assert board.control.state == wire.ARMED and board.control.law._state[0][0] == pytest.approx(3_100_000, abs=1e4) != before
+    assert (
+        board.control.state == wire.ARMED
+        and board.control.law._state[0][0] == pytest.approx(3_100_000, abs=1e4) != before
+    )
     assert min(board.hal.pulses_us[:4]) > 1530, "a centimetre too deep: up"
     board.hold(60)
     assert board.faults >= 1

@@ -121,7 +121,12 @@ def test_tare_refuses_waves_and_water():
 
 
 def test_a_tare_is_four_pressures_that_there_are_in_air():
-    assert tare.whole([101325.0, 101000, 101000.0004, 99999.9999]) == [101_325_000, 101_000_000, 101_000_000, 100_000_000]
+    assert tare.whole([101325.0, 101000, 101000.0004, 99999.9999]) == [
+        101_325_000,
+        101_000_000,
+        101_000_000,
+        100_000_000,
+    ]
     for wrong in (None, 7, "air", [101325.0] * 3, [101325.0] * 3 + ["x"], [101325.0] * 3 + [float("nan")], [0.0] * 4):
         assert tare.whole(wrong) is None
 

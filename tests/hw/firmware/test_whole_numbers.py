@@ -86,7 +86,10 @@ def test_the_observer_wants_what_its_equations_want():
         expected = floats.step((y * 1e-7).tolist(), [r * 1e-7 for r in ref], [r * 1e-6 for r in realised])
         realised = np.clip(want, -LIMITS, LIMITS).tolist()
         for k, least in enumerate((3e-3, 1e-4, 1e-4)):
-            wanted, off = np.clip(expected[k] * 1e6, -LIMITS[k], LIMITS[k]), least + 5e-4 * floats.terms(k, ref[k] * 1e-7)
+            wanted, off = (
+                np.clip(expected[k] * 1e6, -LIMITS[k], LIMITS[k]),
+                least + 5e-4 * floats.terms(k, ref[k] * 1e-7),
+            )
             assert realised[k] == pytest.approx(wanted, abs=off * 1e6), (i, k)
     assert [whole.disturbance(k) * 1e-6 for k in range(3)] == pytest.approx(floats.state[:, 3], rel=1e-3, abs=2e-3)
 

@@ -13,7 +13,7 @@ import time
 import pytest
 
 from agent.clock.clock import SystemClock
-from hw.firmware import failsafe, wire
+from hw.firmware import wire
 from hw.stm32.driver import Stm32
 from hw.twin.pace import LOCK_STEP_S
 from tests.hw.firmware.diving_robot import HOST, HOVER, SURFACED_M, diving_robot
