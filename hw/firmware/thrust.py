@@ -22,8 +22,8 @@ _HIGHEST_US = const(1900)
 ROLL = (1, 1, -1, -1)
 PITCH = (-1, 1, 1, -1)
 
-# Share of the full thrust, in 1/65536 -> pulse from neutral in us, forward: ((d - 30)/370)^1.27, a fit to the manufacturer's
-# points for the T200 at 14 V. The dead band is crossed within 0.2 % of thrust instead of in a jump, which would turn
+# Share of the full thrust, in 1/65536 -> pulse from neutral in us, forward: ((d - 30)/370)^1.27, a fit to the
+# manufacturer's points for the T200 at 14 V. The dead band is crossed within 0.2 % of thrust instead of in a jump, which would turn
 # the noise of a pressure sensor into hammering. Reverse has the same shape.
 CURVE = (0, 131, 1606, 5164, 10879, 19071, 30015, 43909, 65536)
 CURVE_US = (0, 30, 50, 80, 120, 170, 230, 300, 400)
@@ -39,7 +39,7 @@ FLAT_Y = (1, -1, -1, 1)  # along y: cos of their angle
 def full_uN(thrust_max_mN, battery_ratio):
     """Thrust at full pulse, uN, when the battery has `battery_ratio`/16384 of the voltage that thrust_max_mN is for.
 
-    It goes with battery^1.1, here by the first terms of its series: between the T200's tables for 12 and 20 V, within 4 %.
+    It goes with battery^1.1, here by its series: between the T200's tables for 12 and 20 V, within 4 %.
     """
     x = min(max(battery_ratio, _LOWEST_BATTERY), _HIGHEST_BATTERY) - 16384
     more = (x * 11 + (x >> 2) * x * 11 // 81920) // 10

@@ -1,7 +1,7 @@
 # Pulses of recorded dives, on whichever interpreter runs this: check_law.py FIRMWARE_DIR RECORDING
 #
-# RECORDING: one JSON row a cycle: [law, four pressures mPa, sensors that answered, depth and roll in 1e-7 m and rad]; None
-# for the law of the row before. Prints the eight pulses of each cycle.
+# RECORDING: one JSON row a cycle: [law, four pressures mPa, sensors that answered, depth and roll in 1e-7 m and rad];
+# None for the law of the row before. Prints the eight pulses of each cycle.
 # ruff: noqa: PTH123, T201 - MicroPython has no pathlib
 import json
 import sys

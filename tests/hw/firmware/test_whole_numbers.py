@@ -70,7 +70,7 @@ def test_pulses_are_those_of_the_law_in_floats(law):
 
 
 def test_the_observer_wants_what_its_equations_want():
-    """Given the same measurements and the same wrench that came of it: within 3 mN, 0.1 mNm, and 0.05 % of its terms."""
+    """Given the same measurements and the same wrench that came of it: within 3 mN, 0.1 mNm, 0.05 % of its terms."""
     motor_control, _ = modules()
     rng = np.random.default_rng(1)
     whole, floats = motor_control.law.Observer(), FloatObserver()
