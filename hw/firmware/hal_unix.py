@@ -16,7 +16,8 @@ class Hal:
     """One board. `wait_tick` ends a cycle and begins the next."""
 
     capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED
-    temperature_c = float("nan")  # the simulated bus has no thermometer
+    temperature_cC = 0  # the simulated bus has no thermometer
+    late = 0
 
     def __init__(self, serial_fd, bus_fd, flash_path):
         """serial_fd: master of a raw, non-blocking pty; bus_fd: stream of the records in bus.py, blocking."""
@@ -64,6 +65,9 @@ class Hal:
         except OSError:
             return False
         return True
+
+    def begin_pulses(self, frame_us):
+        """How often pulses come is nobody's business here."""
 
     def now_us(self):
         """The board's clock, 32 bits. It stands still within a cycle: a computer's speed says nothing of a board's."""

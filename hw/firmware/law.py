@@ -64,8 +64,8 @@ class Observer:
         return want + self.K_LEAD * (want - a)
 
     def disturbance(self, i):
-        """What is pushing along axis i, N down or Nm."""
-        return self._d[i]
+        """What is pushing along axis i, uN down or uNm."""
+        return int(round(1e6 * self._d[i]))
 
 
 class Pid:
@@ -100,8 +100,8 @@ class Pid:
             self._asked[i] = want[i] = kp * e + self._integral[i] - SIGN[i] * kd * rate
 
     def disturbance(self, i):
-        """What the integrator holds against, N down or Nm."""
-        return -SIGN[i] * self._integral[i]
+        """What the integrator holds against, uN down or uNm."""
+        return int(round(-1e6 * SIGN[i] * self._integral[i]))
 
 
 class Pi:
@@ -135,5 +135,5 @@ class Pi:
         want[i] = self.ARMS_M[i] * (self.KP * e + self.KI * self._integral[i])
 
     def disturbance(self, i):
-        """What the integrator holds against, N down or Nm."""
-        return -SIGN[i] * self.ARMS_M[i] * self.KI * self._integral[i]
+        """What the integrator holds against, uN down or uNm."""
+        return int(round(-1e6 * SIGN[i] * self.ARMS_M[i] * self.KI * self._integral[i]))

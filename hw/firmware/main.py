@@ -6,8 +6,8 @@ import sys
 import motor_control
 import failsafe
 import flash
+import frames
 import tether
-import wire
 
 TELEMETRY_EVERY, STATUS_EVERY = 2, 100  # cycles: 50 Hz, 1 Hz
 
@@ -34,13 +34,14 @@ class Firmware:
             line.complain(str(error))
             module.ladder.latch(failsafe.PARAMETERS)
         try:
-            module.plane.tare_pa = self.flash.tare_pa()
+            module.plane.tare_mPa = self.flash.tare_mPa()
         except ValueError as error:
             line.complain(str(error))
-        if line.reset_cause == wire.BY_WATCHDOG:
+        if line.reset_cause == frames.BY_WATCHDOG:
             line.complain("reset by watchdog: reboot by order, then arm")
             module.ladder.latch(failsafe.WATCHDOG)
-        line.event(wire.EV_BOOT, 0, module.ladder.level, wire.INFO, line.reset_cause)
+        line.begin_pulses()
+        line.event(frames.EV_BOOT, 0, module.ladder.level, frames.INFO, line.reset_cause)
 
     def run(self):
         """Cycle until the hardware goes (False) or an order to reboot comes (True).
@@ -55,7 +56,7 @@ class Firmware:
             return False
         except BaseException as error:
             self.control.disarm()
-            self.hal.armed = wire.DISARMED
+            self.hal.armed = frames.DISARMED
             self.hal.write_pins()
             self.tether.last_words("stopped: " + repr(error))
             raise
@@ -78,7 +79,7 @@ class Firmware:
             unsensed = error
         try:
             line.listen()
-            line.orders.step(hal.pressure_pa)
+            line.orders.step([int(round(1000.0 * pa)) for pa in hal.pressure_pa])
         except Exception as error:
             line.fault("tether", error)
         before = module.ladder.level
@@ -90,25 +91,25 @@ class Firmware:
             line.fault("control", error)
             moved = module.fail(dt_us)
         if moved:
-            line.event(wire.EV_LADDER, before, module.ladder.level, wire.WARNING, module.ladder.reason)
+            line.event(frames.EV_LADDER, before, module.ladder.level, frames.WARNING, module.ladder.reason)
         hal.armed = module.state
         hal.end_cycle()
         try:
             self._say(now_us)
         except Exception as error:
             line.fault("telemetry", error)
-        line.loop_us = (hal.now_us() - now_us) & 0xFFFFFFFF
-        line.loop_max_us = max(line.loop_max_us, line.loop_us)
-        line.gc_max_us = max(line.gc_max_us, hal.collect())
+        line.took((hal.now_us() - now_us) & 0xFFFFFFFF)
+        hal.collect()
 
     def _say(self, now_us):
         """What it is time to tell the host."""
         line = self.tether
         if self.cycle % TELEMETRY_EVERY == 0:
-            line.say_telemetry(now_us)
+            line.say_telemetry()
+        else:
             line.say_one()
         if self.cycle % STATUS_EVERY == 0:
-            line.say_status(now_us)
+            line.say_status()
 
 
 def serve(hal):

@@ -5,8 +5,8 @@ import failsafe
 import law
 import parameters
 import pressure
+import frames
 import thrust
-import wire
 
 SENSOR_HALF_M = 0.13  # sensors sit at (+-0.13, +-0.13) m
 GRAVITY_M_S2 = 9.80665
@@ -28,27 +28,35 @@ class SetPoint:
         self.ttl_us = 0
         self.seq = 0  # of the frame that brought it
         self.host_ms = None  # the host's clock in it, modulo 2**32
-        self.depth_m = 0.0
-        self.tilt_rad = [0.0, 0.0]  # roll, pitch
-        self.force_n = [0.0, 0.0]  # forward, left
-        self.yaw_nm = 0.0
+        self.depth_100nm = 0
+        self.tilt_100nrad = [0, 0]  # roll, pitch
+        self.force_uN = [0, 0]  # forward, left
+        self.yaw_uNm = 0
+
+    @property
+    def depth_m(self):
+        return self.depth_100nm * 1e-7
+
+    @depth_m.setter
+    def depth_m(self, depth_m):
+        self.depth_100nm = int(round(depth_m * 1e7))
 
     def is_neutral(self):
-        return not (any(self.force_n) or any(self.tilt_rad) or self.yaw_nm)
+        return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)
 
     def level_out(self):
         """No tilt, no planar push."""
-        self.tilt_rad[0] = self.tilt_rad[1] = self.force_n[0] = self.force_n[1] = self.yaw_nm = 0.0
+        self.tilt_100nrad[0] = self.tilt_100nrad[1] = self.force_uN[0] = self.force_uN[1] = self.yaw_uNm = 0
 
 
 class Control:
     """State of the motors. Every buffer is made here, none in the cycle."""
 
     def __init__(self):
-        self.state = wire.DISARMED
-        self.mode = wire.HOLD
+        self.state = frames.DISARMED
+        self.mode = frames.HOLD
         self.bench_thruster = 0  # 1-8: turns in mode BENCH
-        self.plane = pressure.Plane(wire.PA_PER_M, SENSOR_HALF_M, SENSOR_HALF_M)
+        self.plane = pressure.Plane(frames.PA_PER_M, SENSOR_HALF_M, SENSOR_HALF_M)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
@@ -101,7 +109,7 @@ class Control:
 
     def act(self, dt_us):
         """End a cycle: new pulses. Returns whether the ladder moved."""
-        if self.state == wire.DISARMED:
+        if self.state == frames.DISARMED:
             self.esc_us = min(self.esc_us + dt_us, NEVER_US)
             return False
         self.esc_us = 0
@@ -111,7 +119,7 @@ class Control:
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
         )
-        if level >= failsafe.HOLD and self.mode == wire.BENCH:
+        if level >= failsafe.HOLD and self.mode == frames.BENCH:
             self.ladder.give_up()
             level = failsafe.DISARM
         if level >= failsafe.DISARM:
@@ -119,13 +127,13 @@ class Control:
             return True
         if level >= failsafe.HOLD:
             self.set_point.level_out()
-            if self.mode == wire.STABILISE:  # with nobody there, drifting up or down is no option
+            if self.mode == frames.STABILISE:  # with nobody there, drifting up or down is no option
                 self.hold_here()
         if level == failsafe.SURFACE:
             if before != level:
                 self.set_point.depth_m = self.plane.depth_m
             self.set_point.depth_m = max(failsafe.AFLOAT_M, self.set_point.depth_m - failsafe.ASCENT_M_S * dt_us * 1e-6)
-        if self.mode == wire.BENCH:
+        if self.mode == frames.BENCH:
             self._turn_one()
         else:
             self._drive()
@@ -133,13 +141,13 @@ class Control:
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
-        if self.state == wire.DISARMED:
+        if self.state == frames.DISARMED:
             return False
         before = self.ladder.level
         self._owed = min(self._owed + FAULT_CYCLES, FAULTS_LIMIT * FAULT_CYCLES)
         self._lost_us += dt_us
         self._failed = True
-        if self._lost_us >= LOST_US or self.mode == wire.BENCH:
+        if self._lost_us >= LOST_US or self.mode == frames.BENCH:
             self.ladder.give_up(failsafe.FAULT)
             self.disarm()
         elif self._owed == FAULTS_LIMIT * FAULT_CYCLES:
@@ -165,7 +173,7 @@ class Control:
 
     def hold_here(self):
         """Keep the depth that there is."""
-        self.mode = wire.HOLD
+        self.mode = frames.HOLD
         self.set_point.depth_m = self.plane.depth_m
 
     def _turn_one(self):
@@ -175,13 +183,14 @@ class Control:
     def _drive(self):
         plane, set_point, y, want, realised = self.plane, self.set_point, self._y, self._want, self._realised
         y[0], y[1], y[2] = plane.depth_m, plane.roll_rad, plane.pitch_rad
-        self._ref[0], self._ref[1], self._ref[2] = set_point.depth_m, set_point.tilt_rad[0], set_point.tilt_rad[1]
-        if self.mode == wire.STABILISE:
+        self._ref[0] = set_point.depth_m
+        self._ref[1], self._ref[2] = [x * 1e-7 for x in set_point.tilt_100nrad]
+        if self.mode == frames.STABILISE:
             self._ref[0] = y[0]
         self.law.step(y, self._ref, realised, want)
         if not -ABSURD < want[0] + want[1] + want[2] < ABSURD:  # no number is neither: it would run all motors full
             raise ValueError("law diverged")
-        if self.mode == wire.STABILISE:
+        if self.mode == frames.STABILISE:
             want[0] = 0.0
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
         weight_n = self._net_weight_n
@@ -191,7 +200,9 @@ class Control:
         full = thrust.full_n(self._thrust_max_n, self._battery_mv / self._curve_battery_mv)
         self.saturated = 1 if thrust.central(want, 0.0, full, self._slew_n, self._forces_n, realised) else 0
         realised[0] -= weight_n
-        if thrust.flat(set_point.force_n[0], set_point.force_n[1], set_point.yaw_nm, full, self._forces_n):
+        if thrust.flat(
+            set_point.force_uN[0] * 1e-6, set_point.force_uN[1] * 1e-6, set_point.yaw_uNm * 1e-6, full, self._forces_n
+        ):
             self.saturated |= 2
         for j in range(8):
             self.pulses_us[j] = thrust.pulse_us(self._forces_n[j], self.neutral_us[j], full)
@@ -201,7 +212,7 @@ class Control:
 
         For an armed robot, which is called back from surfacing, the ESCs and the set-point are as they shall be.
         """
-        armed = self.state == wire.ARMED
+        armed = self.state == frames.ARMED
         return failsafe.arm_faults(
             hello,
             self.plane,
@@ -218,12 +229,12 @@ class Control:
     def arm(self):
         """Start the motors from rest, or go back to work from surfacing."""
         self.ladder.resume()
-        if self.state == wire.ARMED:
+        if self.state == frames.ARMED:
             return
         self._owed = self._lost_us = 0
         self._failed = False
         self._begin()
-        self.state = wire.ARMED
+        self.state = frames.ARMED
 
     def _begin(self):
         """Law and thrusters from rest, where the robot is."""
@@ -236,8 +247,8 @@ class Control:
 
     def disarm(self):
         """All pulses to neutral, now."""
-        self.state = wire.DISARMED
-        self.mode = wire.HOLD
+        self.state = frames.DISARMED
+        self.mode = frames.HOLD
         self.saturated = 0
         for j in range(8):
             self.pulses_us[j] = self.neutral_us[j]

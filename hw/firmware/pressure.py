@@ -16,21 +16,14 @@ PARITY_LIMIT_M = 0.020
 PARITY_FOR_US = 500000
 
 
-def believable(tare_pa):
-    """Whether this is a tare: four numbers, each a pressure that there is in air."""
-    return (
-        isinstance(tare_pa, (list, tuple))
-        and len(tare_pa) == 4
-        and all([isinstance(p, (int, float)) and LOWEST_PA < p < HIGHEST_PA for p in tare_pa])
-    )
-
-
 class Plane:
     """The plane through the four sensors, followed from cycle to cycle."""
 
     def __init__(self, pa_per_m, half_x_m, half_y_m):
         self.pa_per_m = pa_per_m  # pressure of a metre of this water
-        self.tare_pa = None  # absolute pressure of each sensor in air, before the dive
+        self.tare_mPa = None  # absolute pressure of each sensor in air, before the dive
+        self.zeta_100nm = [0] * 4
+        self.depth_100nm = self.roll_100nrad = self.pitch_100nrad = 0
         self.zeta_m = [0.0] * 4  # depth of each sensor below its tare
         self.depth_m = self.roll_rad = self.pitch_rad = 0.0
         self.parity_m = 0.0  # zeta1 - zeta2 + zeta3 - zeta4, 0 for a plane; smoothed over 0.2 s
@@ -47,10 +40,18 @@ class Plane:
         self._spikes = 0  # cycles in a row
         self._parity_us = 0
 
+    @property
+    def tare_pa(self):
+        return None if self.tare_mPa is None else [mPa / 1000 for mPa in self.tare_mPa]
+
+    @tare_pa.setter
+    def tare_pa(self, tare_pa):
+        self.tare_mPa = None if tare_pa is None else [int(round(1000.0 * pa)) for pa in tare_pa]
+
     def step(self, raw_pa, answered, dt_us):
         """Take absolute pressures in Pa; `answered` is the bit mask of sensors that were there."""
         for k in range(4):
-            tare = 101325.0 if self.tare_pa is None else self.tare_pa[k]
+            tare = 101325.0 if self.tare_mPa is None else self.tare_mPa[k] / 1000
             self._new_m[k] = (raw_pa[k] - tare) / self.pa_per_m
         spike = self._spike()
         for k in range(4):
@@ -71,6 +72,10 @@ class Plane:
         self.depth_m = 0.25 * (z[0] + z[1] + z[2] + z[3])
         self.pitch_rad = -_asin(0.25 * (-z[0] + z[1] + z[2] - z[3]) / self._half_x_m)
         self.roll_rad = -_asin(0.25 * (z[0] + z[1] - z[2] - z[3]) / (self._half_y_m * math.cos(self.pitch_rad)))
+        self.zeta_100nm = [int(round(zeta * 1e7)) for zeta in z]
+        self.depth_100nm = int(round(self.depth_m * 1e7))
+        self.roll_100nrad = int(round(self.roll_rad * 1e7))
+        self.pitch_100nrad = int(round(self.pitch_rad * 1e7))
 
     def _spike(self):
         """The sensor that has leapt out of the plane just now, or -1. One that stays out is for parity to judge."""
@@ -115,32 +120,3 @@ class Plane:
 
 def _asin(x):
     return math.asin(max(-1.0, min(1.0, x)))
-
-
-class Tare:
-    """Zero of the four sensors in air: medians of 2 s, or None.
-
-    Made on the host's order, with the motors off: the one place that may take memory as it goes.
-    """
-
-    SAMPLES = 200
-    SPREAD_PA = 200.0  # 2 mbar: more is handling, splashing, or a sensor that is not well
-    DISAGREE_PA = 490.0  # 5 cm of water between two sensors in the same air
-
-    def __init__(self):
-        self._pa = [[], [], [], []]
-
-    def step(self, raw_pa):
-        """Take one reading; True once there are enough."""
-        for k in range(4):
-            self._pa[k].append(raw_pa[k])
-        return len(self._pa[0]) >= self.SAMPLES
-
-    def result(self):
-        """The four medians in Pa, or None where the readings spread or disagree too much."""
-        rows = [sorted(row) for row in self._pa]
-        medians = [row[len(row) // 2] for row in rows]
-        spread = max([row[-1] - row[0] for row in rows])
-        if spread > self.SPREAD_PA or max(medians) - min(medians) > self.DISAGREE_PA or not believable(medians):
-            return None
-        return medians

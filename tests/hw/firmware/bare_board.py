@@ -29,7 +29,7 @@ def firmware_main() -> ModuleType:
 class BareHal:
     """Sensors that say what is written here, pins and a tether that can be read."""
 
-    capabilities, temperature_c = 0, 20.0
+    capabilities, late = 0, 0
     current_10ma = 100
 
     def __init__(self, flash: dict[str, Any] | None = None) -> None:
@@ -38,12 +38,15 @@ class BareHal:
         self.pulses_us = [1500] * 8
         self.servos_us, self.light_permille, self.armed = [1500] * 4, 0, 0
         self.flash = {"tare_pa": [AIR_PA] * 4} if flash is None else flash
-        self.us = 0
+        self.us, self.temperature_cC = 0, 2000
         self.to_board = b""
         self.from_board = bytearray()
 
     def boot_info(self) -> tuple[bytes, int, int]:
         return bytes(12), BOOT_ID, wire.POWER_ON
+
+    def begin_pulses(self, frame_us: int) -> None:
+        self.frame_us = frame_us
 
     def now_us(self) -> int:
         return self.us & 0xFFFFFFFF

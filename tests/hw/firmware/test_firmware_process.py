@@ -171,7 +171,7 @@ def test_a_fault_stops_the_motors_before_it_is_told(monkeypatch):
     class Hal:
         pressure_pa, answered, battery_mv, current_10ma, leak = [AIR_PA] * 4, 15, 15000, 0, 0
         servos_us, light_permille, armed, pulses_us = [1500] * 4, 0, 0, []
-        capabilities, temperature_c = 0, 20.0
+        capabilities, late = 0, 0
 
         def boot_info(self):
             return b"", 1, 1
