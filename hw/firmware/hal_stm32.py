@@ -10,8 +10,8 @@ import time
 import machine
 import ms5837
 import pwm
+import frames
 import pyb
-import wire
 
 FLASH = "flash.json"  # JSON in the first line, its CRC-32 in the second
 USB_MARK = "usb"  # a file of this name: the tether is the board's own USB port, not UART 2
@@ -36,7 +36,7 @@ def is_button_held():
 class Hal:
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
-    capabilities = wire.CAN_WATCHDOG | wire.CAN_CURRENT | wire.CAN_LEAK | wire.CAN_KILL
+    capabilities = frames.CAN_WATCHDOG | frames.CAN_CURRENT | frames.CAN_LEAK | frames.CAN_KILL
 
     def __init__(self):
         self.pressure_mPa = [0] * 4
@@ -103,8 +103,12 @@ class Hal:
         return True
 
     @property
-    def temperature_c(self):
-        return self._sensors.temperature_c
+    def temperature_cC(self):
+        temperature_c = self._sensors.temperature_c
+        return int(temperature_c * 100) if temperature_c == temperature_c else 0
+
+    def begin_pulses(self, frame_us):
+        pass
 
     def write_pins(self):
         """Show pulses, servos and lamp."""
@@ -137,7 +141,7 @@ class Hal:
     def read_into(self, buf):
         """Bytes from the tether, as many as there are; 0: none."""
         if self._uart is not None:
-            return self._uart.readinto(buf) or 0
+            return self._uart.readinto(buf) if self._uart.any() else 0
         return self._usb.recv(buf, timeout=0) if self._usb.any() else 0
 
     def write(self, frame):

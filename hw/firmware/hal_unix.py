@@ -16,7 +16,7 @@ class Hal:
     """One board. `wait_tick` ends a cycle and begins the next."""
 
     capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED
-    temperature_c = float("nan")  # the simulated bus has no thermometer
+    temperature_cC, late = 0, 0  # the simulated bus has no thermometer
 
     def __init__(self, serial_fd, bus_fd, flash_path):
         """serial_fd: master of a raw, non-blocking pty; bus_fd: stream of the records in bus.py, blocking."""
@@ -68,6 +68,9 @@ class Hal:
         except OSError:
             return False
         return True
+
+    def begin_pulses(self, frame_us):
+        pass
 
     def cycle_us(self):
         return 0

@@ -7,7 +7,7 @@ import motor_control
 import failsafe
 import flash
 import tether
-import wire
+import frames
 
 # What is not done in each cycle has cycles of its own, so that no two dear things meet: telemetry in even ones (50 Hz),
 # in odd ones the rest. Cycle after cycle, what a cycle takes must stay below 10 ms.
@@ -41,10 +41,11 @@ class Firmware:
             module.plane.tare_mPa = self.flash.tare_mPa()
         except ValueError as error:
             line.complain(str(error))
-        if line.reset_cause == wire.BY_WATCHDOG:
+        if line.reset_cause == frames.BY_WATCHDOG:
             line.complain("reset by watchdog: reboot by order, then arm")
             module.ladder.latch(failsafe.WATCHDOG)
-        line.event(wire.EV_BOOT, 0, module.ladder.level, wire.INFO, line.reset_cause)
+        line.begin_pulses()
+        line.event(frames.EV_BOOT, 0, module.ladder.level, frames.INFO, line.reset_cause)
 
     def run(self):
         """Cycle until the hardware goes (False) or an order to reboot comes (True).
@@ -59,7 +60,7 @@ class Firmware:
             return False
         except BaseException as error:
             self.control.disarm()
-            self.hal.armed = wire.DISARMED
+            self.hal.armed = frames.DISARMED
             self.hal.write_pins()
             self.tether.last_words("stopped: " + repr(error))
             raise
@@ -92,7 +93,7 @@ class Firmware:
             line.fault("control", error)
             moved = module.fail(dt_us)
         if moved:
-            line.event(wire.EV_LADDER, before, module.ladder.level, wire.WARNING, module.ladder.reason)
+            line.event(frames.EV_LADDER, before, module.ladder.level, frames.WARNING, module.ladder.reason)
         hal.armed = module.state
         hal.end_cycle()
         try:
@@ -111,7 +112,7 @@ class Firmware:
         elif cycle % COLLECT_EVERY == COLLECT_AT:
             self.hal.collect()
         elif cycle % LOOK_EVERY == LOOK_AT:
-            line.heap_free_16 = min(self.hal.heap_free() >> 4, 65535)
+            line.heap_free_16 = self.hal.heap_free() >> 4
         else:
             line.say_one()
 

@@ -4,7 +4,7 @@ import law
 import parameters
 import pressure
 import thrust
-import wire
+import frames
 
 try:
     from micropython import const
@@ -12,17 +12,14 @@ except ImportError:
     from hw.firmware.no_emitter import const
 
 _SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
-_BATTERY_TICKS = const(
-    100
-)  # the voltage that thrust is scaled with is smoothed over these: a probe's noise is not a battery's
+_BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
 _STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
 _NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
 # A cycle whose control broke off is made up for by so many good ones; where debts add up, the robot goes up.
 _FAULT_CYCLES = const(20)
 _FAULTS_LIMIT = const(10)
-_LOST_US = const(
-    500000
-)  # without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop
+# Without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop.
+_LOST_US = const(500000)
 _TICK_US = const(10000)
 _TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
@@ -53,10 +50,10 @@ class Control:
     """State of the motors. Every buffer is made here, none in the cycle."""
 
     def __init__(self):
-        self.state = wire.DISARMED
-        self.mode = wire.HOLD
+        self.state = frames.DISARMED
+        self.mode = frames.HOLD
         self.bench_thruster = 0  # 1-8: turns in mode BENCH
-        self.plane = pressure.Plane(wire.PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
+        self.plane = pressure.Plane(frames.PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
@@ -116,7 +113,7 @@ class Control:
 
     def act(self, dt_us):
         """End a cycle: new pulses. Returns whether the ladder moved."""
-        if self.state == wire.DISARMED:
+        if self.state == frames.DISARMED:
             if self.esc_us < _NEVER_US:
                 self.esc_us += dt_us
             return False
@@ -127,7 +124,7 @@ class Control:
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
         )
-        if level >= failsafe.HOLD and self.mode == wire.BENCH:
+        if level >= failsafe.HOLD and self.mode == frames.BENCH:
             self.ladder.give_up()
             level = failsafe.DISARM
         if level >= failsafe.DISARM:
@@ -135,14 +132,14 @@ class Control:
             return True
         if level >= failsafe.HOLD:
             self.set_point.level_out()
-            if self.mode == wire.STABILISE:  # with nobody there, drifting up or down is no option
+            if self.mode == frames.STABILISE:  # with nobody there, drifting up or down is no option
                 self.hold_here()
         if level == failsafe.SURFACE:
             if before != level:
                 self.set_point.depth_100nm = self.plane.depth_100nm
             rise_100nm = failsafe.ASCENT_MM_S * dt_us // 100
             self.set_point.depth_100nm = max(failsafe.AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
-        if self.mode == wire.BENCH:
+        if self.mode == frames.BENCH:
             self._turn_one()
         else:
             self._drive(min((dt_us + _TICK_US // 2) // _TICK_US, _TICKS_AT_ONCE))
@@ -150,13 +147,13 @@ class Control:
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
-        if self.state == wire.DISARMED:
+        if self.state == frames.DISARMED:
             return False
         before = self.ladder.level
         self._owed = min(self._owed + _FAULT_CYCLES, _FAULTS_LIMIT * _FAULT_CYCLES)
         self._lost_us += dt_us
         self._failed = True
-        if self._lost_us >= _LOST_US or self.mode == wire.BENCH:
+        if self._lost_us >= _LOST_US or self.mode == frames.BENCH:
             self.ladder.give_up(failsafe.FAULT)
             self.disarm()
         elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
@@ -182,7 +179,7 @@ class Control:
 
     def hold_here(self):
         """Keep the depth that there is."""
-        self.mode = wire.HOLD
+        self.mode = frames.HOLD
         self.set_point.depth_100nm = self.plane.depth_100nm
 
     def _turn_one(self):
@@ -194,10 +191,10 @@ class Control:
         y[0], y[1], y[2] = plane.depth_100nm, plane.roll_100nrad, plane.pitch_100nrad
         ref, tilt = self._ref, set_point.tilt_100nrad
         ref[0], ref[1], ref[2] = set_point.depth_100nm, tilt[0], tilt[1]
-        if self.mode == wire.STABILISE:
+        if self.mode == frames.STABILISE:
             ref[0] = y[0]
         self.law.step(y, ref, realised, want, ticks)
-        if self.mode == wire.STABILISE:
+        if self.mode == frames.STABILISE:
             want[0] = 0
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
         weight = self._net_weight_uN
@@ -217,7 +214,7 @@ class Control:
 
         For an armed robot, which is called back from surfacing, the ESCs and the set-point are as they shall be.
         """
-        armed = self.state == wire.ARMED
+        armed = self.state == frames.ARMED
         return failsafe.arm_faults(
             hello,
             self.plane,
@@ -234,12 +231,12 @@ class Control:
     def arm(self):
         """Start the motors from rest, or go back to work from surfacing."""
         self.ladder.resume()
-        if self.state == wire.ARMED:
+        if self.state == frames.ARMED:
             return
         self._owed = self._lost_us = 0
         self._failed = False
         self._begin()
-        self.state = wire.ARMED
+        self.state = frames.ARMED
 
     def _begin(self):
         """Law and thrusters from rest, where the robot is."""
@@ -253,8 +250,8 @@ class Control:
 
     def disarm(self):
         """All pulses to neutral, now."""
-        self.state = wire.DISARMED
-        self.mode = wire.HOLD
+        self.state = frames.DISARMED
+        self.mode = frames.HOLD
         self.saturated = 0
         for j in range(8):
             self.pulses_us[j] = self.neutral_us[j]

@@ -8,7 +8,8 @@ import math
 import pytest
 
 from hw.firmware import wire
-from hw.firmware.parameters import IDS, TABLE
+from hw.firmware.parameters import TABLE
+from hw.stm32.parameter_check import IDS
 from tests.hw.firmware.bare_board import BareBoard
 
 ORDERS = [
