@@ -97,7 +97,7 @@ class Firmware:
             self._say(now_us)
         except Exception as error:
             line.fault("telemetry", error)
-        line.loop_us = (hal.now_us() - now_us) & 0xFFFFFFFF
+        line.loop_us = hal.cycle_us() if hasattr(hal, "cycle_us") else (hal.now_us() - now_us) & 0xFFFFFFFF
         line.loop_max_us = max(line.loop_max_us, line.loop_us)
         line.gc_max_us = max(line.gc_max_us, hal.collect())
 

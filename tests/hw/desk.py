@@ -38,6 +38,7 @@ class Desk:
         self.answered = 15
         self.battery_mv = 15000
         self.leak = 0
+        self.frame_us = 0  # of the thrusters' pulses, as the firmware has last set it
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
         self.framer = wire.Framer(lambda kind, _seq, payload: self.frames.append((kind, wire.unpack(kind, payload))))
         self.writer = wire.Writer()
@@ -67,18 +68,17 @@ class Desk:
         """n control cycles; the pins after the last: clock, 8 pulses, 4 servos, lamp, armed."""
         for _ in range(n):
             self.now_us += 10_000
-            self.bus.sendall(
-                struct.pack(bus.TICK, self.now_us, *self.pressure_pa, self.battery_mv, 100, self.leak, self.answered)
-            )
+            self.bus.sendall(bus.tick(self.now_us, self.pressure_pa, self.battery_mv, 100, self.leak, self.answered))
             answer = b""
             while len(answer) < bus.ACT_SIZE:
                 chunk = self.bus.recv(bus.ACT_SIZE - len(answer))
                 assert chunk, "the firmware has gone"
                 answer += chunk
-            act = struct.unpack(bus.ACT, answer)
+            *act, frame_us, _, _ = struct.unpack(bus.ACT, answer)
             assert act[0] == self.now_us
+            self.frame_us = frame_us
             self.listen()
-        return act
+        return tuple(act)
 
     def listen(self) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -47,6 +47,7 @@ class Run:
     numbers: list[int]  # of the cycles counted
     buses: dict[int, tuple[int, int, int, int]]  # cycle -> ns of I2C, ADC, sent, idle
     sent: list[bytes]  # by the board
+    set_point: int  # bytes of one
     compiled: int  # bytes of its .mpy files for the board
     bytecode: int  # the same with nothing in its native functions
 
@@ -88,7 +89,8 @@ def _boot(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, st
             buses[number] = (i2c, adc, tx, idle)
     board = Compiler(tools.mpy_cross, BOARD, options.optimise)
     sizes = board.size(texts), board.size(sources.without_native(texts))
-    return Run(lines, counted, {i: f.label for i, f in rows}, list(buses), buses, sent, *sizes)
+    size = len(speaks.set_point(host.BUSY))
+    return Run(lines, counted, {i: f.label for i, f in rows}, list(buses), buses, sent, size, *sizes)
 
 
 def _carry_out(

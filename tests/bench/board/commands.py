@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.bench.board import estimate, proxy, sources
+from tests.bench.board import estimate, imposed, proxy, sources
 from tests.bench.board.boots import Options
 from tests.bench.board.report import report
 from tests.bench.board.tools import BoardError, MissingTool
@@ -42,6 +42,10 @@ def main(words: Sequence[str]) -> int:
         return 1
     result = estimate.figures(measured, options)
     report(result, given.least)
+    if given.write:
+        sys.stdout.write(f"\n{imposed.write(measured, imposed.TABLE)}\n")
+    elif hint := imposed.hint(options.firmware):
+        sys.stdout.write(f"\n{hint}\n")
     if given.json:
         given.json.write_text(json.dumps(result, indent=1) + "\n")
     return 0

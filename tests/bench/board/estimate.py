@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from statistics import mean
 from typing import Any, NamedTuple
 
@@ -30,6 +31,7 @@ class Measured(NamedTuple):
     used: float  # bytes of the board's heap after boot
     armed: bool  # after the order, and at the end
     complaints: list[str]
+    firmware: Path
 
 
 def measure(options: Options) -> Measured:
@@ -47,7 +49,8 @@ def measure(options: Options) -> Measured:
     ]
     overflows = bool(marked) and mean(marked) > MARKED
     cycles, sizes, full = _cycles(run, used, overflows)
-    return Measured(run, cycles, sizes, full, overflows, used, _is_armed(run, host), _complaints(run, host))
+    armed, complaints = _is_armed(run, host), _complaints(run, host)
+    return Measured(run, cycles, sizes, full, overflows, used, armed, complaints, options.firmware)
 
 
 def figures(measured: Measured, options: Options) -> dict[str, Any]:

@@ -23,6 +23,8 @@ ATTRIBUTES = {
     "type_attr",
     "module_attr",
 }
+UART_BYTE_NS = 10000  # of the tether, at 1 Mbaud
+LOOK_NS = float(_CALL["gc_info"])  # gc.mem_free: it looks at every block of the heap
 HEAP_WORK = {"(scan)": "looking for room", "(single)": "taking memory", "(multiple)": "taking memory"}
 
 # Garbage collection: where the prices were found, and for each byte more in use, and of garbage

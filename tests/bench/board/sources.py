@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import re
 import subprocess
 import tempfile
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from tests.bench.board.tools import BoardError
 
+COMPUTERS_ONLY = "hal_unix"  # main.py imports it where it runs on a computer
 BOARD, COMPUTER = "armv7emsp", "x64"  # what mpy-cross calls them
 SHIPPED = 3  # the -O of `make firmware`: no assertions, no line numbers
 
@@ -83,8 +85,14 @@ def candidates(folder: Path) -> dict[str, str]:
                 names = [node.module or ""]
             else:
                 continue
-            wanted += [n for n in names if (folder / (n + ".py")).is_file()]
+            wanted += [n for n in names if n != COMPUTERS_ONLY and (folder / (n + ".py")).is_file()]
     return found
+
+
+def digest(folder: Path) -> str:
+    """Of all sources that the board may import."""
+    texts = candidates(folder)
+    return hashlib.sha256("".join(texts[name] for name in sorted(texts)).encode()).hexdigest()[:16]
 
 
 def split_main(text: str) -> tuple[str, str]:
