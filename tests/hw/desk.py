@@ -25,7 +25,9 @@ MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent))
 class Desk:
     """Lock-step: nothing moves but through `tick`, and board time is what `tick` says."""
 
-    def __init__(self, interpreter: str, directory: Path, flash: dict[str, Any]) -> None:
+    def __init__(self, interpreter: str, directory: Path, flash: dict[str, Any], times: str = "") -> None:
+        """times: what a cycle takes, as hw.firmware.bus.TIMES; without it nothing does."""
+        self.times = times
         self.flash_path = directory / "flash.json"
         self.flash_path.write_text(json.dumps(flash))
         self.interpreter = interpreter
@@ -38,7 +40,7 @@ class Desk:
         self.answered = 15
         self.battery_mv = 15000
         self.leak = 0
-        self.frame_us = 0  # of the thrusters' pulses, as the firmware has last set it
+        self.frame_us = self.pins_us = self.busy_us = 0  # in the last answer, as hw.firmware.bus.ACT
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
         self.framer = wire.Framer(lambda kind, _seq, payload: self.frames.append((kind, wire.unpack(kind, payload))))
         self.writer = wire.Writer()
@@ -53,6 +55,7 @@ class Desk:
             [self.interpreter, str(FIRMWARE / "main.py"), str(self.master), str(theirs.fileno()), str(self.flash_path)],
             pass_fds=[self.master, theirs.fileno()],
             stderr=subprocess.PIPE,
+            env={**os.environ, bus.TIMES: self.times},
         )
         theirs.close()
 
@@ -74,9 +77,8 @@ class Desk:
                 chunk = self.bus.recv(bus.ACT_SIZE - len(answer))
                 assert chunk, "the firmware has gone"
                 answer += chunk
-            *act, frame_us, _, _ = struct.unpack(bus.ACT, answer)
+            *act, self.frame_us, self.pins_us, self.busy_us = struct.unpack(bus.ACT, answer)
             assert act[0] == self.now_us
-            self.frame_us = frame_us
             self.listen()
         return tuple(act)
 

@@ -168,5 +168,5 @@ try:
     exec(open("main_b.py").read())
 except b_plan.Done:
     pass
-print("SENT", b_state.tx.hex())
-{ending}"""
+print("SENT", b_state.tx.hex()){ending}
+"""

