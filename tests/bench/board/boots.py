@@ -67,7 +67,7 @@ def run(tools: Tools, options: Options) -> tuple[Run, host.Host]:
 def _imported(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, str]) -> dict[str, str]:
     """Those modules that the firmware really imports on a board; found without counting, in less than a second."""
     script = _script(speaks, options, 0, '\nprint("IMPORTED", " ".join(sys.modules))\n')
-    lines = _carry_out(tools, options, speaks, texts, script, "", None)[0]
+    lines = _carry_out(tools, options, speaks, texts, script, None)[0]
     names = {"main", *next(line for line in reversed(lines) if line.startswith("IMPORTED ")).split()[1:]}
     return {name: text for name, text in texts.items() if name in names}
 
@@ -77,11 +77,9 @@ def _boot(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, st
     fakes = [f for f in sources.functions(_pretended()) if f.module != "b_plan"]
     rows = [(i, f) for i, f in enumerate(functions)] + [(FAKES + i, f) for i, f in enumerate(fakes)]
     parts = "".join(f"{i} {f.module} {f.owner or '-'} {f.name}\n" for i, f in rows)
-    with tempfile.NamedTemporaryFile() as file:
-        log = Path(file.name)
-        script = _script(speaks, options, numbering)
-        lines, sent = _carry_out(tools, options, speaks, texts, script, parts, log)
-        counted = counts.read(log)
+    script = _script(speaks, options, numbering)
+    lines, sent, counted = _carry_out(tools, options, speaks, texts, script, parts)
+    assert counted is not None
     buses = {}
     for line in lines:
         if line.startswith("CYCLE "):
@@ -99,16 +97,18 @@ def _carry_out(
     speaks: host.Host,
     texts: dict[str, str],
     script: str,
-    parts: str,
-    log: Path | None,
-) -> tuple[list[str], list[bytes]]:
-    """One boot with what the board has in its flash; the lines of the script, and what the board sent."""
+    parts: str | None,
+) -> tuple[list[str], list[bytes], counts.Log | None]:
+    """One boot with what the board has in its flash; the lines of the script, what the board sent, what was counted.
+
+    parts: the table of functions; None: nothing is counted.
+    """
     files = Compiler(tools.mpy_cross, COMPUTER, options.optimise).files(texts)
     for name, text in _pretended().items():
         files |= Compiler(tools.mpy_cross, COMPUTER, 0).module(name, text)
     saved = json.dumps({"law": options.law, "tare_pa": [106000.0] * 4})
     files["flash.json"] = f"{saved}\n{binascii.crc32(saved.encode()):08x}\n".encode()
-    files["parts.txt"] = parts.encode()
+    files["parts.txt"] = (parts or "").encode()
     sent: list[bytes] = []
 
     def talk(line: str) -> str | None:
@@ -125,7 +125,9 @@ def _carry_out(
     with tempfile.TemporaryDirectory() as folder:
         for name, data in files.items():
             (Path(folder) / name).write_bytes(data)
-        return emulator.run(tools, Path(folder), script, log, talk), sent
+        log = None if parts is None else Path(folder) / "log"
+        lines = emulator.run(tools, Path(folder), script, log, talk)
+        return lines, sent, None if log is None else counts.read(log)
 
 
 def _pretended() -> dict[str, str]:

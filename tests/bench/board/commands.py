@@ -43,7 +43,7 @@ def main(words: Sequence[str]) -> int:
     result = estimate.figures(measured, options)
     report(result, given.least)
     if given.write:
-        sys.stdout.write(f"\n{imposed.write(measured, imposed.TABLE)}\n")
+        sys.stdout.write(f"\n{imposed.write(measured)}\n")
     elif hint := imposed.hint(options.firmware):
         sys.stdout.write(f"\n{hint}\n")
     if given.json:

@@ -38,7 +38,7 @@ def times(measured: Measured) -> tuple[CycleTimes, float]:
         raise BoardError("the firmware did not arm: nothing is written")
     run = measured.run
     rows = []
-    gc_ms, collections, uart_ns, sent = 0.0, 0.0, 0, 0
+    gc_ms, collections, uart_ns, sent = 0.0, 0.0, 0.0, 0.0
     for number, window in zip(run.numbers, run.log.windows, strict=True):
         if number not in ARMED and number not in DISARMED:
             continue
@@ -81,7 +81,7 @@ def _least_squares(parts: np.ndarray, took_us: np.ndarray) -> tuple[np.ndarray, 
     return whole, float(np.abs(parts @ whole - took_us).max())
 
 
-def write(measured: Measured, path: Path) -> str:
+def write(measured: Measured, path: Path = TABLE) -> str:
     """Write the table; a line that says how well it fits."""
     found, worst_us = times(measured)
     path.write_text(

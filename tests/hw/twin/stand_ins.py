@@ -38,7 +38,8 @@ while True:
     armed = clock_us >= 100_000
     up = 1580 if armed else 1500
     pins_us, busy_us = flash.get("takes_us", (0, 0))
-    os.write(bus, ACT.pack(clock_us, up, up, up, up, 1500, 1500, 1500, 1500, 1700, 1400, 1500, 1500, 0, armed, 5000, pins_us, busy_us))
+    pins = (up, up, up, up, 1500, 1500, 1500, 1500, 1700, 1400, 1500, 1500, 0, armed)
+    os.write(bus, ACT.pack(clock_us, *pins, 5000, pins_us, busy_us))
 """
 
 
