@@ -1,7 +1,7 @@
 # What the board remembers over a power cut: parameters and tare, one table of names as the HAL stores it.
 import failsafe
 import parameters
-import pressure
+import tare
 
 TIME_UNKNOWN = -1
 HOST_ROUND_MS = 0x100000000  # where the host's milliseconds begin again
@@ -26,12 +26,15 @@ class Flash:
         self._hal.save_flash(self._table)
         self.saved = list(values)
 
-    def tare_pa(self):
+    def tare_mPa(self):
         """The four zeros, or None; ValueError where there is something else."""
         tare_pa = self._table.get("tare_pa")
-        if tare_pa is not None and not pressure.believable(tare_pa):
+        if tare_pa is None:
+            return None
+        tare_mPa = tare.whole(tare_pa)
+        if tare_mPa is None:
             raise ValueError("tare_pa in flash is no tare: tare again")
-        return tare_pa
+        return tare_mPa
 
     def save_tare(self, tare_pa, host_ms):
         """host_ms: the host's clock, modulo 2**32, or None where no host has told it."""

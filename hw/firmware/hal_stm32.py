@@ -39,7 +39,8 @@ class Hal:
     capabilities = wire.CAN_WATCHDOG | wire.CAN_CURRENT | wire.CAN_LEAK | wire.CAN_KILL
 
     def __init__(self):
-        self.pressure_pa = [0.0] * 4  # absolute
+        self.pressure_mPa = [0] * 4
+        self.dt_us = 10000  # absolute
         self.answered = 0
         self.battery_mv = self.current_10ma = self.leak = 0
         self.pulses_us = [1500] * 8
@@ -94,7 +95,7 @@ class Hal:
         self.late += self._due - 1
         self._due = 0
         self._cycle += 1
-        self.answered = self._sensors.step(self.pressure_pa)
+        self.answered = self._sensors.step(self.pressure_mPa)
         self.battery_mv = int(self._battery.read() * ADC_V * BATTERY_V_PER_V * 1000.0)
         amps = (self._current.read() * ADC_V - CURRENT_ZERO_V) * CURRENT_A_PER_V
         self.current_10ma = max(0, int(amps * 100.0))
@@ -122,6 +123,9 @@ class Hal:
                 self._watchdog = machine.WDT(timeout=WATCHDOG_MS)
         elif self.answered or not self.armed:
             self._watchdog.feed()
+
+    def cycle_us(self):
+        return 0
 
     def now_us(self):
         """The board's clock, 32 bits; ticks_us alone wraps after 30."""

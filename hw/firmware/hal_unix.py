@@ -24,7 +24,7 @@ class Hal:
 
     capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED
     temperature_cC = 0  # the simulated bus has no thermometer
-    temperature_c = float("nan")  # until the tether takes whole numbers
+    temperature_c = float("nan")  # until the tether asks for whole numbers
 
     def __init__(self, serial_fd, bus_fd, flash_path):
         """serial_fd: master of a raw, non-blocking pty; bus_fd: stream of the records in bus.py, blocking."""
@@ -66,7 +66,6 @@ class Hal:
         self._now_us, self._waited_us, self._percent = fields[:3]
         self.pressure_mPa[:] = fields[3:7]
         self.battery_mv, self.current_10ma, self.leak, self.answered = fields[7:]
-        self.pressure_pa = [p / 1000 for p in self.pressure_mPa]  # until main takes whole numbers
         self._tick_us = self._now_us - self._waited_us
         self.ticks = (self._tick_us - before_us) // bus.TICK_US if before_us else 1
         self.dt_us = self.ticks * bus.TICK_US
@@ -132,7 +131,6 @@ class Hal:
         self._took(COLLECT)
         if hasattr(gc, "mem_free"):
             gc.collect()
-        return 0  # until main asks no more
 
     def heap_free(self):
         """Bytes; 0 where the interpreter has no bound."""

@@ -125,5 +125,5 @@ class Sensors:
             return not first
         if not self._warm >> k & 1:
             return False
-        pressures_pa[k] = pressure_pa(value, self._offset[k], self._sensitivity[k])
+        pressures_pa[k] = int(1000 * pressure_pa(value, self._offset[k], self._sensitivity[k]))
         return True

@@ -1,11 +1,11 @@
 # What the host may order, and the answer to each order: once executed, however often it is repeated.
 import failsafe
 import parameters
-import pressure
+import tare
 import wire
 
 REMEMBERED = 8  # results, so that a repeat is answered and not executed again
-LISTED_AT_ONCE = 4  # parameters in a cycle: 0.9 ms of the line at 1 Mbaud
+LISTED_AT_ONCE = 1  # parameters in a cycle: 0.9 ms of the line at 1 Mbaud
 
 KINDS = (
     wire.ARM,
@@ -93,7 +93,7 @@ class Orders:
             self._flash.save_parameters(control.values)
             return wire.OK
         if kind == wire.TARE:
-            self._tare = pressure.Tare()
+            self._tare = tare.Tare()
             self._tare_fields = fields
             return wire.RUNNING
         if fields[2] != wire.REBOOT_MAGIC:
@@ -160,7 +160,7 @@ class Orders:
         """Whether a value in force is not in flash."""
         return self._control.values != self._flash.saved
 
-    def step(self, pressure_pa):
+    def step(self, pressure_mPa):
         """Go on with what takes more than a cycle."""
         if self._listing:
             first, last = self._list_next, min(self._list_next + LISTED_AT_ONCE, len(parameters.TABLE))
@@ -168,12 +168,12 @@ class Orders:
             for i in range(first, last):
                 self._say_value(self._list_req_id, i)
         if self._tare:
-            self._go_on_taring(pressure_pa)
+            self._go_on_taring(pressure_mPa)
 
-    def _go_on_taring(self, pressure_pa):
+    def _go_on_taring(self, pressure_mPa):
         fields, result = self._tare_fields, wire.REFUSED
         try:
-            if not self._tare.step(pressure_pa):
+            if not self._tare.step(pressure_mPa):
                 return
             medians = self._tare.result()
             if medians and self._set_tare(medians, fields[2] * 1e-3):
@@ -188,11 +188,12 @@ class Orders:
         """Take these pressures for those at depth_m. False where that leaves no air above the water."""
         control = self._control
         plane = control.plane
-        tare_pa = [pa - depth_m * plane.pa_per_m for pa in medians]
-        if not pressure.believable(tare_pa):
+        tare_pa = [mPa * 1e-3 - depth_m * plane.pa_per_m for mPa in medians]
+        tare_mPa = tare.whole(tare_pa)
+        if tare_mPa is None:
             return False
         self._flash.save_tare(tare_pa, control.set_point.host_ms)
-        plane.tare_pa = tare_pa
+        plane.tare_mPa = tare_mPa
         return True
 
     def _remember(self, kind, fields, result):

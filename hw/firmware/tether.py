@@ -32,6 +32,11 @@ class Tether:
         self.faults = 0  # since boot
         self._fault_us = None  # when one was told last
         self.loop_us = self.loop_max_us = self.gc_max_us = 0
+        self.heap_free_16 = 0
+
+    def took(self, us):
+        self.loop_us = us
+        self.loop_max_us = max(self.loop_max_us, us)
 
     def listen(self):
         """Take what has come since the last cycle."""
@@ -58,11 +63,11 @@ class Tether:
         set_point.host_ms = host_ms
         if self._control.ladder.level != failsafe.SURFACE:  # which ends by an order only
             if valid & wire.VALID_DEPTH:
-                set_point.depth_m = depth * 1e-4
+                set_point.depth_100nm = depth * 1000
             if valid & wire.VALID_ATTITUDE:
-                set_point.tilt_rad[0], set_point.tilt_rad[1] = roll / CDEG, pitch / CDEG
+                set_point.tilt_100nrad[:] = (roll * 5236 // 3, pitch * 5236 // 3)
             if valid & wire.VALID_FORCE:
-                set_point.force_n[0], set_point.force_n[1], set_point.yaw_nm = fx * 1e-3, fy * 1e-3, mz * 1e-4
+                set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm = fx * 1000, fy * 1000, mz * 100
         if valid & wire.VALID_SERVO:
             lowest_us, highest_us = min(pan, tilt, lamp_pan, lamp_tilt), max(pan, tilt, lamp_pan, lamp_tilt)
             if SERVO_LOWEST_US <= lowest_us and highest_us <= SERVO_HIGHEST_US:
@@ -91,22 +96,23 @@ class Tether:
         """One frame, now."""
         self._hal.write(self._writer.frame(kind, *fields))
 
-    def say_telemetry(self, now_us):
+    def say_telemetry(self):
+        now_us = self._hal.now_us()
         hal, control = self._hal, self._control
         plane, law, set_point = control.plane, control.law, control.set_point
         flags = (
             (wire.FLAG_HELLO if self.hello else 0)
             | (wire.FLAG_DEGRADED if plane.bad or plane.disagree else 0)
-            | (wire.FLAG_TARED if plane.tare_pa else 0)
+            | (wire.FLAG_TARED if plane.tare_mPa else 0)
             | (wire.FLAG_LEAK if control.leak else 0)
             | (wire.FLAG_BATTERY if control.battery_low else 0)
             | (wire.FLAG_FRESH if set_point.age_us <= failsafe.HOLD_AFTER_US else 0)
             | control.mode << wire.MODE_SHIFT
         )
         i16 = wire.fixed
-        z1, z2, z3, z4 = [int(round(zeta * 10.0 * wire.PA_PER_M)) for zeta in plane.zeta_m]
-        roll, pitch, depth = i16(plane.roll_rad, CDEG), i16(plane.pitch_rad, CDEG), i16(plane.depth_m, 1e4)
-        push, roll_push, pitch_push = [i16(law.disturbance(i), 1e4 if i else 1e3) for i in range(3)]
+        z1, z2, z3, z4 = [(z + 50) // 100 * 9789 // 10000 for z in plane.zeta_100nm]
+        roll, pitch, depth = i16(plane.roll_100nrad, CDEG * 1e-7), i16(plane.pitch_100nrad, CDEG * 1e-7), i16(plane.depth_100nm, 1e-3)
+        push, roll_push, pitch_push = [i16(law.disturbance(i), 1e-2 if i else 1e-3) for i in range(3)]
         loop_us = min(self.loop_us, 65535)
         # fmt: off
         hal.write(
@@ -118,11 +124,12 @@ class Tether:
         )
         # fmt: on
 
-    def say_status(self, now_us):
+    def say_status(self):
+        now_us = self._hal.now_us()
         hal, framer = self._hal, self._framer
         temperature = wire.fixed(hal.temperature_c, 100.0)
         loop_max_us, gc_max_us = min(self.loop_max_us, 65535), min(self.gc_max_us, 65535)
-        heap_16 = min(hal.heap_free() >> 4, 65535)
+        heap_16 = self.heap_free_16
         leak = 1 if self._control.leak else 0
         # fmt: off
         hal.write(
