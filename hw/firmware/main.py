@@ -140,7 +140,7 @@ if __name__ == "__main__":
     if sys.platform == "pyboard":
         import hal_stm32
 
-        if not hal_stm32.is_button_held():
+        if not hal_stm32.wants_prompt():
             serve(hal_stm32.Hal())
     elif len(sys.argv) == 4:
         main(*sys.argv[1:])
