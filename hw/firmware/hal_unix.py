@@ -92,8 +92,8 @@ class Hal:
         self._frame_us = frame_us
 
     def now_us(self):
-        """The board's clock at this cycle's beginning, 32 bits."""
-        return self._now_us & 0xFFFFFFFF
+        """The board's clock at this cycle's tick, 32 bits."""
+        return self._tick_us & 0xFFFFFFFF
 
     def cycle_us(self):
         """Since this cycle's tick, as far as it has come."""

@@ -27,7 +27,7 @@ def test_a_board_that_takes_13_ms_is_not_armed(tmp_path):
 def test_the_board_that_ships_is_armed_and_hovers(tmp_path):
     with diving_robot(tmp_path) as robot:
         robot.arm()
-        assert not robot.said or not robot.heard("slow")
+        assert not robot.heard("slow")
 
 
 def hovering_deg(robot, seconds):
@@ -52,4 +52,4 @@ def test_a_robot_rolls_where_its_board_loses_every_fourth_tick(tmp_path):
         assert robot.armed
         assert len(robot.telemetry) - first == pytest.approx(0.75 * 50 * 4, abs=3)
     assert before_deg < 0.2
-    assert after_deg > 2 * before_deg
+    assert after_deg > 1.3 * before_deg
