@@ -154,7 +154,8 @@ class Sensors:
 
     def _exchange(self, order):
         """Read all sensors that are known, and give them the next order; returns those that took it."""
-        write, read, select, places = self._write, self._read, self._select, self._places
+        write, read = self._write, self._read
+        select, places = self._select, self._places  # four at once would take memory
         known, took = self._known, 0
         for k in range(4):
             if known >> k & 1:
