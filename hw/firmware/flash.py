@@ -1,10 +1,15 @@
 # What the board remembers over a power cut: parameters and tare, one table of names as the HAL stores it.
 import failsafe
 import parameters
-import pressure
+import tare
 
-TIME_UNKNOWN = -1
-HOST_ROUND_MS = 0x100000000  # where the host's milliseconds begin again
+try:
+    from micropython import const
+except ImportError:
+    from hw.firmware.no_emitter import const
+
+_TIME_UNKNOWN = const(-1)
+_HOST_ROUND_MS = const(0x100000000)  # where the host's milliseconds begin again
 
 
 class Flash:
@@ -26,17 +31,20 @@ class Flash:
         self._hal.save_flash(self._table)
         self.saved = list(values)
 
-    def tare_pa(self):
+    def tare_mPa(self):
         """The four zeros, or None; ValueError where there is something else."""
         tare_pa = self._table.get("tare_pa")
-        if tare_pa is not None and not pressure.believable(tare_pa):
+        if tare_pa is None:
+            return None
+        tare_mPa = tare.whole(tare_pa)
+        if tare_mPa is None:
             raise ValueError("tare_pa in flash is no tare: tare again")
-        return tare_pa
+        return tare_mPa
 
     def save_tare(self, tare_pa, host_ms):
         """host_ms: the host's clock, modulo 2**32, or None where no host has told it."""
         self._table["tare_pa"] = tare_pa
-        self._table["tare_host_ms"] = TIME_UNKNOWN if host_ms is None else host_ms
+        self._table["tare_host_ms"] = _TIME_UNKNOWN if host_ms is None else host_ms
         self._hal.save_flash(self._table)
         self._tared_now = True
 
@@ -50,6 +58,6 @@ class Flash:
         if self._tared_now or "tare_host_ms" not in self._table:
             return False
         made_ms = self._table["tare_host_ms"]
-        if host_ms is None or not isinstance(made_ms, int) or made_ms == TIME_UNKNOWN:
+        if host_ms is None or not isinstance(made_ms, int) or made_ms == _TIME_UNKNOWN:
             return True
-        return failsafe.TARE_FOR_MS < (host_ms - made_ms) & 0xFFFFFFFF < HOST_ROUND_MS - failsafe.TARE_AHEAD_MS
+        return failsafe.TARE_FOR_MS < (host_ms - made_ms) & 0xFFFFFFFF < _HOST_ROUND_MS - failsafe.TARE_AHEAD_MS

@@ -1,24 +1,40 @@
 # What the host may order, and the answer to each order: once executed, however often it is repeated.
 import failsafe
+import frames
 import parameters
-import pressure
-import wire
+import tare
 
-REMEMBERED = 8  # results, so that a repeat is answered and not executed again
-LISTED_AT_ONCE = 4  # parameters in a cycle: 0.9 ms of the line at 1 Mbaud
+try:
+    from micropython import const
+except ImportError:
+    from hw.firmware.no_emitter import const
 
-KINDS = (
-    wire.ARM,
-    wire.DISARM,
-    wire.ESTOP,
-    wire.MODE,
-    wire.PARAM_GET,
-    wire.PARAM_SET,
-    wire.PARAM_LIST,
-    wire.PARAM_SAVE,
-    wire.TARE,
-    wire.REBOOT,
-)
+# Of wire.py, whose numbers these are
+_ACK = const(0x30)
+_ARM = const(0x31)
+_DISARM = const(0x32)
+_MODE = const(0x33)
+_PARAM_GET = const(0x34)
+_PARAM_SET = const(0x35)
+_PARAM_VALUE = const(0x36)
+_PARAM_LIST = const(0x37)
+_PARAM_SAVE = const(0x38)
+_TARE = const(0x39)
+_ESTOP = const(0x3B)
+_OK = const(0)
+_REFUSED = const(1)
+_STALE_BOOT = const(3)
+_BUSY = const(4)
+_RANGE = const(5)
+_RUNNING = const(6)
+_EV_ARMED = const(2)
+_EV_DISARMED = const(3)
+_EV_ARM_REFUSED = const(5)
+_UNSAVED = const(1)
+_REBOOT_MAGIC = const(0xB007B007)
+
+_REMEMBERED = const(8)  # results, so that a repeat is answered and not executed again
+_LISTED_AT_ONCE = const(1)  # parameters in a cycle: half a millisecond with the line
 
 
 class Orders:
@@ -33,6 +49,7 @@ class Orders:
         self._tare_fields = None  # of the order that began it
         self._list_req_id = self._list_next = 0
         self._listing = False
+        self.dirty = False  # a value in force is not in flash
         self.reboot = False  # at the end of this cycle
 
     def forget(self):
@@ -40,24 +57,24 @@ class Orders:
         self._results = []
 
     def take(self, kind, fields):
-        """One order, as wire.unpack gives it.
+        """One order, as the table of wire.py has its fields.
 
         A repeat is an order that is the same in all of its fields: a host that restarts may use a number again.
         """
-        if kind != wire.DISARM and kind != wire.ESTOP:  # these are for whatever boot there is, and never in vain
+        if kind != _DISARM and kind != _ESTOP:  # these are for whatever boot there is, and never in vain
             if fields[1] != self._line.boot_id:
-                self._reply(kind, fields, wire.STALE_BOOT)
+                self._reply(kind, fields, _STALE_BOOT)
                 return
             for known in self._results:
                 if known[0] == kind and known[1] == fields:
                     self._reply(kind, fields, known[2])
                     return
             if self._tare:
-                again = kind == wire.TARE and fields == self._tare_fields
-                self._reply(kind, fields, wire.RUNNING if again else wire.BUSY)
+                again = kind == _TARE and fields == self._tare_fields
+                self._reply(kind, fields, _RUNNING if again else _BUSY)
                 return
         result = self._try(kind, fields)
-        if result != wire.RUNNING:
+        if result != _RUNNING:
             self._remember(kind, fields, result)
         self._reply(kind, fields, result)
 
@@ -67,51 +84,52 @@ class Orders:
         try:
             return self._execute(kind, fields)
         except Exception as error:
-            if was == wire.DISARMED:
+            if was == frames.DISARMED:
                 self._control.disarm()
             self._line.fault("order", error)
-            return wire.REFUSED
+            return _REFUSED
 
     def _execute(self, kind, fields):
         control = self._control
-        if kind == wire.ARM:
+        if kind == _ARM:
             return self._arm()
-        if kind == wire.DISARM or kind == wire.ESTOP:
-            return self._stop(failsafe.STOP if kind == wire.ESTOP else failsafe.ORDER)
-        if kind == wire.MODE:
+        if kind == _DISARM or kind == _ESTOP:
+            return self._stop(failsafe.STOP if kind == _ESTOP else failsafe.ORDER)
+        if kind == _MODE:
             return self._mode(fields[2], fields[3])
-        if kind == wire.PARAM_GET:
-            return wire.OK if fields[2] < len(parameters.TABLE) else wire.RANGE
-        if kind == wire.PARAM_LIST:
+        if kind == _PARAM_GET:
+            return _OK if fields[2] < len(parameters.TABLE) else _RANGE
+        if kind == _PARAM_LIST:
             self._list_req_id, self._list_next, self._listing = fields[0], 0, True
-            return wire.RUNNING  # the values are the answer; a repeat begins anew
-        if control.state == wire.ARMED:
-            return wire.REFUSED
-        if kind == wire.PARAM_SET:
+            return _RUNNING  # the values are the answer; a repeat begins anew
+        if control.state == frames.ARMED:
+            return _REFUSED
+        if kind == _PARAM_SET:
             return self._set(fields[2], fields[5])
-        if kind == wire.PARAM_SAVE:
+        if kind == _PARAM_SAVE:
             self._flash.save_parameters(control.values)
-            return wire.OK
-        if kind == wire.TARE:
-            self._tare = pressure.Tare()
+            self.dirty = False
+            return _OK
+        if kind == _TARE:
+            self._tare = tare.Tare()
             self._tare_fields = fields
-            return wire.RUNNING
-        if fields[2] != wire.REBOOT_MAGIC:
-            return wire.RANGE
+            return _RUNNING
+        if fields[2] != _REBOOT_MAGIC:
+            return _RANGE
         self.reboot = True
-        return wire.OK
+        return _OK
 
     def _arm(self):
         control = self._control
         before = control.ladder.level
         control.tare_old = self._flash.tare_is_old(control.set_point.host_ms)
-        faults = control.arm_faults(self._line.hello, self._line.loop_max_us)
+        faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:
-            self._line.event(wire.EV_ARM_REFUSED, before, before, wire.WARNING, faults)
-            return wire.REFUSED
+            self._line.event(_EV_ARM_REFUSED, before, before, frames.WARNING, faults)
+            return _REFUSED
         control.arm()
-        self._line.event(wire.EV_ARMED, before, control.ladder.level, wire.INFO, failsafe.ORDER)
-        return wire.OK
+        self._line.event(_EV_ARMED, before, control.ladder.level, frames.INFO, failsafe.ORDER)
+        return _OK
 
     def _stop(self, reason):
         control = self._control
@@ -119,94 +137,94 @@ class Orders:
         control.disarm()
         if reason == failsafe.STOP:
             control.ladder.latch(reason)
-        if was == wire.ARMED or before != control.ladder.level:
-            self._line.event(wire.EV_DISARMED, before, control.ladder.level, wire.INFO, reason)
-        return wire.OK
+        if was == frames.ARMED or before != control.ladder.level:
+            self._line.event(_EV_DISARMED, before, control.ladder.level, frames.INFO, reason)
+        return _OK
 
     def _mode(self, mode, thruster):
         control = self._control
-        armed = control.state == wire.ARMED
-        if mode > wire.BENCH or (mode == wire.BENCH and not 1 <= thruster <= 8):
-            return wire.RANGE
-        if mode == wire.SURFACE:
-            if not armed or control.mode == wire.BENCH:
-                return wire.REFUSED
+        armed = control.state == frames.ARMED
+        if mode > frames.BENCH or (mode == frames.BENCH and not 1 <= thruster <= 8):
+            return _RANGE
+        if mode == frames.SURFACE:
+            if not armed or control.mode == frames.BENCH:
+                return _REFUSED
             before = control.ladder.level
             control.surface()
             if before != control.ladder.level:
-                self._line.event(wire.EV_LADDER, before, control.ladder.level, wire.INFO, failsafe.ORDER)
-            return wire.OK
+                self._line.event(frames.EV_LADDER, before, control.ladder.level, frames.INFO, failsafe.ORDER)
+            return _OK
         # Armed, a robot on the bench stays on the bench, and one in the water in the water.
-        if armed and (mode == wire.BENCH) != (control.mode == wire.BENCH):
-            return wire.REFUSED
-        if armed and mode == wire.STABILISE and control.ladder.level != failsafe.OK:
-            return wire.REFUSED
-        if armed and mode == wire.HOLD and control.mode == wire.STABILISE:
+        if armed and (mode == frames.BENCH) != (control.mode == frames.BENCH):
+            return _REFUSED
+        if armed and mode == frames.STABILISE and control.ladder.level != failsafe.OK:
+            return _REFUSED
+        if armed and mode == frames.HOLD and control.mode == frames.STABILISE:
             control.hold_here()
         control.mode = mode
         control.bench_thruster = thruster
-        return wire.OK
+        return _OK
 
     def _set(self, i, value):
         value = float("%.6g" % value)  # what somebody typed, before float32 made 0.4 into 0.40000001
         if i >= len(parameters.TABLE) or not parameters.in_range(i, value):
-            return wire.RANGE
+            return _RANGE
         values = list(self._control.values)
-        values[i] = value
+        values[i] = parameters.of_type(i, value)
         self._control.configure(values)
-        return wire.OK
+        self.dirty = values != self._flash.saved
+        if parameters.NAMES[i] == "pulse_frame_us":
+            self._line.begin_pulses()
+        return _OK
 
-    def is_dirty(self):
-        """Whether a value in force is not in flash."""
-        return self._control.values != self._flash.saved
-
-    def step(self, pressure_pa):
+    def step(self, pressure_mPa):
         """Go on with what takes more than a cycle."""
         if self._listing:
-            first, last = self._list_next, min(self._list_next + LISTED_AT_ONCE, len(parameters.TABLE))
+            first, last = self._list_next, min(self._list_next + _LISTED_AT_ONCE, len(parameters.TABLE))
             self._list_next, self._listing = last, last < len(parameters.TABLE)
             for i in range(first, last):
                 self._say_value(self._list_req_id, i)
         if self._tare:
-            self._go_on_taring(pressure_pa)
+            self._go_on_taring(pressure_mPa)
 
-    def _go_on_taring(self, pressure_pa):
-        fields, result = self._tare_fields, wire.REFUSED
+    def _go_on_taring(self, pressure_mPa):
+        fields, result = self._tare_fields, _REFUSED
         try:
-            if not self._tare.step(pressure_pa):
+            if not self._tare.step(pressure_mPa):
                 return
             medians = self._tare.result()
             if medians and self._set_tare(medians, fields[2] * 1e-3):
-                result = wire.OK
+                result = _OK
         except Exception as error:
             self._line.fault("tare", error)
         self._tare = None
-        self._remember(wire.TARE, fields, result)
-        self._line.say(wire.ACK, fields[0], wire.TARE, result, self._line.boot_id)
+        self._remember(_TARE, fields, result)
+        self._line.say(_ACK, fields[0], _TARE, result, self._line.boot_id)
 
-    def _set_tare(self, medians, depth_m):
+    def _set_tare(self, medians_mPa, depth_m):
         """Take these pressures for those at depth_m. False where that leaves no air above the water."""
         control = self._control
         plane = control.plane
-        tare_pa = [pa - depth_m * plane.pa_per_m for pa in medians]
-        if not pressure.believable(tare_pa):
+        tare_pa = [mPa * 1e-3 - depth_m * plane.pa_per_m for mPa in medians_mPa]
+        tare_mPa = tare.whole(tare_pa)
+        if tare_mPa is None:
             return False
         self._flash.save_tare(tare_pa, control.set_point.host_ms)
-        plane.tare_pa = tare_pa
+        plane.tare_mPa = tare_mPa
         return True
 
     def _remember(self, kind, fields, result):
         self._results.append((kind, fields, result))
-        if len(self._results) > REMEMBERED:
+        if len(self._results) > _REMEMBERED:
             self._results.pop(0)
 
     def _reply(self, kind, fields, result):
-        if result == wire.OK and (kind == wire.PARAM_GET or kind == wire.PARAM_SET):
+        if result == _OK and (kind == _PARAM_GET or kind == _PARAM_SET):
             self._say_value(fields[0], fields[2])
         else:
-            self._line.say(wire.ACK, fields[0], kind, result, self._line.boot_id)
+            self._line.say(_ACK, fields[0], kind, result, self._line.boot_id)
 
     def _say_value(self, req_id, i):
         value, line = self._control.values[i], self._line
-        flags = wire.UNSAVED if value != self._flash.saved[i] else 0
-        line.say(wire.PARAM_VALUE, req_id, line.boot_id, i, parameters.TABLE[i][5], flags, value)
+        flags = _UNSAVED if value != self._flash.saved[i] else 0
+        line.say(_PARAM_VALUE, req_id, line.boot_id, i, parameters.TABLE[i][4], flags, value)

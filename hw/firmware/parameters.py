@@ -1,33 +1,52 @@
 # What a robot can be told about itself: one table for board and host. The row's number is the parameter's id.
+# Units and what each one is: hw/stm32/parameter_texts.py, for on the board every text takes memory.
 import binascii
 import struct
 
-REAL, WHOLE = 0, 1  # type of a PARAM_VALUE; on the wire all are float32
+try:
+    from micropython import const
+except ImportError:
+    from hw.firmware.no_emitter import const
 
-# name, unit, default, lowest, highest, type, what it is
+REAL, WHOLE = const(0), const(1)  # type of a PARAM_VALUE; on the wire all are float32
+
+# name, default, lowest, highest, type
 TABLE = (
-    ("law", "", 2, 0, 2, WHOLE, "0 pi, 1 pid, 2 observer"),
-    ("pid_set", "", 0, 0, 1, WHOLE, "gains of pid: 0 for thrusters of 10 N and 0.10 s, 1 for 5 N and 0.15 s"),
-    ("heave_kg", "kg", 8.0, 1.0, 100.0, REAL, "mass with the water that moves along"),
-    ("tilt_kgm2", "kg m2", 0.075, 0.005, 10.0, REAL, "moment of inertia in roll and pitch, with the water"),
-    ("lag_s", "s", 0.10, 0.02, 0.40, REAL, "first-order lag of a thruster with its ESC"),
-    ("thrust_max_N", "N", 10.0, 1.0, 60.0, REAL, "of one thruster, forward, at 1900 us and curve_battery_mV"),
-    ("net_weight_N", "N", 0.0, -30.0, 30.0, REAL, "weight less buoyancy; a robot that sinks has it positive"),
-    ("water_kg_m3", "kg/m3", 998.2, 990.0, 1040.0, REAL, "998.2 fresh at 20 C, 1025 sea"),
-    ("curve_battery_mV", "mV", 14800, 6000, 26000, WHOLE, "battery at which thrust_max_N was found"),
-    ("battery_min_mV", "mV", 12000, 0, 26000, WHOLE, "below it the robot surfaces; 3.0 V a cell of four"),
-    ("slew_N", "N", 2.0, 0.1, 120.0, REAL, "largest change of a thruster's force in one cycle of 10 ms"),
-) + tuple([("zero_%d_us" % k, "us", 1500, 1400, 1600, WHOLE, "neutral pulse of T%d" % k) for k in range(1, 9)])
+    ("law", 2, 0, 2, WHOLE),
+    ("pid_set", 0, 0, 1, WHOLE),
+    ("heave_kg", 8, 1, 100, REAL),
+    ("tilt_kgm2", 0.075, 0.005, 10, REAL),
+    ("lag_s", 0.1, 0.02, 0.4, REAL),
+    ("thrust_max_N", 10, 1, 60, REAL),
+    ("net_weight_N", 0, -30, 30, REAL),
+    ("water_kg_m3", 998.2, 990, 1040, REAL),
+    ("curve_battery_mV", 14800, 6000, 26000, WHOLE),
+    ("battery_min_mV", 12000, 0, 26000, WHOLE),
+    ("slew_N", 2, 0.1, 120, REAL),
+    ("zero_1_us", 1500, 1400, 1600, WHOLE),
+    ("zero_2_us", 1500, 1400, 1600, WHOLE),
+    ("zero_3_us", 1500, 1400, 1600, WHOLE),
+    ("zero_4_us", 1500, 1400, 1600, WHOLE),
+    ("zero_5_us", 1500, 1400, 1600, WHOLE),
+    ("zero_6_us", 1500, 1400, 1600, WHOLE),
+    ("zero_7_us", 1500, 1400, 1600, WHOLE),
+    ("zero_8_us", 1500, 1400, 1600, WHOLE),
+    ("pulse_frame_us", 5000, 2500, 20000, WHOLE),
+)
 
 NAMES = [row[0] for row in TABLE]
-IDS = {row[0]: i for i, row in enumerate(TABLE)}
 LAWS = ("pi", "pid", "observer")
 
 
 def in_range(i, value):
     """Whether parameter i can have this value: a number within its bounds, whole where it has to be."""
-    _, _, _, lowest, highest, kind, _ = TABLE[i]
+    _, _, lowest, highest, kind = TABLE[i]
     return lowest <= value <= highest and (kind == REAL or value == int(value))
+
+
+def of_type(i, value):
+    """A value of parameter i as it is kept: whole numbers take no memory."""
+    return float(value) if TABLE[i][4] == REAL else int(value)
 
 
 def crc(values):
@@ -41,14 +60,14 @@ def from_flash(flash):
     Raises ValueError that says which entry cannot be, short enough for a LOG line.
     """
     values = []
-    for i, (name, _, default, lowest, highest, _, _) in enumerate(TABLE):
+    for i, (name, default, lowest, highest, _) in enumerate(TABLE):
         value = flash.get(name, default)
         if name == "law" and value in LAWS:
             value = LAWS.index(value)
         if not isinstance(value, (int, float)) or not in_range(i, value):
             choice = " ".join(LAWS) if name == "law" else "%g to %g" % (lowest, highest)
             raise ValueError("flash: %s = %s; write %s" % (name, value, choice))
-        values.append(float(value))
+        values.append(of_type(i, value))
     return values
 
 

@@ -136,7 +136,7 @@ class Stm32:
         what was set and not saved.
         """
         i = checked_id(name, value)
-        return self._ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
+        return self._ask(wire.PARAM_SET, i, parameters.TABLE[i][4], 0, value)
 
     def save_parameters(self) -> Future[Outcome]:
         """All values in force go to the board's flash."""

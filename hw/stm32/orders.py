@@ -12,7 +12,7 @@ from hw.firmware import parameters, wire
 
 ATTEMPTS = 4  # without an answer; they reach 99.4 % at 15 % loss each way
 REPEAT_AFTER_NS = 100_000_000
-LIST_AFTER_NS = 300_000_000  # a whole list takes the board 50 ms
+LIST_AFTER_NS = 500_000_000  # a whole list takes the board 200 ms
 POLL_AFTER_NS = 500_000_000  # the board is at it, and said so; a tare takes 2 s
 
 # Results beside those of the board, which are wire.RESULTS

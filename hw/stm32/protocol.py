@@ -27,6 +27,7 @@ class Counters(NamedTuple):
     latency_ns: int | None = None  # newest: from handing over a set-point to telemetry that shows it
     board_rx_ok: int = 0  # frames that the board got from us
     board_rx_bad: int = 0  # broken ones
+    board_late: int = 0  # cycles that the board has missed since it booted, modulo 65536
 
 
 class HostProtocol:
@@ -47,7 +48,7 @@ class HostProtocol:
         self._set: dict[int, float] = {}  # parameters set and not saved: a board that restarts gets them again
         self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
         self._latency_ns: int | None = None
-        self._board_rx = (0, 0)
+        self._board_rx, self._board_late = (0, 0), 0
         self._last_text = ""
         self._begin()
 
@@ -88,6 +89,7 @@ class HostProtocol:
             latency_ns=self._latency_ns,
             board_rx_ok=self._board_rx[0],
             board_rx_bad=self._board_rx[1],
+            board_late=self._board_late,
         )
 
     # --- to the board ---------------------------------------------------------------------------------------------
@@ -166,7 +168,7 @@ class HostProtocol:
         elif kind == wire.PARAM_VALUE:
             self._on_value(*wire.unpack(kind, payload))
         elif kind == wire.STATUS:
-            self._board_rx = wire.unpack(kind, payload)[6:8]
+            self._board_rx, self._board_late = (fields := wire.unpack(kind, payload))[5:7], fields[8]
         elif kind == wire.EVENT:
             self._on_event(*wire.unpack(kind, payload))
         elif kind == wire.LOG:
@@ -192,7 +194,7 @@ class HostProtocol:
             again = self._set if known.uid == self.greeting.uid else {}
             self._set = {}
             for i, value in again.items():
-                self.ask(wire.PARAM_SET, i, parameters.TABLE[i][5], 0, value)
+                self.ask(wire.PARAM_SET, i, parameters.TABLE[i][4], 0, value)
 
     def _on_telemetry(self, fields: tuple[int, ...]) -> None:
         telemetry, greeted, set_point_seq = telemetry_frame(fields, self._now_ns)

@@ -10,7 +10,7 @@ from array import array
 sys.path.insert(0, sys.argv[1])
 import ms5837
 
-scale, raw, mPa = array("i", [0] * 12), bytearray(12), [0] * 4  # noqa: N816
+scale, raw, mPa = array("i", [0] * 12), bytearray(12), [0] * 4
 for line in sys.stdin:
     words, d2, d1 = json.loads(line)
     prom = bytearray(16)

@@ -27,7 +27,7 @@ class Wires:
 
 
 wires = Wires()
-sensors, mPa = ms5837.Sensors(wires, None), [0] * 4  # noqa: N816
+sensors, mPa = ms5837.Sensors(wires, None), [0] * 4
 for _ in range(100):
     sensors.step(mPa)
 assert sensors.step(mPa) == 15, "the calibration above has its check sum"

@@ -10,7 +10,8 @@ import zlib
 import pytest
 
 from hw.firmware import failsafe, parameters, wire
-from hw.firmware.parameters import IDS, TABLE
+from hw.firmware.parameters import TABLE
+from hw.stm32.parameter_check import IDS
 from tests.hw.firmware.nominal_plant import AIR_PA
 
 NEUTRAL = (1500,) * 8
@@ -26,7 +27,7 @@ def value_of(desk, kind: int, boot_id: int, name: str, *more: float) -> tuple[fl
     desk.req_id += 1
     desk.say(kind, desk.req_id, boot_id, IDS[name], *more)
     rows = desk.until(lambda: [row for row in desk.heard(wire.PARAM_VALUE) if row[0] == desk.req_id])
-    assert rows[0][1:4] == (boot_id, IDS[name], TABLE[IDS[name]][5])
+    assert rows[0][1:4] == (boot_id, IDS[name], TABLE[IDS[name]][4])
     return rows[0][5], rows[0][4]
 
 
@@ -248,7 +249,7 @@ def test_a_tare_of_this_boot_is_never_old_and_carries_its_time(desk):
 
 def test_table_of_parameters_is_sound():
     assert len(set(parameters.NAMES)) == len(TABLE)
-    for i, (_, _, default, lowest, highest, _, _) in enumerate(TABLE):
+    for i, (_, default, lowest, highest, _) in enumerate(TABLE):
         assert lowest <= default <= highest and parameters.in_range(i, default)
     with pytest.raises(ValueError, match="law = pip; write pi pid observer"):
         parameters.from_flash({"law": "pip"})

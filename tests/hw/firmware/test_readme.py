@@ -10,6 +10,7 @@ import time
 
 from hw.firmware import parameters, pwm, wire
 from hw.stm32.driver import Stm32
+from hw.stm32.parameter_texts import TEXTS
 from tests.places import ROOT
 
 README = (ROOT / "hw" / "README.md").read_text(encoding="utf-8")
@@ -17,9 +18,11 @@ PROGRAMS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
 def test_every_parameter_with_its_default_and_range():
-    for name, unit, default, lowest, highest, _, _ in parameters.TABLE:
+    assert list(TEXTS) == parameters.NAMES
+    for name, default, lowest, highest, _ in parameters.TABLE:
+        unit, text = TEXTS[name]
         if not name.startswith("zero_"):
-            assert f"| `{name}` | {unit} | {default:g} | {lowest:g} to {highest:g} |" in README
+            assert f"| `{name}` | {unit} | {default:g} | {lowest:g} to {highest:g} | {text} |" in README
 
 
 def test_every_message_with_its_size():

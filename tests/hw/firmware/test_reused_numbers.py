@@ -8,7 +8,8 @@ import math
 import pytest
 
 from hw.firmware import wire
-from hw.firmware.parameters import IDS, TABLE
+from hw.firmware.parameters import TABLE
+from hw.stm32.parameter_check import IDS
 from tests.hw.firmware.bare_board import BareBoard
 
 ORDERS = [
@@ -72,8 +73,8 @@ def test_a_stop_is_done_each_time_that_it_is_said(kind):
 
 def test_a_tare_that_leaves_no_air_above_the_water_is_refused_and_the_old_one_stands():
     board = board_that_greets(armed=False)
-    before = list(board.control.plane.tare_pa)
+    before = list(board.control.plane.tare_mPa)
     ask(board, 5, (wire.TARE, 32767))  # 3.3 bar of water over sensors at one bar
     board.tick(201)
     assert board.heard(wire.ACK)[-1][2] == wire.REFUSED
-    assert board.control.plane.tare_pa == before and board.hal.flash["tare_pa"] == before
+    assert board.control.plane.tare_mPa == before and board.hal.flash["tare_pa"] == [mPa / 1000 for mPa in before]

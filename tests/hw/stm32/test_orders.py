@@ -37,7 +37,7 @@ def outcome(desk, driver, future):
 
 def test_parameters(desk, driver):
     listed = outcome(desk, driver, driver.parameters())
-    assert listed.ok and listed.values == {row[0]: row[2] for row in parameters.TABLE}
+    assert listed.ok and listed.values == {row[0]: row[1] for row in parameters.TABLE}
     assert driver.greeting.parameters_crc == parameters.crc([listed.values[name] for name in parameters.NAMES])
     assert outcome(desk, driver, driver.set_parameter("lag_s", 0.15)).values == {"lag_s": 0.15}
     assert outcome(desk, driver, driver.parameter("lag_s")).values == {"lag_s": 0.15}

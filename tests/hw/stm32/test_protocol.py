@@ -122,10 +122,10 @@ def test_a_list_of_which_a_part_was_lost_is_asked_for_again():
     board = FakeBoard(protocol)
     board.greet()
     future = protocol.ask(wire.PARAM_LIST)
-    for ms, lost in ((0, {2, 3}), (300, {0, 7})):
+    for ms, lost in ((0, {2, 3}), (500, {0, 7})):
         assert not protocol.due((ms - 1) * MS) and protocol.due(ms * MS)
         for i in set(range(len(parameters.TABLE))) - lost:
-            board.say(wire.PARAM_VALUE, 1, board.boot_id, i, parameters.TABLE[i][5], 0, parameters.TABLE[i][2])
+            board.say(wire.PARAM_VALUE, 1, board.boot_id, i, parameters.TABLE[i][4], 0, parameters.TABLE[i][1])
     assert len(future.result(0).values) == len(parameters.TABLE)
 
 
