@@ -2,12 +2,25 @@
 # MicroPython and CPython both import this file: no annotations that need typing, no module but struct.
 import struct
 
-# twin -> firmware, one each control tick (100 Hz): board clock us, absolute pressure of sensors 1-4 in Pa,
-# battery mV, current in 10 mA, leak probe 0/1, bit mask of sensors that answered
-TICK = "<Q4fHHBB"
+TICK_US = 10000  # between two ticks of the hardware
+
+# twin -> firmware, where a cycle begins: board clock us; for how many of these us its tick has waited for the cycle
+# before; what everything takes, in percent of the table of times; absolute pressure of sensors 1-4 in mPa; battery mV,
+# current in 10 mA, leak probe 0/1, bit mask of sensors that answered
+TICK = "<QHH4IHHBB"
 TICK_SIZE = struct.calcsize(TICK)
 
-# firmware -> twin, the answer to each tick: the tick's clock, thruster pulses T1-T8 us, servo pulses us
-# (camera pan, camera tilt, lamp pan, lamp tilt), lamp level in 1/1000, armed 0/1
-ACT = "<Q8H4HHB"
+# firmware -> twin, the answer to each: the same clock; thruster pulses T1-T8 us, servo pulses us (camera pan, camera
+# tilt, lamp pan, lamp tilt), lamp level in 1/1000, armed 0/1; the thrusters' pulse frame us; how many us after the
+# cycle's beginning these pins were written, and after how many it was over
+ACT = "<Q8H4HHBHII"
 ACT_SIZE = struct.calcsize(ACT)
+
+# The environment variable with the table: whole ns that the board takes for what hal_unix counts, in this order
+TIMES = "AUCAMP_CYCLE_TIMES"
+
+
+def tick(clock_us, pressure_pa, battery_mv, current_10ma, leak, answered, waited_us=0, percent=100):
+    """A record for the firmware; pressures are floats."""
+    mpa = [min(max(int(1000.0 * p + 0.5), 0), 0xFFFFFFFF) for p in pressure_pa]
+    return struct.pack(TICK, clock_us, waited_us, percent, *mpa, battery_mv, current_10ma, leak, answered)

@@ -1,27 +1,42 @@
 # What to do when the host falls silent, water comes in or the robot lies on its side: levels and arming checks.
 # Pure: time comes as microseconds since the last cycle, so that a table can test it on any interpreter.
+try:
+    from micropython import const
+except ImportError:
+    from hw.firmware.no_emitter import const
+
 OK, HOLD, SURFACE, DISARM, LATCHED = 0, 1, 2, 3, 4
 
 HOLD_AFTER_US = 500000  # 10 lost set-points at 20 Hz
-SURFACE_AFTER_US = 3000000  # as ArduSub's pilot input
-DISARM_AFTER_US = 30000000  # of surfacing without reaching the surface: it is held fast, or out of power
-SURFACED_M, SURFACED_FOR_US = 0.10, 2000000
-AFLOAT_M = 0.08  # where surfacing ends: a hull lifted out of the water would plunge when the motors stop
-TILT_RAD, TILT_FOR_US = 0.785, 2000000  # 45 degrees
-BATTERY_FOR_US = 2000000  # sag under a burst of thrust is not an empty battery
-ASCENT_M_S = 0.07
+_SURFACE_AFTER_US = const(3000000)  # as ArduSub's pilot input
+_DISARM_AFTER_US = const(30000000)  # of surfacing without reaching the surface: it is held fast, or out of power
+_SURFACED_100nm = const(1000000)  # 10 cm
+_SURFACED_FOR_US = const(2000000)
+AFLOAT_100nm = 800000  # where surfacing ends: a hull lifted out of the water would plunge when the motors stop
+_TILT_100nrad = const(7850000)  # 45 degrees
+_TILT_FOR_US = const(2000000)
+_BATTERY_FOR_US = const(2000000)  # sag under a burst of thrust is not an empty battery
+ASCENT_MM_S = 70
 
-ARM_TILT_RAD = 0.349  # 20 degrees
-ARM_PARITY_M = 0.005
-ESC_NEUTRAL_US = 3000000  # an ESC arms after 3 s of neutral pulses
-LOOP_LIMIT_US = 9000
+_ARM_TILT_100nrad = const(3490000)  # 20 degrees
+_ARM_PARITY_100nm = const(50000)  # 5 mm
+_ESC_NEUTRAL_US = const(3000000)  # an ESC arms after 3 s of neutral pulses
+_LOOP_LIMIT_US = const(9000)
 TARE_FOR_MS = 12 * 3600 * 1000  # the weather moves by 1 hPa, a centimetre of water, within hours
 TARE_AHEAD_MS = 600000  # a clock without a time server goes wrong by so much in months, and weather does not in minutes
 
 # Indices of wire.REASONS
-NONE, ORDER, SILENT, LEAK, BATTERY, SENSORS, SURFACED, STUCK, TILTED, TWO_BAD, STOP, PARAMETERS, WATCHDOG, FAULT = (
-    range(14)
-)
+_NONE = const(0)
+ORDER = 1
+_SILENT = const(2)
+_LEAK = const(3)
+_BATTERY = const(4)
+_SENSORS = const(5)
+_SURFACED = const(6)
+_STUCK = const(7)
+_TILTED = const(8)
+_TWO_BAD = const(9)
+STOP, PARAMETERS, WATCHDOG, FAULT = 10, 11, 12, 13
 
 
 class Ladder:
@@ -29,7 +44,7 @@ class Ladder:
 
     def __init__(self):
         self.level = OK
-        self.reason = NONE
+        self.reason = _NONE
         self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
 
     def resume(self):
@@ -56,32 +71,32 @@ class Ladder:
         """One cycle while armed; age_us is that of the newest set-point, plane a pressure.Plane. Returns the level."""
         if self.level >= DISARM:
             return self.level
-        tilt = max(abs(plane.roll_rad), abs(plane.pitch_rad))
-        self._tilt_us = self._tilt_us + dt_us if tilt > TILT_RAD else 0
+        tilt = max(abs(plane.roll_100nrad), abs(plane.pitch_100nrad))
+        self._tilt_us = self._tilt_us + dt_us if tilt > _TILT_100nrad else 0
         self._battery_us = self._battery_us + dt_us if battery_low else 0
         if plane.bad_count >= 2:
-            self._climb(DISARM, TWO_BAD)
-        elif self._tilt_us >= TILT_FOR_US:
-            self._climb(DISARM, TILTED)
+            self._climb(DISARM, _TWO_BAD)
+        elif self._tilt_us >= _TILT_FOR_US:
+            self._climb(DISARM, _TILTED)
         elif self.level == SURFACE:
             self._surfacing_us += dt_us
-            self._shallow_us = self._shallow_us + dt_us if plane.depth_m < SURFACED_M else 0
-            if self._shallow_us >= SURFACED_FOR_US:
-                self._climb(DISARM, SURFACED)
-            elif self._surfacing_us > DISARM_AFTER_US:
-                self._climb(DISARM, STUCK)
+            self._shallow_us = self._shallow_us + dt_us if plane.depth_100nm < _SURFACED_100nm else 0
+            if self._shallow_us >= _SURFACED_FOR_US:
+                self._climb(DISARM, _SURFACED)
+            elif self._surfacing_us > _DISARM_AFTER_US:
+                self._climb(DISARM, _STUCK)
         elif leak:
-            self._climb(SURFACE, LEAK)
-        elif self._battery_us >= BATTERY_FOR_US:
-            self._climb(SURFACE, BATTERY)
+            self._climb(SURFACE, _LEAK)
+        elif self._battery_us >= _BATTERY_FOR_US:
+            self._climb(SURFACE, _BATTERY)
         elif plane.disagree:
-            self._climb(SURFACE, SENSORS)
-        elif age_us > SURFACE_AFTER_US:
-            self._climb(SURFACE, SILENT)
+            self._climb(SURFACE, _SENSORS)
+        elif age_us > _SURFACE_AFTER_US:
+            self._climb(SURFACE, _SILENT)
         elif age_us > min(HOLD_AFTER_US, ttl_us):
-            self._climb(HOLD, SILENT)
+            self._climb(HOLD, _SILENT)
         else:
-            self._climb(OK, NONE)
+            self._climb(OK, _NONE)
         return self.level
 
     def _climb(self, level, reason):
@@ -98,16 +113,16 @@ def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder,
     checks = (
         not hello,
         plane.bad_count > 0,
-        abs(plane.parity_m) > ARM_PARITY_M,
-        plane.tare_pa is None,
-        max(abs(plane.roll_rad), abs(plane.pitch_rad)) > ARM_TILT_RAD,
+        abs(plane.parity_100nm) > _ARM_PARITY_100nm,
+        plane.tare_mPa is None,
+        max(abs(plane.roll_100nrad), abs(plane.pitch_100nrad)) > _ARM_TILT_100nrad,
         battery_low,
         leak,
         not neutral,
         age_us > HOLD_AFTER_US,
-        esc_us < ESC_NEUTRAL_US,
+        esc_us < _ESC_NEUTRAL_US,
         ladder.level == LATCHED,
-        loop_max_us >= LOOP_LIMIT_US,
+        loop_max_us >= _LOOP_LIMIT_US,
         tare_old,
     )
     mask = 0

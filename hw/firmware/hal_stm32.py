@@ -1,143 +1,148 @@
-# The hardware of the control module: an STM32F407VG under MicroPython. Wiring and pins: hw/README.md.
-# Untested on hardware: it compiles for the board, its types are checked against the port's stubs, its arithmetic is
-# tested in ms5837.py and pwm.py, and nothing of it has driven a pin.
-import binascii
+# The hardware of the control module: an STM32F407VG under MicroPython. Wiring, pins, and what of this was and was not
+# tried on a chip: hw/README.md.
 import gc
-import json
 import os
-import time
+from time import sleep_us, ticks_diff, ticks_us
 
+import frames
 import machine
 import ms5837
-import pwm
-import frames
+import pins
 import pyb
+import slots
+from micropython import const
 
-FLASH = "flash.json"  # JSON in the first line, its CRC-32 in the second
-USB_MARK = "usb"  # a file of this name: the tether is the board's own USB port, not UART 2
-CYCLE_HZ = 100
-BAUD = 1000000
-RX_BUFFER = 1024  # a garbage collection of 9 ms at 1 Mbaud is 900 bytes
-VCP_PATIENCE_MS = 2  # for a host that does not read
-WATCHDOG_MS = 500
-SAVING_MS = 8000  # erasing a sector stops the processor, for up to a second each
-SAFE_CYCLES = 200  # before the watchdog, which never ends once begun: 2 s to interrupt a program that hangs at once
+_CYCLE_US = const(10000)
+_BAUD = const(1000000)
+_RX_BUFFER = const(1024)  # a garbage collection of 9 ms at 1 Mbaud is 900 bytes
+_VCP_PATIENCE_MS = const(2)  # for a host that does not read
+_WATCHDOG_MS = const(500)
+_SAVING_MS = const(8000)  # erasing a sector stops the processor, for up to a second each
+_SAFE_CYCLES = const(
+    200
+)  # before the watchdog, which never ends once begun: 2 s to interrupt a program that hangs at once
 
-# Blue Robotics Power Sense Module, from its product page: 11.0 V/V, 37.8788 A/V from 0.330 V on.
-ADC_V = 3.3 / 4095
-BATTERY_V_PER_V, CURRENT_A_PER_V, CURRENT_ZERO_V = 11.0, 37.8788, 0.330
+# The driver counts whole ticks of its millisecond clock: with 1 ms a tick that happens to come ends a sound transfer.
+_I2C_TIMEOUT_US = const(2000)
 
-
-def is_button_held():
-    """The user's way past main.py to a prompt: hold it while power comes."""
-    return bool(pyb.Pin("PA0", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_DOWN).value())
+_RESET_BY_PIN = const(2)  # what machine.reset_cause() says after machine.reset() too
+_MARK = const(0x0A11)  # in the last backup register of the clock, which a reset leaves alone: it was by order
 
 
-class Hal:
+def wants_prompt():
+    """PB1 bridged to ground: a prompt instead of the firmware."""
+    return not pyb.Pin("PB1", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP).value()
+
+
+def open_bus():
+    """The sensors' bus."""
+    return machine.I2C(2, freq=400000, timeout=_I2C_TIMEOUT_US)
+
+
+def free_bus():
+    """A sensor that was cut short holds the data line until it has sent its byte: nine clocks and a stop, then the
+    multiplexer's reset (where it is wired), then the bus anew."""
+    clock = pyb.Pin("PB10", mode=pyb.Pin.OUT_OD, value=1)
+    data = pyb.Pin("PB11", mode=pyb.Pin.OUT_OD, value=1)
+    reset = pyb.Pin("PB12", mode=pyb.Pin.OUT_OD, value=0)
+    for i in range(10):
+        clock.value(0)
+        data.value(i < 9)
+        sleep_us(5)
+        clock.value(1)
+        sleep_us(5)
+    data.value(1)
+    reset.value(1)
+    return open_bus()
+
+
+class Hal(pins.Pins):
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
     capabilities = frames.CAN_WATCHDOG | frames.CAN_CURRENT | frames.CAN_LEAK | frames.CAN_KILL
 
     def __init__(self):
-        self.pressure_pa = [0.0] * 4  # absolute
+        super().__init__()
+        self.pressure_mPa = [0] * 4  # absolute
         self.answered = 0
         self.battery_mv = self.current_10ma = self.leak = 0
-        self.pulses_us = [1500] * 8
-        self.servos_us = [1500] * 4
-        self.light_permille = 0
         self.armed = 0
-        self.late = 0  # ticks missed
-        self._due = 0
-        self._cycle = 0
-        self._us = 0
-        self._ticks = time.ticks_us()
+        self.dt_us = _CYCLE_US  # since the cycle before
+        self.ticks = 1  # the same, in ticks
+        self.late = 0  # ticks lost since boot, modulo 65536
+        self._fired = self._taken = 0  # ticks since boot, modulo 2**30: so that now_us knows no seam
+        self._fired_at = self._began = ticks_us()
+        self._safe = _SAFE_CYCLES
         self._watchdog = None
-        self._timers = {}
-        self._thrusters = [self._channel(*row) for row in pwm.THRUSTERS]
-        self._servos = [self._channel(*row) for row in pwm.SERVOS]
-        self._lamp = self._channel(*pwm.LAMP)
-        for timer, pin in pwm.KILL:
-            function = pyb.Pin.AF1_TIM1 if timer == 1 else pyb.Pin.AF3_TIM8
-            pyb.Pin(pin, mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=function)
         self._battery = pyb.ADC(pyb.Pin("PC1"))
         self._current = pyb.ADC(pyb.Pin("PC2"))
         self._probe = pyb.Pin("PC4", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP)
-        self._sensors = ms5837.Sensors(machine.I2C(2, freq=400000))
-        self._sensors.start()
+        self._sensors = ms5837.Sensors(open_bus(), free_bus)
         self._usb = pyb.USB_VCP()
         self._uart = None
-        if USB_MARK in os.listdir():
+        if "usb" in os.listdir():  # a file of this name: the tether is the board's own USB port
             self._usb.setinterrupt(-1)  # the byte 3 is data
         else:
-            self._uart = machine.UART(2, baudrate=BAUD, timeout=0, rxbuf=RX_BUFFER)
-        self._clock = pyb.Timer(5, freq=CYCLE_HZ)
+            self._uart = machine.UART(2, baudrate=_BAUD, timeout=0, rxbuf=_RX_BUFFER)
+        # Timer 5 is shared with the port's own servo driver, and its interrupt would stand above the UART's, whose
+        # bytes come every 10 us and have no queue. All others get a priority far below it.
+        self._clock = pyb.Timer(7, freq=1000000 // _CYCLE_US)
         self._clock.callback(self._on_tick)
 
-    def _channel(self, timer, channel, pin):
-        """A PWM output that stands at neutral."""
-        if timer not in self._timers:
-            made = pyb.Timer(timer, freq=1000000 // pwm.FRAME_US)  # the clock's frequency can be asked for from now on
-            brk = pyb.Timer.BRK_LOW if timer in (1, 8) else pyb.Timer.BRK_OFF
-            scale = pwm.prescaler(made.source_freq())
-            made.init(prescaler=scale, period=pwm.FRAME_US - 1, brk=brk)  # type: ignore[call-overload] # brk is missing
-            self._timers[timer] = made
-        return self._timers[timer].channel(channel, pyb.Timer.PWM, pin=pyb.Pin(pin), pulse_width=1500)
-
     def _on_tick(self, _timer):
-        """Runs in the interrupt: no allocation, no floats."""
-        self._due += 1
+        """Runs in the interrupt: no allocation, no number beyond 30 bits."""
+        self._fired_at = ticks_us()
+        self._fired = (self._fired + 1) & 0x3FFFFFFF
 
     def wait_tick(self):
         """Sleep until the next tick, then read all sensors. There is always a next one."""
-        while not self._due:
+        while self._fired == self._taken:
             pyb.wfi()
-        self.late += self._due - 1
-        self._due = 0
-        self._cycle += 1
-        self.answered = self._sensors.step(self.pressure_pa)
-        self.battery_mv = int(self._battery.read() * ADC_V * BATTERY_V_PER_V * 1000.0)
-        amps = (self._current.read() * ADC_V - CURRENT_ZERO_V) * CURRENT_A_PER_V
-        self.current_10ma = max(0, int(amps * 100.0))
-        self.leak = 0 if self._probe.value() else 1  # water pulls it down
+        self._began = self._fired_at  # before the count: a tick between the two makes a cycle seem long, not short
+        fired = self._fired
+        ticks = (fired - self._taken) & 0x3FFFFFFF
+        self._taken = fired
+        if ticks != self.ticks:
+            self.ticks = ticks
+            self.dt_us = ticks * _CYCLE_US
+        if ticks != 1:
+            self.late = (self.late + ticks - 1) & 0xFFFF
+        self.answered = self._sensors.step(self.pressure_mPa)
+        # Blue Robotics Power Sense Module, from its product page: 11.0 V/V, 37.8788 A/V from 0.330 V on.
+        if fired & 1:
+            self.battery_mv = self._battery.read() * 36300 // 4095
+        else:
+            self.current_10ma = max(0, self._current.read() * 30525 // 10000 - 1250)
+            self.leak = 0 if self._probe.value() else 1  # water pulls it down
         return True
 
     @property
     def temperature_cC(self):
-        temperature_c = self._sensors.temperature_c
-        return int(temperature_c * 100) if temperature_c == temperature_c else 0
-
-    def begin_pulses(self, frame_us):
-        pass
-
-    def write_pins(self):
-        """Show pulses, servos and lamp."""
-        for j in range(8):
-            self._thrusters[j].pulse_width(self.pulses_us[j])
-        for j in range(4):
-            self._servos[j].pulse_width(self.servos_us[j])
-        self._lamp.pulse_width(pwm.lamp_us(self.light_permille))
-        return True
+        return self._sensors.temperature_cC
 
     def end_cycle(self):
         """Pins first, then the watchdog: with motors on, it gets its food only for sensors that have just answered."""
         self.write_pins()
-        if self._watchdog is None:
-            if self._cycle >= SAFE_CYCLES:
-                self._watchdog = machine.WDT(timeout=WATCHDOG_MS)
+        if self._safe:
+            self._safe -= 1
+        elif self._watchdog is None:
+            self._watchdog = machine.WDT(timeout=_WATCHDOG_MS)
         elif self.answered or not self.armed:
             self._watchdog.feed()
 
     def now_us(self):
-        """The board's clock, 32 bits; ticks_us alone wraps after 30."""
-        ticks = time.ticks_us()
-        self._us = (self._us + time.ticks_diff(ticks, self._ticks)) & 0xFFFFFFFF
-        self._ticks = ticks
-        return self._us
+        """The board's clock at this cycle's tick, 32 bits."""
+        return self._taken * _CYCLE_US & 0xFFFFFFFF
+
+    def cycle_us(self):
+        """Since this cycle's tick: at its end, the whole of it, with buses and collection."""
+        return ticks_diff(ticks_us(), self._began)
 
     def read_into(self, buf):
-        """Bytes from the tether, as many as there are; 0: none."""
+        """Bytes from the tether, as many as there are; 0: none. To ask for more would wait for them, 1 to 2 ms."""
         if self._uart is not None:
-            return self._uart.readinto(buf) if self._uart.any() else 0
+            n = self._uart.any()
+            return self._uart.readinto(buf, min(n, len(buf))) or 0 if n else 0
         return self._usb.recv(buf, timeout=0) if self._usb.any() else 0
 
     def write(self, frame):
@@ -145,13 +150,11 @@ class Hal:
         if self._uart is not None:
             self._uart.write(frame)
         elif self._usb.isconnected():
-            self._usb.send(frame, timeout=VCP_PATIENCE_MS)
+            self._usb.send(frame, timeout=_VCP_PATIENCE_MS)
 
     def collect(self):
-        """Collect garbage, in the slack of the cycle; returns the time it took in us."""
-        start = time.ticks_us()
+        """Collect garbage."""
         gc.collect()
-        return time.ticks_diff(time.ticks_us(), start)
 
     def heap_free(self):
         """Bytes."""
@@ -159,31 +162,32 @@ class Hal:
 
     def boot_info(self):
         """Unique id (12 bytes), a fresh random boot id, reset cause."""
-        return machine.unique_id(), pyb.rng() << 2 & 0xFFFFFFFF, machine.reset_cause()
+        cause = machine.reset_cause()
+        if cause == _RESET_BY_PIN and self._mark(0) == _MARK:
+            cause = frames.BY_ORDER
+        return machine.unique_id(), pyb.rng() << 2 & 0xFFFFFFFF, cause
+
+    def _mark(self, value):
+        """Leave a number for the next boot; returns the one that was left for this."""
+        import stm
+
+        was = stm.mem32[stm.RTC + stm.RTC_BKP19R]
+        stm.mem32[stm.RTC + stm.RTC_BKP19R] = value
+        return was
 
     def reboot(self):
         """Does not return."""
+        self._mark(_MARK)
         machine.reset()
 
     def load_flash(self):
         """What survives a power cut: a dict, empty on a fresh board. ValueError: there is something, but damaged."""
-        try:
-            with open(FLASH) as file:
-                text, crc = file.readline().strip(), file.readline().strip()
-        except OSError:
-            return {}
-        if crc != "%08x" % binascii.crc32(text.encode()):
-            raise ValueError("flash: checksum is wrong; set and save anew")
-        return json.loads(text)
+        return slots.newest()[1]
 
     def save_flash(self, flash):
-        """Whole or not at all. The motors are off: the processor stands still meanwhile."""
+        """The motors are off: the processor stands still meanwhile."""
         if self._watchdog is not None:
-            machine.WDT(timeout=SAVING_MS)
-        text = json.dumps(flash)
-        with open(FLASH + ".new", "w") as file:
-            file.write("%s\n%08x\n" % (text, binascii.crc32(text.encode())))
-        os.rename(FLASH + ".new", FLASH)
-        os.sync()
+            machine.WDT(timeout=_SAVING_MS)
+        slots.save(flash)
         if self._watchdog is not None:
-            self._watchdog = machine.WDT(timeout=WATCHDOG_MS)
+            self._watchdog = machine.WDT(timeout=_WATCHDOG_MS)

@@ -1,5 +1,6 @@
 # The board's hardware on a computer: a pty stands for the tether, a stream socket for sensors and pins.
-# Runs under CPython and under MicroPython's Unix port. Time is what the bus says, so a lock-step run is exact.
+# Runs under CPython and under MicroPython's Unix port. Time is what the bus says, so a lock-step run is exact. A cycle
+# takes what it would take on the board, by the table of times in the environment; without one it takes nothing.
 import gc
 import json
 import os
@@ -9,7 +10,13 @@ import bus
 import wire
 
 RESET_CAUSE = "AUCAMP_RESET_CAUSE"  # the environment variable that stands for the chip's register
+FRAME_US = 5000  # the thrusters' pulse frame, until somebody asks for another
 EIO, EAGAIN = 5, 11  # errno: nobody has the other end of the pty open; its buffer is full or empty
+
+
+# The table's entries: a cycle that sends and hears nothing, armed or not; a frame sent, and each of its bytes, that
+# many ns; a byte heard; a garbage collection; looking how much memory is free.
+ARMED, DISARMED, FRAME, BYTE, HEARD, COLLECT, HEAP_FREE = range(7)
 
 
 class Hal:
@@ -17,7 +24,6 @@ class Hal:
 
     capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED
     temperature_cC = 0  # the simulated bus has no thermometer
-    late = 0
 
     def __init__(self, serial_fd, bus_fd, flash_path):
         """serial_fd: master of a raw, non-blocking pty; bus_fd: stream of the records in bus.py, blocking."""
@@ -29,8 +35,13 @@ class Hal:
         self._tick_view = memoryview(self._tick)
         self._act = bytearray(bus.ACT_SIZE)
         self._begun = False
-        self._now_us = 0
-        self.pressure_pa = [0.0] * 4  # absolute
+        self._now_us = self._tick_us = 0
+        self._frame_us = FRAME_US
+        self._times = [int(ns) for ns in (os.getenv(bus.TIMES) or "0 0 0 0 0 0 0").split()]
+        self._percent = 100
+        self._ns = self._pins_us = self._waited_us = 0  # since this cycle began
+        self.dt_us, self.ticks, self.late = bus.TICK_US, 1, 0
+        self.pressure_mPa = [0] * 4  # absolute
         self.answered = 0  # bit mask of sensors that did
         self.battery_mv = self.current_10ma = self.leak = 0
         self.pulses_us = [1500] * 8
@@ -49,17 +60,27 @@ class Hal:
             if not n:
                 return False
             got += n
-        pa = self.pressure_pa
-        (self._now_us, pa[0], pa[1], pa[2], pa[3], self.battery_mv, self.current_10ma, self.leak, self.answered) = (
-            struct.unpack(bus.TICK, self._tick)
-        )
+        before_us = self._tick_us
+        fields = struct.unpack(bus.TICK, self._tick)
+        self._now_us, self._waited_us, self._percent = fields[:3]
+        self.pressure_mPa[:] = fields[3:7]
+        self.battery_mv, self.current_10ma, self.leak, self.answered = fields[7:]
+        self._tick_us = self._now_us - self._waited_us
+        self.ticks = (self._tick_us - before_us) // bus.TICK_US if before_us else 1
+        self.dt_us = self.ticks * bus.TICK_US
+        self.late = (self.late + self.ticks - 1) & 0xFFFF
+        self._ns = self._pins_us = 0
         return True
+
+    def _took(self, which, times=1):
+        """Let time pass for what has just been done: the table's entry, so many times."""
+        self._ns += self._times[which] * times * self._percent // 100
 
     def write_pins(self):
         """Answer the tick. Last in a cycle: who has the answer finds all of the cycle's telemetry in the pty."""
-        struct.pack_into(
-            bus.ACT, self._act, 0, self._now_us, *self.pulses_us, *self.servos_us, self.light_permille, self.armed
-        )
+        lamp_armed = self.light_permille, self.armed
+        times = self._frame_us, self._pins_us, self._ns // 1000
+        struct.pack_into(bus.ACT, self._act, 0, self._now_us, *self.pulses_us, *self.servos_us, *lamp_armed, *times)
         try:
             self._bus.write(self._act)
         except OSError:
@@ -67,16 +88,23 @@ class Hal:
         return True
 
     def begin_pulses(self, frame_us):
-        """How often pulses come is nobody's business here."""
+        """From now on a thruster's pulse begins every so many us."""
+        self._frame_us = frame_us
 
     def now_us(self):
-        """The board's clock, 32 bits. It stands still within a cycle: a computer's speed says nothing of a board's."""
-        return self._now_us & 0xFFFFFFFF
+        """The board's clock at this cycle's tick, 32 bits."""
+        return self._tick_us & 0xFFFFFFFF
+
+    def cycle_us(self):
+        """Since this cycle's tick, as far as it has come."""
+        return self._waited_us + self._ns // 1000
 
     def read_into(self, buf):
         """Bytes from the tether, as many as there are; 0: none."""
         try:
-            return self._serial.readinto(buf) or 0
+            n = self._serial.readinto(buf) or 0
+            self._took(HEARD, n)
+            return n
         except OSError as error:
             if error.args[0] in (EIO, EAGAIN):
                 return 0
@@ -84,6 +112,8 @@ class Hal:
 
     def write(self, frame):
         """A frame to the tether. What does not fit is lost, as on a wire that nobody listens to."""
+        self._took(FRAME)
+        self._took(BYTE, len(frame))
         try:
             self._serial.write(frame)
         except OSError as error:
@@ -92,15 +122,18 @@ class Hal:
 
     def end_cycle(self):
         """Pins go out with the next wait_tick; and no watchdog: the twin sees by itself that no answer comes."""
+        self._took(ARMED if self.armed else DISARMED)
+        self._pins_us = self._ns // 1000
 
     def collect(self):
-        """Collect garbage where the interpreter does not count references; returns the time it took in us."""
+        """Collect garbage where the interpreter does not count references."""
+        self._took(COLLECT)
         if hasattr(gc, "mem_free"):
             gc.collect()
-        return 0
 
     def heap_free(self):
         """Bytes; 0 where the interpreter has no bound."""
+        self._took(HEAP_FREE)
         return gc.mem_free() if hasattr(gc, "mem_free") else 0
 
     def boot_info(self):
@@ -111,6 +144,7 @@ class Hal:
     def reboot(self):
         """Forget everything but flash: main.py makes a new Firmware on this board."""
         self._reset_cause = wire.BY_ORDER
+        self.late = 0
 
     def load_flash(self):
         """What survives a power cut: a dict, empty on a fresh board. ValueError: there is something, but no JSON."""

@@ -6,10 +6,15 @@ import sys
 import motor_control
 import failsafe
 import flash
-import frames
 import tether
+import frames
 
-TELEMETRY_EVERY, STATUS_EVERY = 2, 100  # cycles: 50 Hz, 1 Hz
+# What is not done in each cycle has cycles of its own, so that no two dear things meet: telemetry in even ones (50 Hz),
+# in odd ones the rest. Cycle after cycle, what a cycle takes must stay below 10 ms.
+TELEMETRY_EVERY = 2
+STATUS_EVERY, STATUS_AT = 100, 1
+COLLECT_EVERY, COLLECT_AT = 10, 5
+LOOK_EVERY, LOOK_AT = 100, 53  # how much memory is free: looking takes 2 ms
 
 
 class Firmware:
@@ -21,7 +26,6 @@ class Firmware:
         hal.pulses_us = self.control.pulses_us  # one list: what control decides is what the pins show
         self.flash = flash.Flash(hal)
         self.tether = tether.Tether(hal, self.control, self.flash, hal.boot_info())
-        self.last_us = None
         self.cycle = 0
 
     def boot(self):
@@ -68,18 +72,16 @@ class Firmware:
         without its control law. Whether it may go on without that, the ladder says.
         """
         hal, module, line = self.hal, self.control, self.tether
-        now_us = hal.now_us()
-        dt_us = 10000 if self.last_us is None else (now_us - self.last_us) & 0xFFFFFFFF
-        self.last_us = now_us
+        dt_us = hal.dt_us
         self.cycle += 1
         unsensed = None
         try:
-            module.sense(hal.pressure_pa, hal.answered, hal.battery_mv, hal.leak, dt_us)
+            module.sense(hal.pressure_mPa, hal.answered, hal.battery_mv, hal.leak, dt_us)
         except Exception as error:
             unsensed = error
         try:
             line.listen()
-            line.orders.step([int(round(1000.0 * pa)) for pa in hal.pressure_pa])
+            line.orders.step(hal.pressure_mPa)
         except Exception as error:
             line.fault("tether", error)
         before = module.ladder.level
@@ -95,21 +97,24 @@ class Firmware:
         hal.armed = module.state
         hal.end_cycle()
         try:
-            self._say(now_us)
+            self._take_turns()
         except Exception as error:
             line.fault("telemetry", error)
-        line.took((hal.now_us() - now_us) & 0xFFFFFFFF)
-        hal.collect()
+        line.took(hal.cycle_us())
 
-    def _say(self, now_us):
-        """What it is time to tell the host."""
-        line = self.tether
-        if self.cycle % TELEMETRY_EVERY == 0:
+    def _take_turns(self):
+        """What it is time to tell the host, or to clean up."""
+        line, cycle = self.tether, self.cycle
+        if cycle % TELEMETRY_EVERY == 0:
             line.say_telemetry()
+        elif cycle % STATUS_EVERY == STATUS_AT:
+            line.say_status()
+        elif cycle % COLLECT_EVERY == COLLECT_AT:
+            self.hal.collect()
+        elif cycle % LOOK_EVERY == LOOK_AT:
+            line.heap_free_16 = self.hal.heap_free() >> 4
         else:
             line.say_one()
-        if self.cycle % STATUS_EVERY == 0:
-            line.say_status()
 
 
 def serve(hal):
@@ -135,7 +140,7 @@ if __name__ == "__main__":
     if sys.platform == "pyboard":
         import hal_stm32
 
-        if not hal_stm32.is_button_held():
+        if not hal_stm32.wants_prompt():
             serve(hal_stm32.Hal())
     elif len(sys.argv) == 4:
         main(*sys.argv[1:])

@@ -1,30 +1,35 @@
 # From pressures and set-point to pulses, armed or not. No bytes, no hardware: those are tether.py and the HAL.
-import math
-
 import failsafe
 import law
 import parameters
 import pressure
-import frames
 import thrust
+import frames
 
-SENSOR_HALF_M = 0.13  # sensors sit at (+-0.13, +-0.13) m
-GRAVITY_M_S2 = 9.80665
-BATTERY_S = 1.0  # the voltage that thrust is scaled with is smoothed over this: the probe's noise is not the battery's
-STEEPEST_RAD = 0.785  # net weight is carried along the robot's own axis up to this tilt
-NEVER_US = 1 << 29  # an age that is past every limit and fits the board's 31 bit integers
+try:
+    from micropython import const
+except ImportError:
+    from hw.firmware.no_emitter import const
+
+_SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
+_BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
+_STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
+_NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
 # A cycle whose control broke off is made up for by so many good ones; where debts add up, the robot goes up.
-FAULT_CYCLES, FAULTS_LIMIT = 20, 10
-LOST_US = 500000  # without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop
-ABSURD = 1e6  # N and Nm: a law that asks for more has left the world of numbers
-BENCH_US = 60  # over neutral: a propeller in air turns visibly and slowly
+_FAULT_CYCLES = const(20)
+_FAULTS_LIMIT = const(10)
+# Without one good cycle, as long as a watchdog waits: nobody steers, and motors that do not obey stop.
+_LOST_US = const(500000)
+_TICK_US = const(10000)
+_TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
+_BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
 
 
 class SetPoint:
     """What the host asked for last, and how long ago."""
 
     def __init__(self):
-        self.age_us = NEVER_US
+        self.age_us = _NEVER_US
         self.ttl_us = 0
         self.seq = 0  # of the frame that brought it
         self.host_ms = None  # the host's clock in it, modulo 2**32
@@ -32,14 +37,6 @@ class SetPoint:
         self.tilt_100nrad = [0, 0]  # roll, pitch
         self.force_uN = [0, 0]  # forward, left
         self.yaw_uNm = 0
-
-    @property
-    def depth_m(self):
-        return self.depth_100nm * 1e-7
-
-    @depth_m.setter
-    def depth_m(self, depth_m):
-        self.depth_100nm = int(round(depth_m * 1e7))
 
     def is_neutral(self):
         return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)
@@ -56,7 +53,7 @@ class Control:
         self.state = frames.DISARMED
         self.mode = frames.HOLD
         self.bench_thruster = 0  # 1-8: turns in mode BENCH
-        self.plane = pressure.Plane(frames.PA_PER_M, SENSOR_HALF_M, SENSOR_HALF_M)
+        self.plane = pressure.Plane(frames.PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
@@ -69,48 +66,56 @@ class Control:
         self._owed = 0  # good cycles, after faults
         self._lost_us = 0  # since the last good cycle
         self._failed = False  # the last one was none
-        self._battery_mv = 0.0  # smoothed
-        self._forces_n = [0.0] * 8
+        self._battery_mv64 = 0  # smoothed, in 1/64 mV
+        self._forces_uN = [0] * 8
         # one value each for depth, roll, pitch
-        self._y = [0.0] * 3
-        self._ref = [0.0] * 3
-        self._want = [0.0] * 3
-        self._realised = [0.0] * 3
+        self._y = [0] * 3
+        self._ref = [0] * 3
+        self._want = [0] * 3
+        self._realised = [0] * 3
         self.configure(parameters.from_flash({}))
 
     def configure(self, values):
         """Take new parameters, in the order of their table. For a disarmed robot: the law begins anew."""
         self.values = values
         of = {name: values[i] for i, name in enumerate(parameters.NAMES)}
-        self.law = (
-            law.Pi,
-            lambda: law.Pid(int(of["pid_set"])),
-            lambda: law.Observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]),
-        )[int(of["law"])]()
-        self.plane.pa_per_m = of["water_kg_m3"] * GRAVITY_M_S2
-        self._thrust_max_n = of["thrust_max_N"]
-        self._net_weight_n = of["net_weight_N"]
-        self._curve_battery_mv = of["curve_battery_mV"]
-        self._battery_min_mv = of["battery_min_mV"]
-        self._slew_n = of["slew_N"]
+        name = parameters.LAWS[int(of["law"])]
+        if name == "observer":
+            self.law = law.Observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"])
+        elif name == "pid":
+            import law_pid  # these two take no memory where they are not wanted
+
+            self.law = law_pid.Pid(int(of["pid_set"]))
+        else:
+            import law_pi
+
+            self.law = law_pi.Pi()
+        self.plane.set_water(of["water_kg_m3"] * 9.80665)
+        self._thrust_max_mN = int(of["thrust_max_N"] * 1e3 + 0.5)
+        self._net_weight_uN = int(of["net_weight_N"] * 1e6)
+        self._curve_battery_mv = int(of["curve_battery_mV"])
+        self._battery_min_mv = int(of["battery_min_mV"])
+        self._slew_uN = int(of["slew_N"] * 1e6 + 0.5)
         for j in range(8):
             self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])
 
-    def sense(self, pressure_pa, answered, battery_mv, leak, dt_us):
+    def sense(self, pressure_mPa, answered, battery_mv, leak, dt_us):
         """Begin a cycle with what the sensors say."""
-        self.set_point.age_us = min(self.set_point.age_us + dt_us, NEVER_US)
+        if self.set_point.age_us < _NEVER_US:
+            self.set_point.age_us += dt_us
         self.leak = bool(leak)
         self.battery_low = battery_mv < self._battery_min_mv
-        if self._battery_mv:
-            self._battery_mv += (battery_mv - self._battery_mv) * min(1.0, dt_us * 1e-6 / BATTERY_S)
+        if self._battery_mv64:
+            self._battery_mv64 += ((battery_mv << 6) - self._battery_mv64 + _BATTERY_TICKS // 2) // _BATTERY_TICKS
         else:
-            self._battery_mv = float(battery_mv)
-        self.plane.step(pressure_pa, answered, dt_us)
+            self._battery_mv64 = battery_mv << 6
+        self.plane.step(pressure_mPa, answered, dt_us)
 
     def act(self, dt_us):
         """End a cycle: new pulses. Returns whether the ladder moved."""
         if self.state == frames.DISARMED:
-            self.esc_us = min(self.esc_us + dt_us, NEVER_US)
+            if self.esc_us < _NEVER_US:
+                self.esc_us += dt_us
             return False
         self.esc_us = 0
         if self._owed:
@@ -131,12 +136,13 @@ class Control:
                 self.hold_here()
         if level == failsafe.SURFACE:
             if before != level:
-                self.set_point.depth_m = self.plane.depth_m
-            self.set_point.depth_m = max(failsafe.AFLOAT_M, self.set_point.depth_m - failsafe.ASCENT_M_S * dt_us * 1e-6)
+                self.set_point.depth_100nm = self.plane.depth_100nm
+            rise_100nm = failsafe.ASCENT_MM_S * dt_us // 100
+            self.set_point.depth_100nm = max(failsafe.AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
         if self.mode == frames.BENCH:
             self._turn_one()
         else:
-            self._drive()
+            self._drive(min((dt_us + _TICK_US // 2) // _TICK_US, _TICKS_AT_ONCE))
         return level != before
 
     def fail(self, dt_us):
@@ -144,13 +150,13 @@ class Control:
         if self.state == frames.DISARMED:
             return False
         before = self.ladder.level
-        self._owed = min(self._owed + FAULT_CYCLES, FAULTS_LIMIT * FAULT_CYCLES)
+        self._owed = min(self._owed + _FAULT_CYCLES, _FAULTS_LIMIT * _FAULT_CYCLES)
         self._lost_us += dt_us
         self._failed = True
-        if self._lost_us >= LOST_US or self.mode == frames.BENCH:
+        if self._lost_us >= _LOST_US or self.mode == frames.BENCH:
             self.ladder.give_up(failsafe.FAULT)
             self.disarm()
-        elif self._owed == FAULTS_LIMIT * FAULT_CYCLES:
+        elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
             self.surface(failsafe.FAULT)
         return self.ladder.level != before
 
@@ -174,38 +180,34 @@ class Control:
     def hold_here(self):
         """Keep the depth that there is."""
         self.mode = frames.HOLD
-        self.set_point.depth_m = self.plane.depth_m
+        self.set_point.depth_100nm = self.plane.depth_100nm
 
     def _turn_one(self):
         for j in range(8):
-            self.pulses_us[j] = self.neutral_us[j] + (BENCH_US if j + 1 == self.bench_thruster else 0)
+            self.pulses_us[j] = self.neutral_us[j] + (_BENCH_US if j + 1 == self.bench_thruster else 0)
 
-    def _drive(self):
+    def _drive(self, ticks):
         plane, set_point, y, want, realised = self.plane, self.set_point, self._y, self._want, self._realised
-        y[0], y[1], y[2] = plane.depth_m, plane.roll_rad, plane.pitch_rad
-        self._ref[0] = set_point.depth_m
-        self._ref[1], self._ref[2] = [x * 1e-7 for x in set_point.tilt_100nrad]
+        y[0], y[1], y[2] = plane.depth_100nm, plane.roll_100nrad, plane.pitch_100nrad
+        ref, tilt = self._ref, set_point.tilt_100nrad
+        ref[0], ref[1], ref[2] = set_point.depth_100nm, tilt[0], tilt[1]
         if self.mode == frames.STABILISE:
-            self._ref[0] = y[0]
-        self.law.step(y, self._ref, realised, want)
-        if not -ABSURD < want[0] + want[1] + want[2] < ABSURD:  # no number is neither: it would run all motors full
-            raise ValueError("law diverged")
+            ref[0] = y[0]
+        self.law.step(y, ref, realised, want, ticks)
         if self.mode == frames.STABILISE:
-            want[0] = 0.0
+            want[0] = 0
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
-        weight_n = self._net_weight_n
-        if weight_n:
-            weight_n /= math.cos(min(abs(y[1]), STEEPEST_RAD)) * math.cos(min(abs(y[2]), STEEPEST_RAD))
-        want[0] += weight_n
-        full = thrust.full_n(self._thrust_max_n, self._battery_mv / self._curve_battery_mv)
-        self.saturated = 1 if thrust.central(want, 0.0, full, self._slew_n, self._forces_n, realised) else 0
-        realised[0] -= weight_n
-        if thrust.flat(
-            set_point.force_uN[0] * 1e-6, set_point.force_uN[1] * 1e-6, set_point.yaw_uNm * 1e-6, full, self._forces_n
-        ):
+        weight = self._net_weight_uN
+        if weight:
+            weight = _along(_along(weight, y[1]), y[2])
+            want[0] += weight
+        full = thrust.full_uN(self._thrust_max_mN, (self._battery_mv64 << 8) // self._curve_battery_mv)
+        forces, slew = self._forces_uN, self._slew_uN * ticks
+        self.saturated = 1 if thrust.central(want, full, slew, forces, realised) else 0
+        realised[0] -= weight
+        if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
             self.saturated |= 2
-        for j in range(8):
-            self.pulses_us[j] = thrust.pulse_us(self._forces_n[j], self.neutral_us[j], full)
+        thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
 
     def arm_faults(self, hello, loop_max_us):
         """What speaks against arming, as the bit mask of failsafe.arm_faults.
@@ -220,7 +222,7 @@ class Control:
             self.leak,
             armed or self.set_point.is_neutral(),
             self.set_point.age_us,
-            NEVER_US if armed else self.esc_us,
+            _NEVER_US if armed else self.esc_us,
             self.ladder,
             loop_max_us,
             self.tare_old and not armed,
@@ -238,12 +240,13 @@ class Control:
 
     def _begin(self):
         """Law and thrusters from rest, where the robot is."""
-        self._y[0], self._y[1], self._y[2] = self.plane.depth_m, self.plane.roll_rad, self.plane.pitch_rad
+        plane = self.plane
+        self._y[:] = (plane.depth_100nm, plane.roll_100nrad, plane.pitch_100nrad)
         self.law.reset(self._y)
         for i in range(3):
-            self._realised[i] = 0.0
+            self._realised[i] = 0
         for j in range(8):
-            self._forces_n[j] = 0.0
+            self._forces_uN[j] = 0
 
     def disarm(self):
         """All pulses to neutral, now."""
@@ -252,3 +255,11 @@ class Control:
         self.saturated = 0
         for j in range(8):
             self.pulses_us[j] = self.neutral_us[j]
+
+
+def _along(weight_uN, tilt_100nrad):
+    """The force along an axis which leans so far that carries this weight: it over the cosine, by its series."""
+    x = min(abs(tilt_100nrad), _STEEPEST_100nrad) >> 8
+    square = x * x // 46566  # of the angle, in 1/32768
+    more = 6827 + (square * (2776 + (square * 1126 >> 15)) >> 15)
+    return weight_uN + ((weight_uN >> 10) * (square * (16384 + (square * more >> 15)) >> 15) >> 5)

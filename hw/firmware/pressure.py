@@ -3,89 +3,123 @@
 # Sensors and central thrusters share their numbering: 1 (+x,+y), 2 (-x,+y), 3 (-x,-y), 4 (+x,-y), with x forward,
 # y left, z up. Depth is positive down, a positive roll lifts the left side, a positive pitch lowers the nose:
 #   zeta_k = depth + x_k sin(pitch) - y_k sin(roll) cos(pitch)      (Aucamp, arXiv 2506.09876, the rows of Theta)
+#
+# Whole numbers: pressures in mPa, depths in 100 nm (1 mPa is 102 nm of fresh water), angles in 100 nrad.
+try:
+    import micropython
+except ImportError:
+    from hw.firmware import no_emitter as micropython
 import math
 
-LOWEST_PA, HIGHEST_PA = 30000.0, 120000.0  # what an MS5837-02BA can say, 300 to 1200 mbar (data sheet)
-ABOVE_WATER_M = 0.10  # higher than this above the surface is no place of a submerged robot (ArduPilot issue 9837)
-BAD_AFTER = 5  # faulty readings in a row (50 ms); below that the last good one stands in
-GOOD_AFTER = 100  # good readings in a row (1 s)
-SPIKE_M = 0.05  # a sensor that leaves the plane of the others by more within a cycle is doubted, for BAD_AFTER cycles
-STUCK_AFTER_US = 5000000  # the same reading for so long is a fault only while the others move (ArduPilot issue 30854)
-MOVING_US = 1000000
-PARITY_LIMIT_M = 0.020
-PARITY_FOR_US = 500000
+const = micropython.const
+
+_LOWEST_mPa = const(30000000)  # what an MS5837-02BA can say, 300 to 1200 mbar (data sheet)
+_HIGHEST_mPa = const(120000000)
+_ABOVE_WATER_100nm = const(
+    1000000
+)  # higher than this above the surface is no place of a submerged robot (ArduPilot issue 9837)
+_BAD_AFTER = const(5)  # faulty readings in a row (50 ms); below that the last good one stands in
+_GOOD_AFTER = const(100)  # good readings in a row (1 s)
+_SPIKE_100nm = const(
+    500000
+)  # a sensor that leaves the others' plane by more in a cycle is doubted, for _BAD_AFTER cycles
+_STUCK_AFTER_US = const(
+    5000000
+)  # the same reading for so long is a fault only while the others move (ArduPilot issue 30854)
+_MOVING_US = const(1000000)
+_PARITY_LIMIT_100nm = const(200000)
+_PARITY_FOR_US = const(500000)
+_STANDARD_AIR_mPa = const(101325000)
+_SERIES = const(4200000)  # up to 25 degrees asin and 1/cos are the first terms of their series
 
 
 class Plane:
     """The plane through the four sensors, followed from cycle to cycle."""
 
-    def __init__(self, pa_per_m, half_x_m, half_y_m):
-        self.pa_per_m = pa_per_m  # pressure of a metre of this water
+    def __init__(self, pa_per_m, half_x_mm, half_y_mm):
+        self.set_water(pa_per_m)
         self.tare_mPa = None  # absolute pressure of each sensor in air, before the dive
-        self.zeta_100nm = [0] * 4
+        self.zeta_100nm = [0] * 4  # depth of each sensor below its tare
         self.depth_100nm = self.roll_100nrad = self.pitch_100nrad = 0
-        self.zeta_m = [0.0] * 4  # depth of each sensor below its tare
-        self.depth_m = self.roll_rad = self.pitch_rad = 0.0
-        self.parity_m = 0.0  # zeta1 - zeta2 + zeta3 - zeta4, 0 for a plane; smoothed over 0.2 s
+        self.parity_100nm = 0  # zeta1 - zeta2 + zeta3 - zeta4, 0 for a plane; smoothed over 0.2 s
         self.bad = 0  # bit mask of sensors not believed
         self.bad_count = 0
         self.disagree = False  # one of them is wrong and nobody knows which
-        self._half_x_m = half_x_m
-        self._half_y_m = half_y_m
-        self._last_pa = [0.0] * 4
+        self._half_x_mm = half_x_mm
+        self._half_y_mm = half_y_mm
+        self._last_mPa = [0] * 4
         self._same_us = [0] * 4
-        self._faults = [BAD_AFTER] * 4  # a sensor is bad until it has spoken
-        self._goods = [GOOD_AFTER - 1] * 4
-        self._new_m = [0.0] * 4
+        self._faults = [_BAD_AFTER] * 4  # a sensor is bad until it has spoken
+        self._goods = [_GOOD_AFTER - 1] * 4
+        self._new_100nm = [0] * 4
         self._spikes = 0  # cycles in a row
         self._parity_us = 0
 
-    @property
-    def tare_pa(self):
-        return None if self.tare_mPa is None else [mPa / 1000 for mPa in self.tare_mPa]
+    def set_water(self, pa_per_m):
+        """Pressure of a metre of this water."""
+        self.pa_per_m = pa_per_m
+        self._over = int((1e4 / pa_per_m - 1.0) * 65536.0 + 0.5)  # 100 nm that a mPa is more than one, in 1/65536
 
-    @tare_pa.setter
-    def tare_pa(self, tare_pa):
-        self.tare_mPa = None if tare_pa is None else [int(round(1000.0 * pa)) for pa in tare_pa]
-
-    def step(self, raw_pa, answered, dt_us):
-        """Take absolute pressures in Pa; `answered` is the bit mask of sensors that were there."""
-        for k in range(4):
-            tare = 101325.0 if self.tare_mPa is None else self.tare_mPa[k] / 1000
-            self._new_m[k] = (raw_pa[k] - tare) / self.pa_per_m
+    def step(self, raw_mPa, answered, dt_us):
+        """Take absolute pressures; `answered` is the bit mask of sensors that were there."""
+        self._measure(raw_mPa)
         spike = self._spike()
-        for k in range(4):
-            self._follow(k, raw_pa[k], answered >> k & 1 and k != spike, dt_us)
         self.bad = self.bad_count = 0
         for k in range(4):
-            if self._faults[k] >= BAD_AFTER:
+            self._follow(k, raw_mPa[k], answered >> k & 1 and k != spike, dt_us)
+            if self._faults[k] >= _BAD_AFTER:
                 self.bad |= 1 << k
                 self.bad_count += 1
-        z = self.zeta_m
+        z = self.zeta_100nm
         if self.bad_count == 1:
             for k in range(4):
                 if self.bad >> k & 1:  # neighbours minus the opposite corner
                     z[k] = z[(k + 1) & 3] + z[(k + 3) & 3] - z[(k + 2) & 3]
-        self.parity_m += 0.05 * (z[0] - z[1] + z[2] - z[3] - self.parity_m)
-        self._parity_us = self._parity_us + dt_us if abs(self.parity_m) > PARITY_LIMIT_M else 0
-        self.disagree = self._parity_us >= PARITY_FOR_US
-        self.depth_m = 0.25 * (z[0] + z[1] + z[2] + z[3])
-        self.pitch_rad = -_asin(0.25 * (-z[0] + z[1] + z[2] - z[3]) / self._half_x_m)
-        self.roll_rad = -_asin(0.25 * (z[0] + z[1] - z[2] - z[3]) / (self._half_y_m * math.cos(self.pitch_rad)))
-        self.zeta_100nm = [int(round(zeta * 1e7)) for zeta in z]
-        self.depth_100nm = int(round(self.depth_m * 1e7))
-        self.roll_100nrad = int(round(self.roll_rad * 1e7))
-        self.pitch_100nrad = int(round(self.pitch_rad * 1e7))
+        self._tilt(dt_us)
+
+    @micropython.native
+    def _measure(self, raw_mPa):
+        """The depths that the sensors say."""
+        tare, new, over = self.tare_mPa, self._new_100nm, self._over
+        for k in range(4):
+            water_mPa = raw_mPa[k] - (tare[k] if tare else _STANDARD_AIR_mPa)
+            new[k] = water_mPa + ((water_mPa >> 6) * over >> 10)
+
+    @micropython.native
+    def _tilt(self, dt_us):
+        """How the plane through the four depths lies."""
+        z1, z2, z3, z4 = self.zeta_100nm
+        parity = self.parity_100nm
+        parity += (z1 - z2 + z3 - z4 - parity) // 20
+        self.parity_100nm = parity
+        if -_PARITY_LIMIT_100nm <= parity <= _PARITY_LIMIT_100nm:
+            self._parity_us = 0
+            self.disagree = False
+        else:
+            self._parity_us += dt_us
+            self.disagree = self._parity_us >= _PARITY_FOR_US
+        self.depth_100nm = (z1 + z2 + z3 + z4 + 2) >> 2
+        nose = (z1 - z2 - z3 + z4) * 250 // self._half_x_mm  # sin(pitch), in 1e-7
+        left = (z3 + z4 - z1 - z2) * 250 // self._half_y_mm  # sin(roll) cos(pitch)
+        if -_SERIES < nose < _SERIES:
+            s = nose >> 9
+            square = (s * s >> 13) * 45 >> 6  # of the sine, in 1/32768
+            more = 12288 + (square * (10240 + (square * 8960 >> 15)) >> 15)
+            left += (left >> 5) * (square * (16384 + (square * more >> 15)) >> 15) >> 10
+        else:
+            left = int(left / math.cos(_asin(nose) * 1e-7))
+        self.pitch_100nrad = _asin(nose)
+        self.roll_100nrad = _asin(left)
 
     def _spike(self):
         """The sensor that has leapt out of the plane just now, or -1. One that stays out is for parity to judge."""
-        z, new = self.zeta_m, self._new_m
+        z, new = self.zeta_100nm, self._new_100nm
         leap = new[0] - z[0] - new[1] + z[1] + new[2] - z[2] - new[3] + z[3]
-        if self.bad_count or not abs(leap) > SPIKE_M:
+        if self.bad_count or -_SPIKE_100nm <= leap <= _SPIKE_100nm:
             self._spikes = 0
             return -1
         self._spikes += 1
-        if self._spikes >= BAD_AFTER:
+        if self._spikes >= _BAD_AFTER:
             return -1
         worst = 0
         for k in range(1, 4):
@@ -93,30 +127,41 @@ class Plane:
                 worst = k
         return worst
 
-    def _follow(self, k, pa, answered, dt_us):
-        zeta = self._new_m[k]
-        if pa == self._last_pa[k]:
-            self._same_us[k] = min(self._same_us[k] + dt_us, STUCK_AFTER_US)
-        else:
-            self._same_us[k] = 0
-        self._last_pa[k] = pa
-        if answered and LOWEST_PA < pa < HIGHEST_PA and zeta > -ABOVE_WATER_M and not self._stuck(k):
-            self._goods[k] += 1
-            if self._faults[k] < BAD_AFTER or self._goods[k] >= GOOD_AFTER:
-                self._faults[k] = 0
-            self.zeta_m[k] = zeta
+    @micropython.native
+    def _follow(self, k, mPa, answered, dt_us):
+        zeta = self._new_100nm[k]
+        same_us = 0
+        if mPa == self._last_mPa[k]:
+            same_us = self._same_us[k] + dt_us
+            if same_us > _STUCK_AFTER_US:
+                same_us = _STUCK_AFTER_US
+        self._same_us[k] = same_us
+        self._last_mPa[k] = mPa
+        stuck = same_us == _STUCK_AFTER_US and self._is_stuck(k)
+        if answered and _LOWEST_mPa < mPa < _HIGHEST_mPa and zeta > -_ABOVE_WATER_100nm and not stuck:
+            if self._faults[k]:
+                self._goods[k] += 1
+                if self._faults[k] < _BAD_AFTER or self._goods[k] >= _GOOD_AFTER:
+                    self._faults[k] = 0
+            self.zeta_100nm[k] = zeta
         else:
             self._goods[k] = 0
-            self._faults[k] = min(self._faults[k] + 1, BAD_AFTER)
+            if self._faults[k] < _BAD_AFTER:
+                self._faults[k] += 1
 
-    def _stuck(self, k):
-        if self._same_us[k] < STUCK_AFTER_US:
-            return False
+    def _is_stuck(self, k):
         for other in range(4):
-            if other != k and self._same_us[other] > MOVING_US:
+            if other != k and self._same_us[other] > _MOVING_US:
                 return False
         return True
 
 
+@micropython.native
 def _asin(x):
-    return math.asin(max(-1.0, min(1.0, x)))
+    """asin of x in 1e-7, in 100 nrad."""
+    if -_SERIES < x < _SERIES:
+        s = x >> 9
+        square = (s * s >> 13) * 45 >> 6
+        more = 2458 + (square * (1463 + (square * (996 + (square * 733 >> 15)) >> 15)) >> 15)
+        return x + ((x >> 5) * (square * (5461 + (square * more >> 15)) >> 15) >> 10)
+    return int(math.asin(max(-1.0, min(1.0, x * 1e-7))) * 1e7)

@@ -1,100 +1,141 @@
 # Wrench -> forces of eight thrusters -> pulses. T1-T4 push upwards, T5-T8 lie flat at the corners, tangentially.
-import math
+# Whole numbers: forces in uN, moments in uNm, up to 60 N and 4 Nm without an object on the board.
+try:
+    import micropython
+except ImportError:
+    from hw.firmware import no_emitter as micropython
+const = micropython.const
 
-ARM_X_M, ARM_Y_M = 0.08, 0.06  # half-distances of the central thrusters, the paper's a and b
-KQ_M = 0.012  # reaction torque per thrust of a propeller; neighbours turn opposite ways
-FLAT_ARM_M = 0.17  # from the middle to T5-T8, which sit at 45, 135, 225 and 315 degrees
+_ARM_X_MM = const(80)  # half-distances of the central thrusters, the paper's a and b
+_ARM_Y_MM = const(60)
+_FLAT_ARM_MM = const(170)  # from the middle to T5-T8, which sit at 45, 135, 225 and 315 degrees
 
-REVERSE_SHARE = 0.8  # thrust backwards at full pulse; a propeller is weaker in reverse
-ATTITUDE_SHARE = 0.9  # of the weaker direction: level but shallow can be mended, tilted cannot
+_REVERSE_FIFTHS = const(4)  # of the thrust forward at full pulse: a propeller is weaker in reverse
+_ATTITUDE_TENTHS = const(9)  # of the weaker direction: level but shallow can be mended, tilted cannot
 
-NEUTRAL_US, LOWEST_US, HIGHEST_US = 1500, 1100, 1900  # Blue Robotics Basic ESC
+NEUTRAL_US = 1500  # Blue Robotics Basic ESC
+_LOWEST_US = const(1100)
+_HIGHEST_US = const(1900)
 
-# Signs of T1-T4 in roll, pitch and reaction. With the row of ones they are the paper's Theta made square: H H' = 4 I,
-# so the inverse is a quarter of the transpose.
+# Signs of T1-T4 in roll and pitch. With a row of ones and the row of their reaction torques, (1, -1, 1, -1), they are
+# the paper's Theta made square: H H' = 4 I, so the inverse is a quarter of the transpose. No reaction is asked for.
 ROLL = (1, 1, -1, -1)
 PITCH = (-1, 1, 1, -1)
-REACTION = (1, -1, 1, -1)
 
-# Share of the full thrust -> pulse from neutral in us, forward: ((d - 30)/370)^1.27, a fit to the manufacturer's
-# points for the T200 at 14 V. The dead band is crossed within 0.2 % of thrust instead of in a jump, which would turn
+# Share of the full thrust, in 1/65536 -> pulse from neutral in us, forward: ((d - 30)/370)^1.27, a fit to the
+# manufacturer's points for the T200 at 14 V. The dead band is crossed within 0.2 % of thrust instead of in a jump, which would turn
 # the noise of a pressure sensor into hammering. Reverse has the same shape.
-CURVE = (0.0, 0.002, 0.0245, 0.0788, 0.166, 0.291, 0.458, 0.670, 1.0)
+CURVE = (0, 131, 1606, 5164, 10879, 19071, 30015, 43909, 65536)
 CURVE_US = (0, 30, 50, 80, 120, 170, 230, 300, 400)
 
-# Thrust at a pulse goes with battery^1.1: between the T200's tables for 12 and 20 V, within 4 %.
-BATTERY_POWER = 1.1
-BATTERY_RANGE = (0.7, 1.3)  # of the voltage that the curve holds at; a probe that reads beyond it is not believed
+# Of the voltage that the curve holds at, in 1/16384: 0.7 to 1.3. A probe that reads beyond it is not believed.
+_LOWEST_BATTERY = const(11469)
+_HIGHEST_BATTERY = const(21299)
 
-_S = math.sqrt(0.5)
-FLAT_X = (-_S, -_S, _S, _S)  # share of T5-T8 along x: -sin of their angle
-FLAT_Y = (_S, -_S, -_S, _S)  # along y: cos of their angle
-
-
-def full_n(thrust_max_n, battery_ratio):
-    """Thrust at full pulse, when the battery has `battery_ratio` of the voltage that thrust_max_n was found at."""
-    lowest, highest = BATTERY_RANGE
-    return thrust_max_n * max(lowest, min(highest, battery_ratio)) ** BATTERY_POWER
+FLAT_X = (-1, -1, 1, 1)  # sign of T5-T8 along x, where each has sqrt(1/2): -sin of their angle
+FLAT_Y = (1, -1, -1, 1)  # along y: cos of their angle
 
 
-def central(want, reaction_nm, full, slew_n, forces, realised):
-    """Forces of T1-T4 (N) for the wrench [up N, roll Nm, pitch Nm] and a yaw reaction in Nm.
+def full_uN(thrust_max_mN, battery_ratio):
+    """Thrust at full pulse, uN, when the battery has `battery_ratio`/16384 of the voltage that thrust_max_mN is for.
 
-    Attitude goes first, depth gets the room that it leaves, reaction what is left then. full: thrust at full pulse, N;
-    slew_n: largest change from `forces` as it was. `realised` becomes the wrench of these forces, for the law.
-    Returns whether the limits of thrust cut anything.
+    It goes with battery^1.1, here by its series: between the T200's tables for 12 and 20 V, within 4 %.
     """
-    reverse = REVERSE_SHARE * full
-    roll = 0.25 * want[1] / ARM_Y_M
-    pitch = 0.25 * want[2] / ARM_X_M
-    worst = abs(roll) + abs(pitch)  # the largest force: some corner has both signs alike
-    share = 1.0
-    if worst > ATTITUDE_SHARE * reverse:
-        share = ATTITUDE_SHARE * reverse / worst
-        roll *= share
-        pitch *= share
-        worst *= share
-    up = 0.25 * want[0]
-    up_given = max(worst - reverse, min(full - worst, up))
-    turn = 0.25 * reaction_nm / KQ_M
-    room = abs(turn)
-    for j in range(4):
-        f = ROLL[j] * roll + PITCH[j] * pitch + up_given
-        room = min(room, full - f, reverse + f)
-    turn_given = max(0.0, room) * (1 if turn > 0 else -1)
-    realised[0] = realised[1] = realised[2] = 0.0
-    for j in range(4):
-        f = ROLL[j] * roll + PITCH[j] * pitch + up_given + REACTION[j] * turn_given
-        forces[j] = f = max(forces[j] - slew_n, min(forces[j] + slew_n, f))
-        realised[0] += f
-        realised[1] += ARM_Y_M * ROLL[j] * f
-        realised[2] += ARM_X_M * PITCH[j] * f
-    return share < 1.0 or up_given != up or abs(turn_given) < abs(turn)
+    x = min(max(battery_ratio, _LOWEST_BATTERY), _HIGHEST_BATTERY) - 16384
+    more = (x * 11 + (x >> 2) * x * 11 // 81920) // 10
+    return thrust_max_mN * 1000 + ((thrust_max_mN * more >> 7) * 125 >> 4)
 
 
-def flat(fx_n, fy_n, mz_nm, full, forces):
-    """Forces of T5-T8 (N) for a planar push and a yaw moment, all scaled down together at the limit `full`."""
-    turn = 0.25 * mz_nm / FLAT_ARM_M
-    share = 1.0
+@micropython.native
+def central(want, full, slew, forces, realised):
+    """Forces of T1-T4 for the wrench [up, roll, pitch]; True where the limits of thrust cut anything.
+
+    Attitude goes first, depth gets the room that it leaves. full: thrust at full pulse; slew: largest change from
+    `forces` as it was. `realised` becomes the wrench of these forces, for the law.
+    """
+    reverse = full * _REVERSE_FIFTHS // 5
+    roll = want[1] * 25 // _ARM_Y_MM * 10
+    pitch = want[2] * 25 // _ARM_X_MM * 10
+    worst = (roll if roll > 0 else -roll) + (pitch if pitch > 0 else -pitch)  # some corner has both signs alike
+    limit = reverse * _ATTITUDE_TENTHS // 10
+    cut = worst > limit
+    if cut:
+        share = (limit << 4) // (worst >> 10)  # in 1/16384
+        roll = (roll >> 14) * share + ((roll & 16383) * share >> 14)
+        pitch = (pitch >> 14) * share + ((pitch & 16383) * share >> 14)
+        worst = limit
+    up = want[0] + 2 >> 2
+    if up > full - worst:
+        up = full - worst
+        cut = True
+    elif up < worst - reverse:
+        up = worst - reverse
+        cut = True
+    lift = roll_uNm = pitch_uNm = 0
     for j in range(4):
-        forces[4 + j] = f = 0.5 * (FLAT_X[j] * fx_n + FLAT_Y[j] * fy_n) + turn
-        limit = full if f > 0.0 else REVERSE_SHARE * full
-        share = min(share, limit / max(abs(f), limit))
+        f = ROLL[j] * roll + PITCH[j] * pitch + up
+        before = forces[j]
+        if f > before + slew:
+            f = before + slew
+        elif f < before - slew:
+            f = before - slew
+        forces[j] = f
+        lift += f
+        roll_uNm += ROLL[j] * f
+        pitch_uNm += PITCH[j] * f
+    realised[0] = lift
+    realised[1] = roll_uNm // 25 * _ARM_Y_MM // 40
+    realised[2] = pitch_uNm // 25 * _ARM_X_MM // 40
+    return cut
+
+
+@micropython.native
+def flat(fx, fy, mz, full, forces):
+    """Forces of T5-T8 for a planar push and a yaw moment, all scaled down together at the limit `full`."""
+    turn = mz * 25 // _FLAT_ARM_MM * 10
+    share = 4096
+    for j in range(4):
+        # half of sqrt(1/2) is 5793/16384
+        forces[4 + j] = f = ((FLAT_X[j] * fx + FLAT_Y[j] * fy >> 9) * 5793 >> 5) + turn
+        limit = full
+        if f < 0:
+            f = -f
+            limit = full * _REVERSE_FIFTHS // 5
+        if f > limit:
+            fits = limit // (f >> 12)
+            if fits < share:
+                share = fits
+    if share == 4096:
+        return False
     for j in range(4, 8):
-        forces[j] *= share
-    return share < 1.0
+        forces[j] = (forces[j] >> 12) * share
+    return True
 
 
-def pulse_us(force_n, neutral_us, full):
-    """The pulse that gives this thrust on a thruster that rests at `neutral_us` and gives `full` at full pulse, N."""
-    if not force_n:
-        return neutral_us
-    f = force_n / full if force_n >= 0.0 else -force_n / (REVERSE_SHARE * full)
-    f = min(f, 1.0)
-    i = 1
-    while i < 8 and f > CURVE[i]:
-        i += 1
-    f0, us0 = CURVE[i - 1], CURVE_US[i - 1]
-    offset = us0 + (f - f0) * (CURVE_US[i] - us0) / (CURVE[i] - f0)
-    us = neutral_us + (offset if force_n >= 0.0 else -offset)
-    return int(max(LOWEST_US, min(HIGHEST_US, us)) + 0.5)
+@micropython.native
+def pulses(forces, neutral_us, full, pulses_us):
+    """The pulses that give these forces on thrusters that rest at `neutral_us` and give `full` at full pulse."""
+    down = 0
+    while full >> down > 131072:
+        down += 1
+    inverse = (1 << 29) // (full >> down)
+    for j in range(8):
+        f = forces[j]
+        us = neutral_us[j]
+        if f:
+            size = f if f > 0 else -f * 5 // _REVERSE_FIFTHS
+            share = 65536
+            if size < full:
+                share = (size >> down) * inverse >> 13
+            i = 1
+            while share > CURVE[i]:
+                i += 1
+            width = CURVE[i] - CURVE[i - 1]
+            rise_us = (share - CURVE[i - 1]) * (CURVE_US[i] - CURVE_US[i - 1])
+            offset_us = CURVE_US[i - 1] + (rise_us + (width >> 1)) // width
+            us = us + offset_us if f > 0 else us - offset_us
+            if us > _HIGHEST_US:
+                us = _HIGHEST_US
+            elif us < _LOWEST_US:
+                us = _LOWEST_US
+        pulses_us[j] = us

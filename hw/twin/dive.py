@@ -28,6 +28,7 @@ from hw.twin.faults import (
     SensorStuck,
     SensorWell,
     SerialUnplug,
+    SlowBoard,
     ThrusterDead,
     ThrusterGain,
 )
@@ -37,9 +38,11 @@ from hw.twin.physics.body import BODY, draw_body
 from hw.twin.physics.plant import Plant, set_body
 from hw.twin.physics.rotation import quaternion
 from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
-from hw.twin.physics.tank import STATE, STEP_S, STEPS_PER_TICK, TICK_NS, advance, push
+from hw.twin.physics.tank import STATE, STEP_S, TICK_NS, advance, push
 from hw.twin.physics.waves import add_waves
 from hw.twin.scene import Waves
+
+STEP_US, TICK_US = round(STEP_S * 1e6), TICK_NS // 1000
 
 
 class Dive:
@@ -87,6 +90,7 @@ class Dive:
         self._size_m, self._surface_m = np.array(fleet.tank.size_m), surface_m
         self._waves = waves or Waves()
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
+        self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, whose
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
         self._to_come = sorted(faults, key=lambda fault: fault.at_s, reverse=True)  # the next is the last
@@ -101,9 +105,10 @@ class Dive:
         return self._start_ns + self.ticks * TICK_NS
 
     def tick(self, patience_s: float) -> None:
-        """Take the answers to the last tick, move on by 10 ms with them, and send the next tick.
+        """Take the answers to the last tick, move on by 10 ms, and send the next tick.
 
-        The 10 ms that an answer acts in begin at the tick it answers, in lock-step as at the wall clock.
+        The 10 ms begin at the tick that was answered, in lock-step as at the wall clock; within them the pins change
+        when the board has come so far, and the thrusters with the next of its pulses.
         """
         for i, board in enumerate(self.boards):
             asked_s = machine.monotonic_s()
@@ -113,6 +118,7 @@ class Dive:
                 self._actuate(i, act)
             elif not board.driving:
                 self._pulses_us[i] = 0.0
+                self._to_show = [row for row in self._to_show if row[1] != i]
         while self._to_come and self._to_come[-1].at_s * 1e9 <= self.ticks * TICK_NS:
             apply(self._to_come.pop(), self)
         self.move()
@@ -128,18 +134,24 @@ class Dive:
 
     def move(self) -> None:
         """Physics and sensors alone."""
-        advance(
-            self.bodies,
-            self.states,
-            self._pulses_us,
-            self._nominal_deg,
-            self._size_m,
-            self._surface_m,
-            STEP_S,
-            STEPS_PER_TICK,
-        )
+        now_us = self.ticks * TICK_US
+        until_us = now_us + TICK_US
+        for row in sorted((row for row in self._to_show if row[0] < until_us), key=lambda row: row[:2]):
+            now_us = self._advance(now_us, row[0])
+            self._show(row[1], row[2])
+            self._to_show.remove(row)
+        self._advance(now_us, until_us)
         self.ticks += 1
         self._measure()
+
+    def _advance(self, now_us: int, until_us: int) -> int:
+        """Let the water move, the last step shorter than the others if need be; returns what time it is then."""
+        whole, rest_us = divmod(max(until_us - now_us, 0), STEP_US)
+        for dt_s, steps in ((STEP_S, whole), (rest_us * 1e-6, 1 if rest_us else 0)):
+            if steps:
+                wet = (self.bodies, self.states, self._pulses_us, self._nominal_deg, self._size_m, self._surface_m)
+                advance(*wet, dt_s, steps)
+        return max(now_us, until_us)
 
     def _measure(self) -> None:
         t_s = self.ticks * TICK_NS * 1e-9
@@ -154,13 +166,16 @@ class Dive:
         self._drawn_a, self._supply_v = drawn_a.tolist(), supply.tolist()
 
     def _actuate(self, i: int, act: Act) -> None:
+        self._to_show.append((act.since_us, i, act))
+        if act.armed:
+            self.states[i]["held"] = 0  # the crew lets go, once
+
+    def _show(self, i: int, act: Act) -> None:
         self._pulses_us[i] = act.pulses_us
         for k, servo_us in enumerate(act.servos_us):
             if servo_us:  # a servo without pulses stays where it is
                 centred_us = servo_us - self._mounting.servo_centre_us
                 self._nominal_deg[i, k] = centred_us / self._mounting.servo_us_per_deg
-        if act.armed:
-            self.states[i]["held"] = 0  # the crew lets go, once
 
     # --- faults, from now on --------------------------------------------------------------------------------------
 
@@ -208,6 +223,10 @@ class Dive:
         """Stop its process, until the watchdog resets it."""
         self.boards[self._index(robot)].hang()
 
+    def slow_board(self, robot: str, by: float) -> None:
+        """Let the control module take so many times as long for everything."""
+        self.boards[self._index(robot)].slow_down(by)
+
     def _index(self, robot: str) -> int:
         return self.robots.index(robot)
 
@@ -240,5 +259,7 @@ def apply(fault: AnyFault, dive: Dive) -> None:
             dive.cut_power(robot, fault.for_s)
         case FirmwareHang():
             dive.hang_firmware(robot)
+        case SlowBoard():
+            dive.slow_board(robot, fault.by)
         case _:
             assert_never(fault)

@@ -88,6 +88,12 @@ class FirmwareHang(Fault, frozen=True, kw_only=True, tag="firmware_hang"):
     """The firmware's process stops, until the watchdog resets it."""
 
 
+class SlowBoard(Fault, frozen=True, kw_only=True, tag="slow_board"):
+    """Every cycle takes so many times as long as the twin's table of cycle times says."""
+
+    by: Annotated[float, Meta(ge=0, le=100)]
+
+
 AnyFault = (
     Push
     | SensorDead
@@ -101,5 +107,6 @@ AnyFault = (
     | SerialUnplug
     | PowerCut
     | FirmwareHang
+    | SlowBoard
 )
 KINDS = tuple(str(fault.__struct_config__.tag) for fault in get_args(AnyFault))

@@ -114,11 +114,19 @@ def _leaf(value: Any) -> Any:
     return {"absent": True} if value is ABSENT else value
 
 
+def written(value: Any) -> str:
+    """repr, or in a recording that something has damaged: that it nests deeper than Python writes."""
+    try:
+        return repr(value)
+    except RecursionError:
+        return f"a {type(value).__name__} in itself, beyond what can be shown"
+
+
 def exact(value: Any) -> str:
     """repr, and for a float all of its bits."""
     if isinstance(value, float):
         return f"{value!r} ({value.hex()})"
-    text = repr(value)
+    text = written(value)
     return text if len(text) <= 200 else f"{text[:200]}…"
 
 

@@ -18,7 +18,7 @@ from agent.kernel.core import Agent
 from agent.kernel.messages import SCHEMA, Estimate
 from agent.kernel.step_io import Inputs
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
-from replay.check.compare import Difference, Ignored, differences
+from replay.check.compare import Difference, Ignored, differences, written
 from replay.check.older import must_differ, note
 from replay.files.environment import environment
 
@@ -55,8 +55,8 @@ class Divergence(NamedTuple):
             "step": self.step,
             "now_ns": self.now_ns,
             "field": field,
-            "recorded": repr(recorded),
-            "replayed": repr(replayed),
+            "recorded": written(recorded),
+            "replayed": written(replayed),
             "text": str(self.difference),
             "inputs": list(self.inputs),
         }

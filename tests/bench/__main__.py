@@ -1,7 +1,8 @@
 """`make bench`: run every bench beside this file, or those that are named, print the table and write bench.json.
 
 `python -m tests.bench recording replay` runs bench_recording.py and bench_replay.py; of all other benches bench.json
-keeps the rows it has.
+keeps the rows it has. `python -m tests.bench board` prints what the firmware costs on the chip, function by function;
+--help says what else it can.
 
 A bench is a file bench_*.py with `run() -> {name: {"value", "unit", "against", "ratio"}}`: medians, and a ratio against
 a stated alternative of the same run, because machines are noisy.
@@ -16,12 +17,16 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from tests.bench.board import commands as board
+
 HERE = Path(__file__).parent
 OUT = Path("bench.json")
 WIDE = 200  # columns of a table that goes into a file: no cell is cut or folded
 
 
 def main(names: Sequence[str]) -> int:
+    if names[:1] == ["board"]:
+        return board.main(names[1:])
     known = {path.stem.removeprefix("bench_"): path.stem for path in sorted(HERE.glob("bench_*.py"))}
     if strangers := [name for name in names if name not in known]:
         sys.stderr.write(f"no such bench: {', '.join(strangers)}; choose {', '.join(known)}\n")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import resource
-import shutil
 import socket
 import statistics
 import struct
@@ -18,14 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from hw.firmware import bus, wire
-from tests.places import ROOT
+from tests.bench.board.proxy import HEAP, cycle_cost
+from tests.bench.board.tools import which
 
 CYCLES = 3000
 CYCLE_US = 10_000
+ARMED = 14  # its place in the answer on the bus
 SHARE = 0.04  # of a core, at most: three of these run beside vision
-COST = ROOT / "tests" / "hw" / "firmware" / "cycle_cost.py"
-COST_CYCLES, COST_RUNS = 2000, 3
-BOARD_HEAP = 108_600  # bytes free on an STM32F407 after boot; an object there is half as large as on this machine
+COST_RUNS = 3
+FIRMWARE = Path(wire.__file__).parent
+BOARD_HEAP = 108_600  # bytes free on an STM32F407 before the firmware is imported
 PRESSURE_PA = (104262.0,) * 4  # 0.3 m of water over a tare of 101325 Pa
 
 
@@ -43,29 +44,24 @@ def run() -> dict[str, dict[str, Any]]:
 
 def _costs() -> dict[str, dict[str, Any]]:
     """Time and memory of a cycle in one process, without pipes, for each law under MicroPython."""
-    micropython = shutil.which("micropython", path=str(Path(sys.executable).parent)) or shutil.which("micropython")
+    micropython = which("micropython")
     rows: dict[str, dict[str, Any]] = {}
     for law in ("observer", "pid", "pi") if micropython else ():
+        unix, cpython = [micropython, "-X", HEAP], [sys.executable]
         us, cpython_us = (
-            statistics.median(_cost(program, law, "us") for _ in range(COST_RUNS))
-            for program in ([micropython, "-X", "heapsize=4M"], [sys.executable])
+            statistics.median(cycle_cost(program, FIRMWARE, law, "us") for _ in range(COST_RUNS))
+            for program in (unix, cpython)
         )
-        taken = _cost([micropython, "-X", "heapsize=4M"], law, "bytes")
-        against = f"the same under CPython, {cpython_us:.0f} us"
+        taken = cycle_cost(unix, FIRMWARE, law, "bytes")
+        against = f"a proxy for the board; under CPython {cpython_us:.0f} us"
         rows[f"firmware_step_us_{law}"] = {"value": us, "unit": "us", "against": against, "ratio": us / cpython_us}
-        against = "free heap of the board, where objects are half as large; collected every cycle"
         rows[f"firmware_step_bytes_{law}"] = {
             "value": taken,
             "unit": "bytes",
-            "against": against,
+            "against": "a proxy: free heap of the board, where objects are half as large",
             "ratio": 0.5 * taken / BOARD_HEAP,
         }
     return rows
-
-
-def _cost(program: list[str], law: str, what: str) -> float:
-    command = [*program, str(COST), str(Path(wire.__file__).parent), law, str(COST_CYCLES), what]
-    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 def _cycle_us(flash: Path, cycles: int) -> float:
@@ -92,13 +88,13 @@ def _cpu_s(flash: Path, cycles: int) -> float:
         for cycle in range(1, cycles + 400):
             if cycle % 5 == 0:
                 host.talk(cycle)
-            ours.sendall(struct.pack(bus.TICK, cycle * CYCLE_US, *PRESSURE_PA, 15000, 100, 0, 15))
+            ours.sendall(bus.tick(cycle * CYCLE_US, PRESSURE_PA, 15000, 100, 0, 15))
             pins = struct.unpack(bus.ACT, ours.recv(bus.ACT_SIZE, socket.MSG_WAITALL))
     process.wait()
     os.close(master)
     listener.join()
     os.close(slave)
-    if not pins[-1]:
+    if not pins[ARMED]:
         raise RuntimeError("the firmware never armed: this measures the wrong thing")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -28,8 +28,8 @@ def put_on_desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
     """put_on_desk(interpreter, flash) starts a control module; it is switched off after the test."""
     desks: list[Desk] = []
 
-    def put(interpreter: str, flash: dict[str, Any] | None = None) -> Desk:
-        desks.append(Desk(interpreter, tmp_path, {"tare_pa": [AIR_PA] * 4} if flash is None else flash))
+    def put(interpreter: str, flash: dict[str, Any] | None = None, times: str = "") -> Desk:
+        desks.append(Desk(interpreter, tmp_path, {"tare_pa": [AIR_PA] * 4} if flash is None else flash, times))
         return desks[-1]
 
     yield put

@@ -25,7 +25,9 @@ MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent))
 class Desk:
     """Lock-step: nothing moves but through `tick`, and board time is what `tick` says."""
 
-    def __init__(self, interpreter: str, directory: Path, flash: dict[str, Any]) -> None:
+    def __init__(self, interpreter: str, directory: Path, flash: dict[str, Any], times: str = "") -> None:
+        """times: what a cycle takes, as hw.firmware.bus.TIMES; without it nothing does."""
+        self.times = times
         self.flash_path = directory / "flash.json"
         self.flash_path.write_text(json.dumps(flash))
         self.interpreter = interpreter
@@ -38,6 +40,7 @@ class Desk:
         self.answered = 15
         self.battery_mv = 15000
         self.leak = 0
+        self.frame_us = self.pins_us = self.busy_us = 0  # in the last answer, as hw.firmware.bus.ACT
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
         self.framer = wire.Framer(lambda kind, _seq, payload: self.frames.append((kind, wire.unpack(kind, payload))))
         self.writer = wire.Writer()
@@ -52,6 +55,7 @@ class Desk:
             [self.interpreter, str(FIRMWARE / "main.py"), str(self.master), str(theirs.fileno()), str(self.flash_path)],
             pass_fds=[self.master, theirs.fileno()],
             stderr=subprocess.PIPE,
+            env={**os.environ, bus.TIMES: self.times},
         )
         theirs.close()
 
@@ -67,18 +71,16 @@ class Desk:
         """n control cycles; the pins after the last: clock, 8 pulses, 4 servos, lamp, armed."""
         for _ in range(n):
             self.now_us += 10_000
-            self.bus.sendall(
-                struct.pack(bus.TICK, self.now_us, *self.pressure_pa, self.battery_mv, 100, self.leak, self.answered)
-            )
+            self.bus.sendall(bus.tick(self.now_us, self.pressure_pa, self.battery_mv, 100, self.leak, self.answered))
             answer = b""
             while len(answer) < bus.ACT_SIZE:
                 chunk = self.bus.recv(bus.ACT_SIZE - len(answer))
                 assert chunk, "the firmware has gone"
                 answer += chunk
-            act = struct.unpack(bus.ACT, answer)
+            *act, self.frame_us, self.pins_us, self.busy_us = struct.unpack(bus.ACT, answer)
             assert act[0] == self.now_us
             self.listen()
-        return act
+        return tuple(act)
 
     def listen(self) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import json
 import shutil
-import struct
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from agent.clock import machine
-from hw.firmware.bus import TICK
+from hw.firmware import bus
 from hw.firmware.wire import BY_WATCHDOG, POWER_ON
 from hw.twin.devices.boot import Act, Boot, boot
+from hw.twin.devices.cycle_times import CycleTimes, read_table
 from hw.twin.physics.cable import Cable
 
 FIRMWARE = Path(__file__).parents[2] / "firmware" / "main.py"
@@ -40,7 +40,8 @@ RESTART_US = 1_000_000  # a firmware that ends at once is started once a second
 class Board:
     """A control module between its cable and its bus. Nothing happens before start(); time is the clock of `tick`.
 
-    `settings` go to the flash beside the tare, for example {"law": "pid"}.
+    `settings` go to the flash beside the tare, for example {"law": "pid"}. `times`: what a cycle takes on this board;
+    without it what it is estimated to take.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class Board:
         firmware: Path = FIRMWARE,
         interpreter: str = sys.executable,
         settings: Mapping[str, Any] | None = None,
+        times: CycleTimes | None = None,
     ) -> None:
         self.robot = robot
         self.port = folder / f"{robot}.serial"
@@ -58,7 +60,10 @@ class Board:
         self._log = folder / f"{robot}.firmware.log"
         self._burnt = {"tare_pa": [float(p) for p in tare_pa], **(settings or {})}
         self._command = [interpreter, str(firmware)]
+        self._times = read_table().times if times is None else times
+        self._percent = 100
         self._cable = Cable(self.port)
+        self._said: list[tuple[int, bytes]] = []  # on the UART, and when the cycle is over that said it
         self._boot: Boot | None = None
         self._clock_us = 0
         self._booted_us = 0
@@ -108,18 +113,22 @@ class Board:
             return
         running.write_uart(self._cable.receive())
         since_boot_us = clock_us - self._booted_us
-        running.tick(
-            since_boot_us,
-            struct.pack(TICK, since_boot_us, *pressure_pa, battery_mv, current_10ma, leak, answered),
-        )
+        begins_us = running.begins_us(since_boot_us)
+        if begins_us is not None:
+            sensors = (pressure_pa, battery_mv, current_10ma, leak, answered)
+            record = bus.tick(begins_us, *sensors, waited_us=begins_us - since_boot_us, percent=self._percent)
+            running.tick(begins_us, record)
 
     def act(self, patience_s: float) -> Act | None:
         """The newest answer since the last call, waiting up to patience_s for the one to the last tick."""
         if self._boot is None:
             return None
         act = self._boot.act(patience_s)
-        self._cable.send(self._boot.read_uart())
-        return act
+        if said := self._boot.read_uart():
+            self._said.append((self._booted_us + self._boot.over_us, said))
+        while self._said and self._said[0][0] <= self._clock_us + bus.TICK_US:
+            self._cable.send(self._said.pop(0)[1])
+        return act and act._replace(since_us=self._booted_us + act.since_us)
 
     def unread(self) -> int:
         """Bytes on the cable that the agent has not taken."""
@@ -142,6 +151,10 @@ class Board:
         """The firmware stops where it is; the watchdog will notice."""
         if self.alive and self._boot is not None:
             self._boot.stop()
+
+    def slow_down(self, by: float) -> None:
+        """From now on everything takes so many times as long as it should."""
+        self._percent = round(100 * by)
 
     def close(self) -> None:
         """End the firmware and remove the port."""
@@ -180,7 +193,8 @@ class Board:
             self._boot.close()
             self._boot = None
         self._booted_us = self._clock_us
-        self._boot = boot(self._command, self._flash, self._log, cause)
+        self._said.clear()
+        self._boot = boot(self._command, self._flash, self._log, cause, self._times)
 
     def _tell(self, text: str) -> None:
         """Tell whoever watches the twin; of a firmware that ends every second for the same reason, once."""

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agent.clock import machine
-from hw.firmware.bus import ACT, ACT_SIZE
+from hw.firmware.bus import ACT, ACT_SIZE, TICK_US, TIMES
+from hw.twin.devices.cycle_times import CycleTimes
 
 RESET_CAUSE = "AUCAMP_RESET_CAUSE"  # the environment variable that stands for the chip's register; hal_unix reads it
 
@@ -23,9 +24,9 @@ CHUNK = 65536
 
 
 class Act(NamedTuple):
-    """What the pins of the board do since `clock_us`."""
+    """What the pins of the board do after a cycle, and since when."""
 
-    clock_us: int
+    since_us: int  # the thrusters' first pulse frame after they were written
     pulses_us: tuple[int, ...]  # (8,) T1-T8
     servos_us: tuple[int, ...]  # (4,) camera pan, camera tilt, lamp pan, lamp tilt
     lamp_permille: int
@@ -43,11 +44,20 @@ class Boot:
         self.asked_us = -1  # clock of the last tick sent, of the last one answered
         self.answered_us = -1
         self.answered_s = machine.monotonic_s()
+        self.over_us = 0  # clock at the end of the last cycle that it has answered, on the board that it stands for
         self._process, self._bus, self._uart = process, bus, uart
         self._rest = b""
 
+    def begins_us(self, tick_us: int) -> int | None:
+        """When the board begins a cycle that has this tick to begin with: then, or once the one before is over.
+
+        None: there will be another tick before that, and this one is lost.
+        """
+        begins_us = max(tick_us, self.over_us)
+        return begins_us if begins_us < tick_us + TICK_US else None
+
     def tick(self, clock_us: int, record: bytes) -> None:
-        """Send a record of the bus."""
+        """Send a record of the bus; clock_us is when the cycle begins."""
         if self.ended:
             return
         try:
@@ -88,8 +98,10 @@ class Boot:
         self.late = self.answered_us < self.asked_us
         if newest is None:
             return None
-        clock_us, *pins, lamp, armed = struct.unpack(ACT, newest)
-        return Act(clock_us, tuple(pins[:8]), tuple(pins[8:]), lamp, bool(armed))
+        clock_us, *pins, lamp, armed, frame_us, pins_us, busy_us = struct.unpack(ACT, newest)
+        self.over_us = clock_us + busy_us
+        since_us = -(-(clock_us + pins_us) // frame_us) * frame_us
+        return Act(since_us, tuple(pins[:8]), tuple(pins[8:]), lamp, bool(armed))
 
     def write_uart(self, data: bytes) -> None:
         """Bytes arrive at the UART; what does not fit is lost."""
@@ -127,10 +139,10 @@ class Boot:
         self._uart.close()
 
 
-def boot(command: Sequence[str], flash: Path, log: Path, cause: int) -> Boot:
+def boot(command: Sequence[str], flash: Path, log: Path, cause: int, times: CycleTimes) -> Boot:
     """Start `command` UART_FD BUS_FD FLASH; what it prints is added to `log`. Raises OSError if it cannot be run.
 
-    `cause` is one of wire.POWER_ON and wire.BY_WATCHDOG.
+    `cause` is one of wire.POWER_ON and wire.BY_WATCHDOG; `times` is what its cycles take.
     """
     with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
         pairs = [socket.socketpair() for _ in range(2)]
@@ -147,7 +159,7 @@ def boot(command: Sequence[str], flash: Path, log: Path, cause: int) -> Boot:
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=out,
-            env={**os.environ, RESET_CAUSE: str(cause)},
+            env={**os.environ, RESET_CAUSE: str(cause), TIMES: times.record()},
             process_group=0,  # Ctrl-C is for the twin, which then ends the bus
         )
         ours.pop_all()

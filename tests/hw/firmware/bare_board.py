@@ -21,6 +21,8 @@ def firmware_main() -> ModuleType:
     """The firmware's main module. On a board its files are no package, so its folder is looked through first."""
     sys.path.insert(0, str(FIRMWARE))
     try:
+        for late in ("law_pid", "law_pi"):  # which it imports where they are chosen
+            importlib.import_module(late)
         return importlib.import_module("main")
     finally:
         sys.path.remove(str(FIRMWARE))
@@ -30,7 +32,8 @@ class BareHal:
     """Sensors that say what is written here, pins and a tether that can be read."""
 
     capabilities, late = 0, 0
-    current_10ma = 100
+    current_10ma, temperature_cC = 100, 2000
+    took_us = 0  # what the hardware says of each cycle
 
     def __init__(self, flash: dict[str, Any] | None = None) -> None:
         self.pressure_pa = [AIR_PA + 0.3 * PA_PER_M] * 4
@@ -38,15 +41,22 @@ class BareHal:
         self.pulses_us = [1500] * 8
         self.servos_us, self.light_permille, self.armed = [1500] * 4, 0, 0
         self.flash = {"tare_pa": [AIR_PA] * 4} if flash is None else flash
-        self.us, self.temperature_cC = 0, 2000
+        self.us, self.dt_us = 0, CYCLE_US
         self.to_board = b""
         self.from_board = bytearray()
 
     def boot_info(self) -> tuple[bytes, int, int]:
         return bytes(12), BOOT_ID, wire.POWER_ON
 
+    @property
+    def pressure_mPa(self) -> list[int]:
+        return [round(1000 * pa) for pa in self.pressure_pa]
+
     def begin_pulses(self, frame_us: int) -> None:
         self.frame_us = frame_us
+
+    def cycle_us(self) -> int:
+        return self.took_us
 
     def now_us(self) -> int:
         return self.us & 0xFFFFFFFF
@@ -65,8 +75,8 @@ class BareHal:
     def end_cycle(self) -> None:
         pass
 
-    def collect(self) -> int:
-        return 0
+    def collect(self) -> None:
+        pass
 
     def heap_free(self) -> int:
         return 0
@@ -87,6 +97,7 @@ class BareBoard:
     def __init__(self, hal: BareHal | None = None) -> None:
         self.hal = hal or BareHal()
         self.boot_id = BOOT_ID
+        self.ticked_us = self.hal.us
         self.reboot()
         self.writer = wire.Writer()
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
@@ -111,7 +122,10 @@ class BareBoard:
 
     def tick(self, cycles: int = 1) -> None:
         for _ in range(cycles):
+            before_us = self.ticked_us
             self.hal.us += CYCLE_US
+            self.ticked_us = self.hal.us
+            self.hal.dt_us = (self.hal.us - before_us) & 0xFFFFFFFF
             self.firmware.step()
             chunk = bytes(self.hal.from_board)
             self.hal.from_board.clear()

@@ -16,6 +16,7 @@ from agent.kernel.config import Fleet, Pose, Robot, Target, Twin
 from agent.kernel.step_io import SetPoint, Telemetry
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
+from hw.twin.devices.cycle_times import CycleTimes
 from hw.twin.dive import Dive
 from hw.twin.faults import AnyFault
 from hw.twin.pace import run_in_lock_step
@@ -37,15 +38,17 @@ FLEET = Fleet(
     twin=Twin(seed=5),
 )
 HOVER = SetPoint(depth_m=0.35, servos_us=(1400, 1600, 1500, 1500), light=0.5)
+# What the robot does by itself, hw/README.md, "When things go wrong".
+ASCENT_M_S, SURFACED_M, TILTED_DEG = 0.07, 0.10, 45.0
 REST_N = 0.01  # a thruster that stops fades with its lag: a second leaves less than this of 10 N
 
 
 class DivingRobot:
     """`run` is the only thing that lets time pass. The host sends set-points at 20 Hz while `talks`."""
 
-    def __init__(self, folder: Path, faults: Sequence[AnyFault]) -> None:
+    def __init__(self, folder: Path, faults: Sequence[AnyFault], times: CycleTimes | None) -> None:
         self.dive = Dive(FLEET, ["r1"], 0, faults=faults)
-        self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter())
+        self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter(), times=times)
         self.dive.boards = [self.board]
         self.protocol = HostProtocol(7)
         self.talks = True
@@ -136,9 +139,11 @@ class DivingRobot:
 
 
 @contextlib.contextmanager
-def diving_robot(folder: Path, faults: Sequence[AnyFault] = ()) -> Iterator[DivingRobot]:
+def diving_robot(
+    folder: Path, faults: Sequence[AnyFault] = (), times: CycleTimes | None = None
+) -> Iterator[DivingRobot]:
     """A robot held by the crew at 0.35 m, its firmware running, until the end of the block."""
-    robot = DivingRobot(folder, faults)
+    robot = DivingRobot(folder, faults, times)
     try:
         robot.board.start()
         yield robot

@@ -56,6 +56,10 @@ class Plant:
         late, self._pa = self._pa, self._sample()
         return [float(p) for p in late]
 
+    def pressure_mPa(self) -> list[int]:
+        """The same as the firmware has it."""
+        return [round(1000 * p) for p in self.pressure_pa()]
+
     def _sample(self) -> np.ndarray:
         depth, roll, pitch = self.position
         x = SENSOR_M * np.array([1, -1, -1, 1])

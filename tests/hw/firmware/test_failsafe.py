@@ -13,12 +13,20 @@ from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
 
 MS = 1000
 CYCLE_US = 10 * MS
-AIR = [101000.0, 101200.0, 101300.0, 101100.0]
+AIR = [101_000_000, 101_200_000, 101_300_000, 101_100_000]
 
 
 def plane(**state: Any) -> Any:
-    fine = {"depth_m": 0.4, "roll_rad": 0.0, "pitch_rad": 0.0, "bad_count": 0, "disagree": False, "parity_m": 0.0}
-    return SimpleNamespace(**{**fine, "tare_pa": AIR, **state})
+    fine = {"depth_m": 0.4, "roll_deg": 0.0, "pitch_deg": 0.0, "bad_count": 0, "disagree": False, "parity_m": 0.0}
+    now = {**fine, "tare_mPa": AIR, **state}
+    for name, unit, scale in (
+        ("depth_m", "depth_100nm", 1e7),
+        ("parity_m", "parity_100nm", 1e7),
+        ("roll_deg", "roll_100nrad", math.radians(1e7)),
+        ("pitch_deg", "pitch_100nrad", math.radians(1e7)),
+    ):
+        now[unit] = round(now.pop(name) * scale)
+    return SimpleNamespace(**now)
 
 
 def climb(seconds: float, age_s: float = 0.0, leak: bool = False, low: bool = False, ladder: Any = None, **state: Any):
@@ -48,10 +56,10 @@ def climb(seconds: float, age_s: float = 0.0, leak: bool = False, low: bool = Fa
         ({"seconds": 1.9, "low": True}, OK, "none"),
         ({"seconds": 2.1, "low": True}, SURFACE, "battery low"),
         ({"seconds": 0.01, "disagree": True}, SURFACE, "sensors disagree"),
-        ({"seconds": 1.9, "roll_rad": math.radians(50)}, OK, "none"),
-        ({"seconds": 2.1, "roll_rad": math.radians(50)}, DISARM, "tilted"),
-        ({"seconds": 2.1, "pitch_rad": math.radians(-50)}, DISARM, "tilted"),
-        ({"seconds": 9.0, "pitch_rad": math.radians(40)}, OK, "none"),
+        ({"seconds": 1.9, "roll_deg": 50}, OK, "none"),
+        ({"seconds": 2.1, "roll_deg": 50}, DISARM, "tilted"),
+        ({"seconds": 2.1, "pitch_deg": -50}, DISARM, "tilted"),
+        ({"seconds": 9.0, "pitch_deg": 40}, OK, "none"),
         ({"seconds": 9.0, "bad_count": 1}, OK, "none"),
         ({"seconds": 0.01, "bad_count": 2}, DISARM, "two sensors bad"),
     ],
@@ -103,8 +111,8 @@ STOPPED.latch(failsafe.STOP)
         ({"hello": False}, "no handshake"),
         ({"plane": plane(bad_count=1)}, "sensors not all good"),
         ({"plane": plane(parity_m=-0.006)}, "sensors disagree"),
-        ({"plane": plane(tare_pa=None)}, "no tare in air"),
-        ({"plane": plane(roll_rad=0.36)}, "tilted"),
+        ({"plane": plane(tare_mPa=None)}, "no tare in air"),
+        ({"plane": plane(roll_deg=20.6)}, "tilted"),
         ({"battery_low": True}, "battery low"),
         ({"leak": True}, "leak"),
         ({"neutral": False}, "set-point not neutral"),
@@ -121,7 +129,7 @@ def test_each_arming_check_alone(change, check):
 
 
 def test_arming_checks_are_reported_together():
-    bad = plane(bad_count=1, parity_m=1.0, tare_pa=None, roll_rad=1.0)
+    bad = plane(bad_count=1, parity_m=1.0, tare_mPa=None, roll_deg=57.0)
     assert (
         failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999, True)
         == 2 ** len(wire.ARM_CHECKS) - 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import subprocess
@@ -16,7 +15,7 @@ import pytest
 
 from hw.firmware import failsafe, wire
 from hw.twin.pace import LOCK_STEP_S
-from tests.hw.firmware.diving_robot import HOST, HOVER, REST_N, diving_robot
+from tests.hw.firmware.diving_robot import ASCENT_M_S, HOST, HOVER, REST_N, SURFACED_M, TILTED_DEG, diving_robot
 
 
 @pytest.fixture
@@ -51,10 +50,10 @@ def test_host_silent_the_robot_holds_then_rises_then_stops_its_motors(hovering):
     silent_s += 1.0 + robot.until(lambda: robot.ladder == failsafe.SURFACE, 3.0)
     assert silent_s == pytest.approx(3.0, abs=0.1)
     robot.run(2.0)
-    assert HOVER.depth_m - robot.depth_m == pytest.approx(2.0 * failsafe.ASCENT_M_S, abs=0.05)
+    assert HOVER.depth_m - robot.depth_m == pytest.approx(2.0 * ASCENT_M_S, abs=0.05)
     assert robot.tilt_deg < 1.0
     robot.until(lambda: not robot.armed, 8.0)
-    assert robot.depth_m < failsafe.SURFACED_M
+    assert robot.depth_m < SURFACED_M
     robot.run(1.0)
     assert robot.heard("surfaced") and at_rest(robot)
     robot.talks = True
@@ -130,7 +129,7 @@ def test_a_leak_brings_it_up_whatever_the_host_asks_for(hovering):
     robot.run(2.0)
     assert robot.heard("leak") and HOVER.depth_m - robot.depth_m > 0.08
     robot.until(lambda: not robot.armed, 8.0)
-    assert robot.depth_m < failsafe.SURFACED_M
+    assert robot.depth_m < SURFACED_M
     robot.run(1.0)
     assert at_rest(robot)
 
@@ -151,9 +150,9 @@ def test_an_empty_battery_brings_it_up_a_sag_does_not(hovering):
 def test_on_its_side_it_stops_its_motors(hovering):
     robot = hovering
     robot.dive.push("r1", (0.0, 0.0, -60.0), (0.0, 0.13, 0.0), 6.0)  # more than the thrusters can right
-    robot.until(lambda: robot.tilt_deg > math.degrees(failsafe.TILT_RAD), 2.0)
+    robot.until(lambda: robot.tilt_deg > TILTED_DEG, 2.0)
     tilted_s = robot.until(lambda: not robot.armed, 4.0)
-    assert tilted_s > failsafe.TILT_FOR_US * 1e-6 - 0.1
+    assert tilted_s > 2.0 - 0.1
     robot.run(1.0)
     assert robot.heard("tilted") and at_rest(robot)
 
@@ -207,7 +206,7 @@ def test_an_agent_that_is_killed_leaves_a_robot_that_comes_up(robot):
         while not at_rest(robot) and len(depths_m) < 1000:
             robot.dive.tick(LOCK_STEP_S)
             depths_m.append(robot.depth_m)
-        assert at_rest(robot) and min(depths_m) < failsafe.SURFACED_M
+        assert at_rest(robot) and min(depths_m) < SURFACED_M
     finally:
         host.kill()
         host.wait()

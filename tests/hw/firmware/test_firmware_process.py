@@ -169,9 +169,9 @@ def test_a_fault_stops_the_motors_before_it_is_told(monkeypatch):
     told = []
 
     class Hal:
-        pressure_pa, answered, battery_mv, current_10ma, leak = [AIR_PA] * 4, 15, 15000, 0, 0
+        pressure_mPa, answered, battery_mv, current_10ma, leak = [round(1000 * AIR_PA)] * 4, 15, 15000, 0, 0
         servos_us, light_permille, armed, pulses_us = [1500] * 4, 0, 0, []
-        capabilities, late = 0, 0
+        capabilities, temperature_cC, dt_us, late = 0, 2000, 10_000, 0
 
         def boot_info(self):
             return b"", 1, 1
@@ -180,6 +180,9 @@ def test_a_fault_stops_the_motors_before_it_is_told(monkeypatch):
             return True
 
         def now_us(self):
+            return 0
+
+        def end_cycle(self):
             raise ZeroDivisionError("a fault")
 
         def write_pins(self):

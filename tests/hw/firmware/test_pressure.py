@@ -7,27 +7,32 @@ from typing import Any
 
 import pytest
 
-from hw.firmware import pressure, thrust, wire
+from hw.firmware import pressure, tare, thrust, wire
 
 CYCLE_US = 10_000
-AIR = [101000.0, 101200.0, 101300.0, 101100.0]
+AIR = [101_000_000, 101_200_000, 101_300_000, 101_100_000]  # mPa
+MPA_PER_M = round(1000 * wire.PA_PER_M)
 
 
-def sensors(depth_m: float, roll_deg: float, pitch_deg: float) -> list[float]:
+def degrees(angle_100nrad: int) -> float:
+    return math.degrees(angle_100nrad * 1e-7)
+
+
+def sensors(depth_m: float, roll_deg: float, pitch_deg: float) -> list[int]:
     """Absolute pressures at the four corners of a rigid plane, from a rotation matrix and not from the sine formula."""
     phi, theta = math.radians(roll_deg), math.radians(pitch_deg)
     up = (-math.sin(theta), math.cos(theta) * math.sin(phi), math.cos(theta) * math.cos(phi))
     corners = ((0.13, 0.13), (-0.13, 0.13), (-0.13, -0.13), (0.13, -0.13))
     depths = [depth_m - (x * up[0] + y * up[1]) for x, y in corners]
-    return [air + wire.PA_PER_M * depth for air, depth in zip(AIR, depths, strict=True)]
+    return [air + round(MPA_PER_M * depth) for air, depth in zip(AIR, depths, strict=True)]
 
 
-def watch(readings: list[float], seconds: float = 1.0, answered: int = 15, seen: Any = None) -> Any:
+def watch(readings: list[int], seconds: float = 1.0, answered: int = 15, seen: Any = None) -> Any:
     if seen is None:
-        seen = pressure.Plane(wire.PA_PER_M, 0.13, 0.13)
-        seen.tare_pa = AIR
+        seen = pressure.Plane(wire.PA_PER_M, 130, 130)
+        seen.tare_mPa = AIR
     for i in range(round(seconds * 100)):
-        seen.step([pa + 3.0 * (i & 1) for pa in readings], answered, CYCLE_US)
+        seen.step([mPa + 3000 * (i & 1) for mPa in readings], answered, CYCLE_US)
     return seen
 
 
@@ -36,22 +41,22 @@ def watch(readings: list[float], seconds: float = 1.0, answered: int = 15, seen:
 def test_depth_roll_and_pitch(roll, pitch):
     seen = watch(sensors(0.4, roll, pitch))
     assert seen.bad == 0
-    assert seen.depth_m == pytest.approx(0.4, abs=0.0005)
-    assert math.degrees(seen.roll_rad) == pytest.approx(roll, abs=1e-6)
-    assert math.degrees(seen.pitch_rad) == pytest.approx(pitch, abs=1e-6)
-    assert seen.parity_m == pytest.approx(0.0, abs=1e-9)
+    assert seen.depth_100nm == pytest.approx(4_000_000, abs=5000)
+    assert degrees(seen.roll_100nrad) == pytest.approx(roll, abs=0.005)
+    assert degrees(seen.pitch_100nrad) == pytest.approx(pitch, abs=0.005)
+    assert abs(seen.parity_100nm) <= 20
 
 
 @pytest.mark.parametrize("dead", range(4))
-@pytest.mark.parametrize("reading", [float("nan"), 5000.0, 200000.0, 95000.0])
+@pytest.mark.parametrize("reading", [0, 5_000_000, 200_000_000, 95_000_000])
 def test_an_impossible_reading_is_replaced_from_the_other_three(dead, reading):
     seen = watch(sensors(0.4, 5, -3))
     readings = sensors(0.4, 5, -3)
     readings[dead] = reading
     watch(readings, seen=seen)
     assert seen.bad == 1 << dead
-    assert math.degrees(seen.roll_rad) == pytest.approx(5, abs=0.01)
-    assert math.degrees(seen.pitch_rad) == pytest.approx(-3, abs=0.01)
+    assert degrees(seen.roll_100nrad) == pytest.approx(5, abs=0.01)
+    assert degrees(seen.pitch_100nrad) == pytest.approx(-3, abs=0.01)
     watch(sensors(0.4, 5, -3), 0.9, seen=seen)
     assert seen.bad == 1 << dead, "not believed again at once"
     watch(sensors(0.4, 5, -3), 0.2, seen=seen)
@@ -67,20 +72,20 @@ def test_one_missed_answer_is_no_fault():
 
 
 def test_stuck_only_while_the_others_move():
-    seen = pressure.Plane(wire.PA_PER_M, 0.13, 0.13)
-    seen.tare_pa = AIR
+    seen = pressure.Plane(wire.PA_PER_M, 130, 130)
+    seen.tare_mPa = AIR
     still = sensors(0.4, 0, 0)
     for _ in range(600):
         seen.step(still, 15, CYCLE_US)
     assert seen.bad == 0, "a quiet tank is no fault"
     for i in range(600):
-        seen.step([still[0], *(pa + i % 7 for pa in still[1:])], 15, CYCLE_US)
+        seen.step([still[0], *(mPa + 1000 * (i % 7) for mPa in still[1:])], 15, CYCLE_US)
     assert seen.bad == 0b0001
 
 
 def test_a_shifted_sensor_is_noticed_but_not_named():
     readings = sensors(0.4, 0, 0)
-    readings[2] += 0.03 * wire.PA_PER_M
+    readings[2] += round(0.03 * MPA_PER_M)
     seen = watch(readings, 3.0)
     assert seen.disagree and seen.bad == 0
 
@@ -89,9 +94,9 @@ def test_one_spike_moves_nothing_a_shift_is_for_parity():
     seen = watch(sensors(0.4, 0, 0))
     for k in range(4):
         spiked = sensors(0.4, 0, 0)
-        spiked[k] -= 0.2 * wire.PA_PER_M
+        spiked[k] -= round(0.2 * MPA_PER_M)
         seen.step(spiked, 15, CYCLE_US)
-        assert seen.depth_m == pytest.approx(0.4, abs=0.001) and seen.roll_rad == pytest.approx(0.0, abs=0.001)
+        assert seen.depth_100nm == pytest.approx(4e6, abs=1e4) and seen.roll_100nrad == pytest.approx(0, abs=1e4)
         watch(sensors(0.4, 0, 0), 0.1, seen=seen)
     watch(spiked, 3.0, seen=seen)
     assert seen.disagree and seen.bad == 0
@@ -100,24 +105,41 @@ def test_one_spike_moves_nothing_a_shift_is_for_parity():
 def test_water_that_comes_all_at_once_is_no_spike():
     seen = watch(sensors(0.4, 0, 0))
     seen.step(sensors(0.1, 0, 0), 15, CYCLE_US)
-    assert seen.depth_m == pytest.approx(0.1, abs=0.001)
+    assert seen.depth_100nm == pytest.approx(1e6, abs=1e4)
 
 
 def test_tare_refuses_waves_and_water():
-    def tare(*rows: list[float]) -> Any:
-        collector = pressure.Tare()
-        while not collector.step(rows[len(collector._pa[0]) % len(rows)]):
+    def zero(*rows: list[int]) -> Any:
+        collector = tare.Tare()
+        while not collector.step(rows[len(collector._rows[0]) % len(rows)]):
             pass
         return collector.result()
 
-    assert tare(AIR) == AIR
-    assert tare(AIR, [pa + 250.0 for pa in AIR]) is None
-    assert tare([AIR[0] + 600.0, *AIR[1:]]) is None
+    assert zero(AIR) == AIR
+    assert zero(AIR, [mPa + 250_000 for mPa in AIR]) is None
+    assert zero([AIR[0] + 600_000, *AIR[1:]]) is None
+
+
+def test_a_tare_is_four_pressures_that_there_are_in_air():
+    assert tare.whole([101325.0, 101000, 101000.0004, 99999.9999]) == [
+        101_325_000,
+        101_000_000,
+        101_000_000,
+        100_000_000,
+    ]
+    for wrong in (None, 7, "air", [101325.0] * 3, [101325.0] * 3 + ["x"], [101325.0] * 3 + [float("nan")], [0.0] * 4):
+        assert tare.whole(wrong) is None
+
+
+def test_the_series_are_good_for_a_hundredth_of_a_degree():
+    worst = max(abs(pressure._asin(x) * 1e-7 - math.asin(x * 1e-7)) for x in range(-9_990_000, 10_000_000, 9973))
+    assert math.degrees(worst) < 0.005
+    assert pressure._asin(12_000_000) == -pressure._asin(-12_000_000) == pytest.approx(math.pi / 2 * 1e7, abs=2)
 
 
 def test_numbering_of_thrusters_is_that_of_sensors():
     """A corner that is too deep gets more lift: the paper's sign."""
     seen = watch(sensors(0.4, 5, 4))
-    corner = [-(thrust.ROLL[j] * seen.roll_rad + thrust.PITCH[j] * seen.pitch_rad) for j in range(4)]
-    deep = [seen.zeta_m[j] - seen.depth_m for j in range(4)]
+    corner = [-(thrust.ROLL[j] * seen.roll_100nrad + thrust.PITCH[j] * seen.pitch_100nrad) for j in range(4)]
+    deep = [seen.zeta_100nm[j] - seen.depth_100nm for j in range(4)]
     assert sorted(range(4), key=corner.__getitem__) == sorted(range(4), key=deep.__getitem__)

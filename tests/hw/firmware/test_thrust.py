@@ -13,28 +13,39 @@ from tests.hw.firmware.nominal_plant import AIR_PA
 T200_N = {12: (36.4, 28.6), 14: (44.4, 34.5), 16: (51.4, 39.9), 18: (59.0, 45.0), 20: (65.9, 49.4)}
 
 
+def full_n(thrust_max_n: float, battery_ratio: float) -> float:
+    return thrust.full_uN(round(1000 * thrust_max_n), int(battery_ratio * 16384)) * 1e-6
+
+
+def pulse_us(force_n: float, full_n: float) -> int:
+    """Of one thruster that rests at 1500 us."""
+    pulses_us = [0] * 8
+    thrust.pulses([round(force_n * 1e6)] * 8, [1500] * 8, round(full_n * 1e6), pulses_us)
+    return pulses_us[0]
+
+
 @pytest.mark.parametrize("volt", T200_N)
 def test_thrust_follows_the_battery_as_the_makers_table_has_it(volt):
-    low, high = thrust.BATTERY_RANGE
     for k in range(2):
-        if low <= volt / 14 <= high:
-            assert thrust.full_n(T200_N[14][k], volt / 14) == pytest.approx(T200_N[volt][k], rel=0.04)
-    assert thrust.full_n(10.0, 0.0) == thrust.full_n(10.0, low), "a probe that reads nothing does not stop the robot"
+        if 0.7 <= volt / 14 <= 1.3:
+            assert full_n(T200_N[14][k], volt / 14) == pytest.approx(T200_N[volt][k], rel=0.04)
+            assert full_n(10.0, volt / 14) == pytest.approx(10.0 * (volt / 14) ** 1.1, rel=1e-3)
+    assert full_n(10.0, 0.0) == full_n(10.0, 0.7), "a probe that reads nothing does not stop the robot"
 
 
 @pytest.mark.parametrize("force_n", [-6.0, -0.5, 0.5, 3.0, 7.9])
 def test_a_weaker_battery_needs_longer_pulses(force_n):
-    strong, weak = (thrust.pulse_us(force_n, 1500, thrust.full_n(10.0, ratio)) - 1500 for ratio in (1.0, 0.85))
+    strong, weak = (pulse_us(force_n, full_n(10.0, ratio)) - 1500 for ratio in (1.0, 0.85))
     assert abs(weak) > abs(strong)
 
 
 def test_slew_is_obeyed_and_the_law_is_told():
-    forces, realised = [0.0] * 8, [0.0] * 3
+    forces, realised = [0] * 8, [0] * 3
     for cycle in range(1, 10):
         before = list(forces)
-        assert not thrust.central([24.0, 0.0, 0.0], 0.0, 10.0, 2.0, forces, realised)
-        assert max(abs(f - b) for f, b in zip(forces, before, strict=True)) <= 2.0 + 1e-12
-        assert realised[0] == pytest.approx(min(24.0, 8.0 * cycle))
+        assert not thrust.central([24_000_000, 0, 0], 10_000_000, 2_000_000, forces, realised)
+        assert max(abs(f - b) for f, b in zip(forces, before, strict=True)) <= 2_000_000
+        assert realised[0] == min(24_000_000, 8_000_000 * cycle)
 
 
 @pytest.fixture
@@ -46,11 +57,11 @@ def module(monkeypatch):
     def make(tilt_m: float = 0.0, **flash):
         made = motor_control.Control()
         made.configure(parameters.from_flash(flash))
-        made.plane.tare_pa = [AIR_PA] * 4
-        made.plane.set_pa = [AIR_PA + wire.PA_PER_M * (0.3 + sign * tilt_m) for sign in (1, 1, -1, -1)]
-        made.sense(made.plane.set_pa, 15, 14800, 0, 10_000)
+        made.plane.tare_mPa = [round(1000 * AIR_PA)] * 4
+        made.plane.set_mPa = [round(1000 * (AIR_PA + wire.PA_PER_M * (0.3 + s * tilt_m))) for s in (1, 1, -1, -1)]
+        made.sense(made.plane.set_mPa, 15, 14800, 0, 10_000)
         made.set_point.age_us, made.set_point.ttl_us = 0, 500_000
-        made.set_point.depth_m, made.set_point.tilt_rad = made.plane.depth_m, [made.plane.roll_rad, 0.0]
+        made.set_point.depth_100nm, made.set_point.tilt_100nrad = made.plane.depth_100nm, [made.plane.roll_100nrad, 0]
         made.arm()
         return made
 
@@ -63,8 +74,8 @@ def test_net_weight_is_carried_from_the_first_cycle_and_is_none_of_the_laws(modu
     for robot in (still, heavy):
         for _ in range(50):
             robot.set_point.age_us = 0
-            robot.sense(robot.plane.set_pa, 15, 14800, 0, 10_000)
+            robot.sense(robot.plane.set_mPa, 15, 14800, 0, 10_000)
             robot.act(10_000)
-    assert heavy.law.disturbance(0) == pytest.approx(still.law.disturbance(0), abs=1e-9)
-    lift = sum(heavy._forces_n[:4]) - sum(still._forces_n[:4])
-    assert lift == pytest.approx(4.0 / (1.0 - (tilt_m / 0.13) ** 2) ** 0.5)
+    assert heavy.law.disturbance(0) == pytest.approx(still.law.disturbance(0), abs=1000)  # uN
+    lift_n = (sum(heavy._forces_uN[:4]) - sum(still._forces_uN[:4])) * 1e-6
+    assert lift_n == pytest.approx(4.0 / (1.0 - (tilt_m / 0.13) ** 2) ** 0.5, rel=1e-3)

@@ -13,10 +13,10 @@ import time
 import pytest
 
 from agent.clock.clock import SystemClock
-from hw.firmware import failsafe, wire
+from hw.firmware import wire
 from hw.stm32.driver import Stm32
 from hw.twin.pace import LOCK_STEP_S
-from tests.hw.firmware.diving_robot import HOST, HOVER, diving_robot
+from tests.hw.firmware.diving_robot import HOST, HOVER, SURFACED_M, diving_robot
 from tests.hw.stm32.driven_desk import Port, drive
 from tests.waiting import until
 
@@ -158,9 +158,9 @@ def test_a_host_that_breaks_leaves_a_robot_that_goes_up_level_at_once(tmp_path):
             for _ in range(1500):
                 robot.dive.tick(LOCK_STEP_S)
                 worst_deg = max(worst_deg, robot.tilt_deg)
-                if robot.depth_m < failsafe.SURFACED_M and robot.thrust_n.max() < 0.01:
+                if robot.depth_m < SURFACED_M and robot.thrust_n.max() < 0.01:
                     break
-            assert robot.depth_m < failsafe.SURFACED_M and robot.thrust_n.max() < 0.01, "up, and its motors off"
+            assert robot.depth_m < SURFACED_M and robot.thrust_n.max() < 0.01, "up, and its motors off"
             assert worst_deg < 2.0
         finally:
             host.kill()

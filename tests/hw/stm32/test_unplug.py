@@ -17,7 +17,7 @@ from agent.kernel.toml_files import dump
 from hw.firmware import failsafe
 from hw.stm32.driver import Stm32
 from hw.twin.faults import PowerCut, SerialUnplug
-from tests.hw.firmware.diving_robot import FLEET, HOVER, diving_robot
+from tests.hw.firmware.diving_robot import ASCENT_M_S, FLEET, HOVER, diving_robot
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -42,7 +42,7 @@ def test_after_five_seconds_it_is_on_its_way_up_and_an_order_calls_it_back(tmp_p
         robot.run(12.9 - robot.dive.now_ns * 1e-9)
         assert abs(robot.depth_m - HOVER.depth_m) < 0.01  # it holds
         robot.run(2.1)
-        assert HOVER.depth_m - robot.depth_m == pytest.approx(2.0 * failsafe.ASCENT_M_S, abs=0.03)
+        assert HOVER.depth_m - robot.depth_m == pytest.approx(2.0 * ASCENT_M_S, abs=0.03)
         boot_id = robot.protocol._boot_id
         robot.run(0.5)
         assert robot.protocol._boot_id == boot_id

@@ -21,9 +21,12 @@ def plunge(tmp_path, firmware):
     """Make dives whose boards are closed at the end."""
     boards = []
 
-    def make(names=("r1", "r2"), seed=4):
+    def make(names=("r1", "r2"), seed=4, **flash):
         dive = Dive(fleet(names, seed, turn_deg=30.0), names, start_ns=0)
-        dive.boards = [Board(n, tmp_path, tare, firmware) for n, tare in zip(names, dive.tare_pa, strict=True)]
+        dive.boards = [
+            Board(name, tmp_path, tare, firmware, settings=flash)
+            for name, tare in zip(names, dive.tare_pa, strict=True)
+        ]
         for board in dive.boards:
             board.start()
         boards.extend(dive.boards)

@@ -20,7 +20,7 @@ from tests.waiting import until
 FIRMWARE = """
 import json, os, struct, sys
 serial, bus, flash = int(sys.argv[1]), int(sys.argv[2]), json.load(open(sys.argv[3]))
-TICK, ACT = struct.Struct("<Q4fHHBB"), struct.Struct("<Q8H4HHB")
+TICK, ACT = struct.Struct("<QHH4IHHBB"), struct.Struct("<Q8H4HHBHII")
 assert len(flash["tare_pa"]) == 4
 while True:
     record = os.read(bus, TICK.size)
@@ -37,7 +37,9 @@ while True:
         os.write(serial, bytes((byte + 1) % 256 for byte in heard))
     armed = clock_us >= 100_000
     up = 1580 if armed else 1500
-    os.write(bus, ACT.pack(clock_us, up, up, up, up, 1500, 1500, 1500, 1500, 1700, 1400, 1500, 1500, 0, armed))
+    pins_us, busy_us = flash.get("takes_us", (0, 0))
+    pins = (up, up, up, up, 1500, 1500, 1500, 1500, 1700, 1400, 1500, 1500, 0, armed)
+    os.write(bus, ACT.pack(clock_us, *pins, 5000, pins_us, busy_us))
 """
 
 

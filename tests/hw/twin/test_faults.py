@@ -35,11 +35,12 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         "thruster_gain": "thruster = 1\ngain = 0.5",
         "serial_unplug": "for_s = 5.0",
         "power_cut": "for_s = 2.0",
+        "slow_board": "by = 2.5",
     }
     kinds = faults.KINDS
     tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\nrobot = "r1"\n{more.get(k, "")}\n' for i, k in enumerate(kinds)]
     scene = scene_with(tmp_path, "".join(tables))
-    assert len(scene.event) == len(kinds) == 12
+    assert len(scene.event) == len(kinds) == 13
     assert scene.event[0] == faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
 
 
@@ -88,6 +89,7 @@ DONE = {
     faults.SerialUnplug(at_s=0, robot="r1", for_s=5.0): call.unplug("r1", 5.0),
     faults.PowerCut(at_s=0, robot="r1", for_s=2.0): call.cut_power("r1", 2.0),
     faults.FirmwareHang(at_s=0, robot="r1"): call.hang_firmware("r1"),
+    faults.SlowBoard(at_s=0, robot="r1", by=2.5): call.slow_board("r1", 2.5),
 }
 
 

@@ -1,0 +1,199 @@
+"""The board's hardware layer on a chip of calls: time, tether, watchdog, resets, and what each must never do."""
+
+from __future__ import annotations
+
+import pytest
+
+from hw.firmware import frames
+from tests.hw.board.chip import Reset
+from tests.hw.board.wires import PASCAL
+
+
+@pytest.fixture
+def hal(hal_stm32):
+    made = hal_stm32.Hal()
+    made.begin_pulses(5000)
+    return made
+
+
+def run(hal, cycles: int) -> None:
+    for _ in range(cycles):
+        hal.wait_tick()
+        hal.end_cycle()
+
+
+def test_the_tick_is_a_timer_that_nobody_else_uses(hal, chip):
+    """Timer 5 is the port's servo driver's, and its interrupt stands above the UART's."""
+    assert chip.timers.keys() == {1, 8, 3, 4, 7} and chip.timers[7].frame == 10_000
+
+
+def test_a_cycle_reads_its_sensors(hal, chip):
+    chip.levels["PC4"] = 0
+    run(hal, 60)
+    assert hal.answered == 0b1111 and hal.pressure_mPa == pytest.approx([PASCAL * 1000] * 4, abs=1000)
+    assert hal.temperature_cC == 2000
+    assert hal.battery_mv == pytest.approx(1.4 * 11000, abs=10)
+    assert hal.current_10ma == pytest.approx((0.5 - 0.33) * 3787.88, abs=4)
+    assert hal.leak == 1
+    chip.levels["PC4"], chip.volts["PC2"] = 1, 0.0
+    run(hal, 2)
+    assert hal.leak == 0 and hal.current_10ma == 0
+
+
+def test_volts_and_amperes_in_whole_numbers(hal, chip):
+    for reading in range(0, 4096, 15):
+        chip.volts["PC1"] = chip.volts["PC2"] = volts = reading * 3.3 / 4095
+        run(hal, 2)
+        assert abs(hal.battery_mv - volts * 11000) <= 1
+        assert abs(hal.current_10ma - max(0.0, (volts - 0.33) * 3787.88)) <= 1.1
+    assert 4095 * 36300 < 2**30
+
+
+def test_time_goes_by_ticks(hal):
+    hal.wait_tick()
+    first_us = hal.now_us()
+    for i in range(1, 4):
+        hal.wait_tick()
+        assert (hal.dt_us, hal.ticks, hal.late) == (10_000, 1, 0)
+        assert hal.now_us() - first_us == i * 10_000
+
+
+def test_lost_ticks_are_counted(hal, chip):
+    hal.wait_tick()
+    before_us = hal.now_us()
+    chip.pass_us(23_000)  # a cycle of 23 ms and more: two ticks come in it
+    hal.wait_tick()
+    assert (hal.dt_us, hal.ticks, hal.late) == (20_000, 2, 1)
+    assert hal.now_us() - before_us == 20_000
+    hal.wait_tick()
+    assert (hal.dt_us, hal.ticks, hal.late) == (10_000, 1, 1)
+    hal.late = 65535
+    chip.pass_us(33_000)
+    hal.wait_tick()
+    assert (hal.ticks, hal.late) == (3, 1), "it is sent with 16 bits"
+
+
+def test_a_cycle_s_length_counts_from_its_tick_with_the_bus_and_what_was_waited(hal, chip):
+    run(hal, 60)
+    hal.wait_tick()
+    bus_us = hal.cycle_us()
+    assert 1000 < bus_us < 1300
+    chip.pass_us(5000)
+    assert hal.cycle_us() == bus_us + 5000
+    chip.pass_us(10_000 - hal.cycle_us() + 2500)  # over the next tick, by 2.5 ms
+    assert hal.cycle_us() == 12_500
+    hal.wait_tick()
+    assert 2500 + 1000 < hal.cycle_us() < 2500 + 1300, "the cycle that began late is longer by that"
+
+
+def test_the_clock_has_no_seam(hal, chip):
+    """After 2**32 us, after 2**30 us of the port's clock (which the chip here passes first), after 2**30 ticks."""
+    for fired in (429_496, 2**30 - 3):
+        hal.wait_tick()
+        hal._fired = hal._taken = fired
+        hal.wait_tick()
+        last_us = hal.now_us()
+        for _ in range(5):
+            hal.wait_tick()
+            now_us = hal.now_us()
+            assert (now_us - last_us) & 0xFFFFFFFF == 10_000 and 0 <= now_us < 2**32 and 0 < hal.cycle_us() < 2000
+            last_us = now_us
+    assert hal.late == 0 and 0 <= hal._fired < 2**30
+
+
+def test_the_interrupt_takes_no_memory(hal, chip):
+    """All that it stores are numbers of 31 bits in places that are there."""
+    places = set(vars(hal))
+    chip.us = 2**31
+    hal._fired = 2**30 - 1
+    hal._on_tick(None)
+    assert set(vars(hal)) == places and hal._fired == 0 and 0 <= hal._fired_at < 2**30
+
+
+def test_reading_never_asks_for_more_than_is_there(hal, chip):
+    """The fake UART fails where the driver would wait."""
+    buf = bytearray(64)
+    assert hal.read_into(buf) == 0
+    chip.received[:] = b"12345"
+    assert hal.read_into(buf) == 5 and buf[:5] == b"12345"
+    chip.received[:] = bytes(100)
+    assert hal.read_into(buf) == 64 and hal.read_into(buf) == 36 and hal.read_into(buf) == 0
+
+
+def test_the_watchdog_begins_after_two_seconds_and_wants_sensors_where_motors_run(hal, chip):
+    run(hal, 200)
+    assert not [entry for entry in chip.log if entry[0] == "watchdog"]
+    run(hal, 1)
+    assert chip.log[-1] == ("watchdog", 500)
+    run(hal, 10)
+    assert chip.log.count(("fed",)) == 10
+    chip.wires.dead = {0, 1, 2, 3}
+    run(hal, 10)
+    assert chip.log.count(("fed",)) == 20
+    hal.armed = 1
+    run(hal, 10)
+    assert chip.log.count(("fed",)) == 20
+    chip.wires.dead = {1, 2, 3}
+    run(hal, 10)
+    assert chip.log.count(("fed",)) == 29, "from the cycle on that brings what was begun before"
+
+
+def test_saving_stretches_the_watchdog(hal, chip):
+    hal.save_flash({"law": "pid"})
+    assert not [entry for entry in chip.log if entry[0] == "watchdog"] and chip.files_synced == 1
+    run(hal, 201)
+    hal.save_flash({"law": "pi"})
+    assert [entry for entry in chip.log if entry[0] == "watchdog"][1:] == [("watchdog", 8000), ("watchdog", 500)]
+    assert hal.load_flash() == {"law": "pi"}
+
+
+@pytest.mark.parametrize("cause", [0, 1, 3, 4])
+def test_reset_causes_are_the_port_s(hal, chip, cause):
+    chip.cause = cause
+    assert hal.boot_info() == (bytes(12), 0xFFFFFFFC, cause)
+
+
+def test_a_reset_by_order_is_told_from_one_by_the_pin(hal, chip):
+    chip.cause = 2
+    assert hal.boot_info()[2] == 2
+    with pytest.raises(Reset):
+        hal.reboot()
+    assert hal.boot_info()[2] == frames.BY_ORDER
+    assert hal.boot_info()[2] == 2, "the mark is for one boot"
+
+
+def test_a_bridge_on_pb1_asks_for_a_prompt(hal_stm32, chip):
+    """A pin that MicroPython itself does not look at while it boots, as it does at the button on PA0."""
+    assert not hal_stm32.wants_prompt()
+    chip.levels["PB1"] = 0
+    assert hal_stm32.wants_prompt()
+    assert "PA0" not in {entry[1] for entry in chip.log}
+
+
+def test_a_timeout_of_the_bus_is_two_of_the_driver_s_milliseconds(hal, chip):
+    """It waits for its clock to have moved so often: with one, a tick in the midst of a sound transfer would end it."""
+    assert [entry for entry in chip.log if entry[0] == "i2c"] == [("i2c", 2, 400_000, 2000)]
+
+
+def test_a_stuck_bus_is_freed_by_nine_clocks_a_stop_and_the_multiplexer_s_reset(hal, chip):
+    run(hal, 60)
+    chip.wires.clinging = {2}
+    run(hal, 1)
+    assert hal.cycle_us() < 4000
+    chip.wires.clinging = set()
+    chip.log.clear()
+    run(hal, 1)
+    assert hal.cycle_us() < 2000
+    done = [entry for entry in chip.log if entry[0] != "fed"]
+    assert done[:3] == [("pin", pin, 17, None, None, value) for pin, value in (("PB10", 1), ("PB11", 1), ("PB12", 0))]
+    assert done[-1] == ("i2c", 2, 400_000, 2000)
+    levels = {"PB10": 1, "PB11": 1, "PB12": 0}
+    clocks, stops = 0, 0
+    for _, pin, level in done[3:-1]:
+        before = dict(levels)
+        levels[pin] = level
+        clocks += pin == "PB10" and level and levels["PB11"]
+        stops += pin == "PB11" and level > before["PB11"] and levels["PB10"]
+    assert clocks == 9 and stops == 1 and levels == {"PB10": 1, "PB11": 1, "PB12": 1}
+    run(hal, 3)
+    assert hal.answered == 0b1111
