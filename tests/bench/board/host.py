@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from hw.firmware import emitters_unix
+
 # What a set-point asks for: everything at once, so that no part of the firmware has an easy time.
 BUSY = {
     "depth_100um": 3000,
@@ -79,6 +81,7 @@ def _import_wire(folder: Path) -> Any:
     ours = {path.stem for path in folder.glob("*.py")} & sys.modules.keys()
     others = {name: sys.modules.pop(name) for name in ours}
     before = set(sys.modules)
+    emitters_unix.take_place()
     sys.path.insert(0, str(folder))
     try:
         return importlib.import_module("wire")
