@@ -1,12 +1,17 @@
 # What the board remembers over a power cut: parameters and tare, one table of names as the HAL stores it.
+import sys
 from micropython import const
 
 import failsafe
-import parameters
-import tare
 
 _TIME_UNKNOWN = const(-1)
 _HOST_ROUND_MS = const(0x100000000)  # where the host's milliseconds begin again
+
+
+def put_away():
+    """Drop the modules that only boot and orders to a robot at rest need: in a dive they take no memory."""
+    for name in ("parameters", "tare"):
+        sys.modules.pop(name, None)
 
 
 class Flash:
@@ -16,20 +21,27 @@ class Flash:
         self._hal = hal
         self._table = {}
         self._tared_now = False  # in this boot
-        self.saved = parameters.from_flash(self._table)
+        self.saved = []
 
     def load(self):
         """Read it. Raises ValueError, in one line, where it is broken or holds what cannot be."""
+        import parameters
+
+        self.saved = parameters.from_flash({})
         self._table = self._hal.load_flash()
         self.saved = parameters.from_flash(self._table)
 
     def save_parameters(self, values):
+        import parameters
+
         parameters.into_flash(values, self._table)
         self._hal.save_flash(self._table)
         self.saved = list(values)
 
     def tare_mPa(self):
         """The four zeros, or None; ValueError where there is something else."""
+        import tare
+
         tare_pa = self._table.get("tare_pa")
         if tare_pa is None:
             return None

@@ -38,10 +38,10 @@ class Firmware:
         module, line = self.control, self.tether
         try:
             self.flash.load()
-            module.configure(list(self.flash.saved))
         except ValueError as error:
             line.complain(str(error))
             module.ladder.latch(failsafe.PARAMETERS)
+        module.configure(list(self.flash.saved))
         try:
             module.plane.tare_mPa = self.flash.tare_mPa()
         except ValueError as error:
@@ -51,6 +51,8 @@ class Firmware:
             module.ladder.latch(failsafe.WATCHDOG)
         line.begin_pulses()
         line.event(frames.EV_BOOT, 0, module.ladder.level, frames.INFO, line.reset_cause)
+        flash.put_away()
+        self.hal.collect()
 
     def run(self):
         """Cycle until the hardware goes (False) or an order to reboot comes (True).

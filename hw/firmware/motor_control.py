@@ -4,7 +4,6 @@ from micropython import const
 import failsafe
 import frames
 import law
-import parameters
 import pressure
 import thrust
 
@@ -70,11 +69,15 @@ class Control:
         self._ref = [0] * 3
         self._want = [0] * 3
         self._realised = [0] * 3
-        self.configure(parameters.from_flash({}))
+        self.values = []  # of the parameters; configure() comes before anything else
+        self.law = None
 
     def configure(self, values):
         """Take new parameters, in the order of their table. For a disarmed robot: the law begins anew."""
+        import parameters
+
         self.values = values
+        self.values_crc = parameters.crc(values)
         of = {name: values[i] for i, name in enumerate(parameters.NAMES)}
         name = parameters.LAWS[int(of["law"])]
         if name == "observer":
@@ -92,6 +95,7 @@ class Control:
         self._net_weight_uN = int(of["net_weight_N"] * 1e6)
         self._curve_battery_mv = int(of["curve_battery_mV"])
         self._battery_min_mv = int(of["battery_min_mV"])
+        self.pulse_frame_us = of["pulse_frame_us"]
         self._slew_uN = int(of["slew_N"] * 1e6 + 0.5)
         for j in range(8):
             self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])

@@ -2,9 +2,8 @@
 from micropython import const
 
 import failsafe
+import flash
 import frames
-import parameters
-import tare
 
 # Of wire.py, whose numbers these are
 _ACK = const(0x30)
@@ -31,7 +30,6 @@ _UNSAVED = const(1)
 _REBOOT_MAGIC = const(0xB007B007)
 
 _REMEMBERED = const(8)  # results, so that a repeat is answered and not executed again
-_LISTED_AT_ONCE = const(1)  # parameters in a cycle: half a millisecond with the line
 
 
 class Orders:
@@ -95,7 +93,7 @@ class Orders:
         if kind == _MODE:
             return self._mode(fields[2], fields[3])
         if kind == _PARAM_GET:
-            return _OK if fields[2] < len(parameters.TABLE) else _RANGE
+            return _OK if fields[2] < len(control.values) else _RANGE
         if kind == _PARAM_LIST:
             self._list_req_id, self._list_next, self._listing = fields[0], 0, True
             return _RUNNING  # the values are the answer; a repeat begins anew
@@ -105,9 +103,12 @@ class Orders:
             return self._set(fields[2], fields[5])
         if kind == _PARAM_SAVE:
             self._flash.save_parameters(control.values)
+            flash.put_away()
             self.dirty = False
             return _OK
         if kind == _TARE:
+            import tare
+
             self._tare = tare.Tare()
             self._tare_fields = fields
             return _RUNNING
@@ -163,6 +164,8 @@ class Orders:
         return _OK
 
     def _set(self, i, value):
+        import parameters
+
         value = float("%.6g" % value)  # what somebody typed, before float32 made 0.4 into 0.40000001
         if i >= len(parameters.TABLE) or not parameters.in_range(i, value):
             return _RANGE
@@ -172,15 +175,16 @@ class Orders:
         self.dirty = values != self._flash.saved
         if parameters.NAMES[i] == "pulse_frame_us":
             self._line.begin_pulses()
+        flash.put_away()
         return _OK
 
     def step(self, pressure_mPa):
         """Go on with what takes more than a cycle."""
         if self._listing:
-            first, last = self._list_next, min(self._list_next + _LISTED_AT_ONCE, len(parameters.TABLE))
-            self._list_next, self._listing = last, last < len(parameters.TABLE)
-            for i in range(first, last):
-                self._say_value(self._list_req_id, i)
+            i = self._list_next  # one a cycle: half a millisecond with the line
+            self._list_next = i + 1
+            self._listing = i + 1 < len(self._control.values)
+            self._say_value(self._list_req_id, i)
         if self._tare:
             self._go_on_taring(pressure_mPa)
 
@@ -195,11 +199,14 @@ class Orders:
         except Exception as error:
             self._line.fault("tare", error)
         self._tare = None
+        flash.put_away()
         self._remember(_TARE, fields, result)
         self._line.say(_ACK, fields[0], _TARE, result, self._line.boot_id)
 
     def _set_tare(self, medians_mPa, depth_m):
         """Take these pressures for those at depth_m. False where that leaves no air above the water."""
+        import tare
+
         control = self._control
         plane = control.plane
         tare_pa = [mPa * 1e-3 - depth_m * plane.pa_per_m for mPa in medians_mPa]
@@ -224,4 +231,4 @@ class Orders:
     def _say_value(self, req_id, i):
         value, line = self._control.values[i], self._line
         flags = _UNSAVED if value != self._flash.saved[i] else 0
-        line.say(_PARAM_VALUE, req_id, line.boot_id, i, parameters.TABLE[i][4], flags, value)
+        line.say(_PARAM_VALUE, req_id, line.boot_id, i, isinstance(value, int), flags, value)

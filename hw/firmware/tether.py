@@ -6,7 +6,6 @@ from micropython import const
 import failsafe
 import frames
 import orders
-import parameters
 
 # Of wire.py, whose numbers these are
 _PROTOCOL = const(1)
@@ -178,13 +177,13 @@ class Tether:
         # fmt: off
         self.say(
             _HELLO_ACK, _PROTOCOL, frames.SCHEMA_CRC, _BUILD, self._uid, self.boot_id, self.reset_cause,
-            self._control.state, parameters.crc(self._control.values), len(parameters.TABLE), self._hal.capabilities,
+            self._control.state, self._control.values_crc, len(self._control.values), self._hal.capabilities,
         )
         # fmt: on
 
     def begin_pulses(self):
         """Let the thrusters' pulses come as often as the parameter says."""
-        self._hal.begin_pulses(self._control.values[parameters.NAMES.index("pulse_frame_us")])
+        self._hal.begin_pulses(self._control.pulse_frame_us)
 
     def say(self, kind, *fields):
         """One frame, now."""
