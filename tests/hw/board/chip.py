@@ -119,6 +119,11 @@ class Chip:
             def feed(self) -> None:
                 chip.log.append(("fed",))
 
+        def timer(number: int, **settings: Any) -> Timer:
+            return chip.timer(number, **settings)
+
+        timer.BRK_OFF, timer.BRK_LOW = Timer.BRK_OFF, Timer.BRK_LOW  # type: ignore[attr-defined]
+
         def reset() -> None:
             chip.cause = 2  # whoever asks afterwards hears of the reset pin
             raise Reset
@@ -127,7 +132,7 @@ class Chip:
             Pin=Pin,
             ADC=lambda pin: SimpleNamespace(read=lambda: round(chip.volts[pin.name] / 3.3 * 4095)),
             USB_VCP=lambda: SimpleNamespace(any=lambda: 0, isconnected=lambda: False),
-            Timer=lambda number, **settings: chip.timer(number, **settings),
+            Timer=timer,
             rng=lambda: 0x3FFFFFFF,
             wfi=chip.sleep_until_interrupt,
         )
