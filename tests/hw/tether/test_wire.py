@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import random
@@ -23,6 +24,8 @@ from tests.places import GOLDEN
 VECTORS = GOLDEN / "wire_vectors.jsonl"
 FUZZED = int(os.environ.get("AUCAMP_FUZZED_STREAMS", "100000"))  # 1000000 take half a minute
 CHECK = Path(__file__).with_name("check_vectors.py")
+CHECK_COBS = CHECK.with_name("check_cobs.py")
+FILLS = ("zeros", "ones", "random", "rare zeros")
 FIRMWARE = Path(wire.__file__).parent
 RANGES = {"B": (0, 255), "H": (0, 65535), "h": (-32768, 32767), "I": (0, 2**32 - 1), "i": (-(2**31), 2**31 - 1)}
 
@@ -82,6 +85,24 @@ def test_the_table_names_every_field():
         assert count == len(struct.unpack(wire.FORMAT[kind], zeros)), names
 
 
+def test_the_board_knows_the_table_by_its_checksum():
+    assert wire.schema_crc() == wire.SCHEMA_CRC
+    assert set(wire.FORMAT) == {kind for kind, _, _, _ in wire.TABLE}
+
+
+def test_numbers_that_a_file_of_the_board_has_written_in_are_those_of_the_wire(monkeypatch):
+    """On the board a constant with an underscore takes no memory; here it can be looked at."""
+    monkeypatch.syspath_prepend(str(FIRMWARE))
+    compared = set()
+    for name in ("frames", "tether", "orders"):
+        for private, value in vars(importlib.import_module(name)).items():
+            public = private.removeprefix("_")
+            if private != public and public.isupper() and hasattr(wire, public):
+                assert value == getattr(wire, public), f"{name}.{private}"
+                compared.add(public)
+    assert compared > {"MAX_TEXT", "SETPOINT", "FLAG_FRESH", "EV_ARMED", "RANGE", "REBOOT_MAGIC", "MODE_SHIFT"}
+
+
 def test_sizes_on_the_wire():
     assert {kind: wire.SIZE[kind] for kind in (wire.TELEM, wire.SETPOINT, wire.HELLO_ACK, wire.STATUS)} == {
         wire.TELEM: 70,
@@ -92,21 +113,74 @@ def test_sizes_on_the_wire():
     assert 50 * 8 * (wire.SIZE[wire.TELEM] + wire.OVERHEAD + 2) < 45_000  # bit/s
 
 
-@pytest.mark.parametrize("fill", ["zeros", "ones", "random", "rare zeros"])
+def plain_of(fill: str, n: int, rng: random.Random) -> bytes:
+    return {
+        "zeros": bytes(n),
+        "ones": b"\x01" * n,
+        "random": rng.randbytes(n),
+        "rare zeros": bytes(0 if rng.random() < 0.01 else rng.randrange(1, 256) for _ in range(n)),
+    }[fill]
+
+
+def sound_frame(kind: int, seq: int, payload: bytes) -> bytes:
+    """A frame without our code."""
+    plain = bytes((kind, seq)) + payload
+    return cobs.encode(plain + struct.pack("<I", zlib.crc32(plain))) + b"\0"
+
+
+def chunked_stream(rng: random.Random) -> dict[str, Any]:
+    """Sound frames and broken ones in chunks of any size, and what shall be read."""
+    frames, stream, bad = [], b"", 0
+    for seq in range(rng.randrange(1, 12)):
+        kind = rng.choice(wire.TABLE)[0]
+        size = rng.randrange(1, 50) if kind == wire.LOG else wire.SIZE[kind]
+        payload = plain_of(rng.choice(FILLS), size, rng)
+        one = bytearray(sound_frame(kind, seq, payload))
+        match rng.randrange(8):
+            case 0:  # one byte is another
+                at = rng.randrange(len(one) - 1)
+                one[at] = rng.choice([byte for byte in range(1, 256) if byte != one[at]])
+                bad += 1
+            case 1:  # longer than any frame
+                one = bytearray(rng.randrange(1, 256) for _ in range(rng.randrange(258, 600))) + b"\0"
+                bad += 1
+            case 2:  # an empty one between two is none
+                one += b"\0" * rng.randrange(1, 4)
+                frames.append([kind, seq, payload.hex()])
+            case _:
+                frames.append([kind, seq, payload.hex()])
+        stream += one
+    chunks = []
+    while stream:
+        n = rng.choice((1, 2, 7, 64, 128, 500))
+        chunks.append(stream[:n].hex())
+        stream = stream[n:]
+    return {"chunks": chunks, "frames": frames, "bad": bad}
+
+
+@pytest.mark.parametrize("fill", FILLS)
 def test_cobs_is_cobs(fill):
     rng = random.Random(5)
     for n in range(301):
-        plain = {
-            "zeros": bytes(n),
-            "ones": b"\x01" * n,
-            "random": rng.randbytes(n),
-            "rare zeros": bytes(0 if rng.random() < 0.01 else rng.randrange(1, 256) for _ in range(n)),
-        }[fill]
+        plain = plain_of(fill, n, rng)
         out = bytearray(n + 4)
         stuffed = bytes(out[: wire.stuff(plain, n, out)])
         assert stuffed == cobs.encode(plain)
         back = bytearray(stuffed)
         assert bytes(back[: wire.unstuff(back, len(back))]) == plain
+
+
+def test_cobs_and_framer_on_each_interpreter(interpreter, tmp_path):
+    """In machine code on one of them: all lengths, and streams in chunks of any size."""
+    rng = random.Random(7)
+    plains = [plain_of(fill, n, rng) for fill in FILLS for n in range(301)]
+    rows: list[dict[str, Any]] = [{"plain": plain.hex(), "stuffed": cobs.encode(plain).hex()} for plain in plains]
+    rows += [chunked_stream(rng) for _ in range(300)]
+    lines = tmp_path / "lines.jsonl"
+    lines.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    ran = subprocess.run([interpreter, CHECK_COBS, FIRMWARE, lines], capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    assert int(ran.stdout) == len(rows)
 
 
 @settings(max_examples=300, deadline=None)
