@@ -7,6 +7,7 @@ broken, the call that breaks it fails here too.
 from __future__ import annotations
 
 import builtins
+import gc
 import importlib
 import os
 import sys
@@ -224,11 +225,12 @@ def firmware_on(chip: Chip, folder: Path) -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         for name, module in chip.modules().items():
             patch.setitem(sys.modules, name, module)
-        patch.setattr(builtins, "ptr8", no_emitter.ptr8, raising=False)
-        patch.setattr(builtins, "ptr32", no_emitter.ptr32, raising=False)
+        for name in ("ptr8", "ptr16", "ptr32", "uint"):  # which the board's compiler knows
+            patch.setattr(builtins, name, getattr(no_emitter, name), raising=False)
         patch.setattr(time, "ticks_us", lambda: chip.us & 0x3FFFFFFF, raising=False)
         patch.setattr(time, "ticks_diff", lambda a, b: ((a - b + 2**29) & 0x3FFFFFFF) - 2**29, raising=False)
         patch.setattr(time, "sleep_us", chip.pass_us, raising=False)
+        patch.setattr(gc, "mem_free", lambda: 50_000, raising=False)
         patch.setattr(os, "sync", lambda: setattr(chip, "files_synced", chip.files_synced + 1))
         patch.syspath_prepend(FIRMWARE)
         patch.chdir(folder)
