@@ -3,17 +3,22 @@
 #   without arguments                          on the board
 import sys
 
-import motor_control
+if sys.implementation.name != "micropython":
+    import emitters_unix
+
+    emitters_unix.take_place()
+
 import failsafe
 import flash
-import tether
 import frames
+import motor_control
+import tether
 
 # What is not done in each cycle has cycles of its own, so that no two dear things meet: telemetry in even ones (50 Hz),
 # in odd ones the rest. Cycle after cycle, what a cycle takes must stay below 10 ms.
 TELEMETRY_EVERY = 2
 STATUS_EVERY, STATUS_AT = 100, 1
-COLLECT_EVERY, COLLECT_AT = 10, 5
+COLLECT_EVERY, COLLECT_AT = 50, 25  # what a cycle leaves is less than 200 bytes
 LOOK_EVERY, LOOK_AT = 100, 53  # how much memory is free: looking takes 2 ms
 
 

@@ -1,15 +1,12 @@
 # From pressures and set-point to pulses, armed or not. No bytes, no hardware: those are tether.py and the HAL.
+from micropython import const
+
 import failsafe
+import frames
 import law
 import parameters
 import pressure
 import thrust
-import frames
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
 
 _SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
 _BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's

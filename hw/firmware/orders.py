@@ -1,13 +1,10 @@
 # What the host may order, and the answer to each order: once executed, however often it is repeated.
+from micropython import const
+
 import failsafe
 import frames
 import parameters
 import tare
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
 
 # Of wire.py, whose numbers these are
 _ACK = const(0x30)

@@ -36,7 +36,7 @@ def test_everything_that_the_board_imports_is_there_and_nothing_else(folder):
         "ms5837.mpy",
         "slots.mpy",
     } <= names
-    assert not [name for name in names if "unix" in name or name.startswith(("__init__", "no_emitter", "bus."))]
+    assert not [name for name in names if "unix" in name or name.startswith(("__init__", "bus."))]
     there = {f"{path.stem}.mpy" for path in board_files.FIRMWARE.glob("*.py")}
     assert names - {"main.py", "boot.py"} <= there
 

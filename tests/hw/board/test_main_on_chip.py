@@ -72,9 +72,7 @@ def test_it_boots_with_the_frame_from_flash_and_says_what_there_is(bench):
     assert bench.chip.timers[3].pulses == {3: 1500}
     assert not bench.firmware.tether.faults
     line_us = 10 * len(bench.writer.frame(wire.TELEM, *telemetry[0]))
-    assert 1000 < telemetry[-1][-1] < 1000 + line_us < status[-1][4] < 3000, (
-        "the bus; at most the line too"
-    )
+    assert 1000 < telemetry[-1][-1] < 1000 + line_us < status[-1][4] < 3000, "the bus; at most the line too"
 
 
 def test_armed_it_steers_and_the_kill_switch_needs_no_software(bench):

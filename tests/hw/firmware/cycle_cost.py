@@ -1,9 +1,10 @@
-# What a control cycle costs on whichever interpreter runs this: cycle_cost.py FIRMWARE_DIR LAW CYCLES us|bytes|plain|kept
+# What a control cycle costs on whichever interpreter runs this:
+#   cycle_cost.py FIRMWARE_DIR LAW CYCLES us|bytes|plain|kept
 #
 # The whole of main.Firmware.step, armed, set-points at 20 Hz and telemetry at 50 Hz, over hardware that costs nothing.
-# Prints the median time of a cycle in us, the mean memory that one takes in bytes, the most that one takes which neither
-# hears nor says anything, or the bytes that the last holds more than the hundredth after a collection (MicroPython alone
-# can say).
+# Prints the median time of a cycle in us, the mean memory that one takes in bytes, the most that one takes which
+# neither hears nor says anything, or the bytes that the last holds more than the hundredth after a collection
+# (MicroPython alone can say).
 # ruff: noqa: T201 - this is a program
 import gc
 import sys
@@ -81,7 +82,7 @@ def set_point(hal):
 
 
 def run(law, cycles, read, difference, plain=False):
-    """The difference of what `read` says before and after each cycle; 0, where only plain ones count, for the others."""
+    """The difference of what `read` says before and after each cycle; if `plain`, 0 for those that hear or say."""
     hal = Hal(law)
     firmware = main.Firmware(hal)
     firmware.boot()
