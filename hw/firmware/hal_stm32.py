@@ -10,7 +10,6 @@ from time import sleep_us, ticks_diff, ticks_us
 import frames
 import ms5837
 import pins
-import slots
 
 _CYCLE_US = const(10000)
 _BAUD = const(1000000)
@@ -180,10 +179,16 @@ class Hal(pins.Pins):
 
     def load_flash(self):
         """What survives a power cut: a dict, empty on a fresh board. ValueError: there is something, but damaged."""
+        import slots
+
+        pins.forget("slots")
         return slots.newest()[1]
 
     def save_flash(self, flash):
         """The motors are off: the processor stands still meanwhile."""
+        import slots
+
+        pins.forget("slots")
         if self._watchdog is not None:
             machine.WDT(timeout=_SAVING_MS)
         slots.save(flash)

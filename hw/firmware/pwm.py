@@ -12,8 +12,3 @@ def prescaler(source_hz):
     if source_hz % 1000000 or not 1000000 <= source_hz <= 65536000000:
         raise ValueError("timer clock %d Hz" % source_hz)
     return source_hz // 1000000 - 1
-
-
-def lamp_us(permille):
-    """Pulse for a lamp level in 1/1000: 1100 to 1900 us (Blue Robotics Lumen)."""
-    return 1100 + 800 * permille // 1000

@@ -7,6 +7,7 @@ broken, the call that breaks it fails here too.
 from __future__ import annotations
 
 import builtins
+import gc
 import importlib
 import os
 import sys
@@ -119,6 +120,11 @@ class Chip:
             def feed(self) -> None:
                 chip.log.append(("fed",))
 
+        def timer(number: int, **settings: Any) -> Timer:
+            return chip.timer(number, **settings)
+
+        timer.BRK_OFF, timer.BRK_LOW = Timer.BRK_OFF, Timer.BRK_LOW  # type: ignore[attr-defined]
+
         def reset() -> None:
             chip.cause = 2  # whoever asks afterwards hears of the reset pin
             raise Reset
@@ -127,7 +133,7 @@ class Chip:
             Pin=Pin,
             ADC=lambda pin: SimpleNamespace(read=lambda: round(chip.volts[pin.name] / 3.3 * 4095)),
             USB_VCP=lambda: SimpleNamespace(any=lambda: 0, isconnected=lambda: False),
-            Timer=lambda number, **settings: chip.timer(number, **settings),
+            Timer=timer,
             rng=lambda: 0x3FFFFFFF,
             wfi=chip.sleep_until_interrupt,
         )
@@ -219,11 +225,12 @@ def firmware_on(chip: Chip, folder: Path) -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         for name, module in chip.modules().items():
             patch.setitem(sys.modules, name, module)
-        patch.setattr(builtins, "ptr8", emitters_unix.ptr8, raising=False)
-        patch.setattr(builtins, "ptr32", emitters_unix.ptr32, raising=False)
+        for name in ("ptr8", "ptr16", "ptr32"):  # which the board's compiler knows
+            patch.setattr(builtins, name, getattr(emitters_unix, name), raising=False)
         patch.setattr(time, "ticks_us", lambda: chip.us & 0x3FFFFFFF, raising=False)
         patch.setattr(time, "ticks_diff", lambda a, b: ((a - b + 2**29) & 0x3FFFFFFF) - 2**29, raising=False)
         patch.setattr(time, "sleep_us", chip.pass_us, raising=False)
+        patch.setattr(gc, "mem_free", lambda: 50_000, raising=False)
         patch.setattr(os, "sync", lambda: setattr(chip, "files_synced", chip.files_synced + 1))
         patch.syspath_prepend(FIRMWARE)
         patch.chdir(folder)

@@ -13,7 +13,7 @@ import pytest
 from hw.firmware import pwm
 
 FIRMWARE = Path(pwm.__file__).parent
-BOARD_ONLY = ["boot.py", "hal_stm32.py", "pins.py"]
+BOARD_ONLY = ["boot.py", "hal_stm32.py", "pins.py", "wiring.py"]
 
 
 def test_they_agree_with_the_stubs_of_the_port(tmp_path):

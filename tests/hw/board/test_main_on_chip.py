@@ -1,0 +1,118 @@
+"""The whole firmware on the chip of calls: it boots, greets, arms, steers its timers, and a kill stays a kill."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hw.firmware import wire
+from tests.hw.board.chip import Chip, Reset
+
+
+class Bench:
+    """A host at the UART, cycle by cycle."""
+
+    def __init__(self, chip: Chip, hal_stm32: Any) -> None:
+        self.chip = chip
+        self.hal = hal_stm32.Hal()
+        self.firmware = importlib.import_module("main").Firmware(self.hal)
+        self.firmware.boot()
+        self.writer = wire.Writer()
+        self.heard: list[tuple[int, tuple[Any, ...]]] = []
+        self.framer = wire.Framer(lambda kind, _seq, payload: self.heard.append((kind, wire.unpack(kind, payload))))
+        self.depth_100um = 4000
+
+    def say(self, kind: int, *fields: Any) -> None:
+        self.chip.received += bytes(self.writer.frame(kind, *fields))
+
+    def run(self, cycles: int) -> None:
+        for i in range(cycles):
+            if i % 5 == 0:
+                depth = self.depth_100um
+                self.say(wire.SETPOINT, depth, 0, 0, 0, 0, 0, 1600, 1500, 1500, 1400, 500, wire.VALID_ALL, 500, 7)
+            self.hal.wait_tick()
+            self.firmware.step()
+        for entry in self.chip.log:
+            if entry[0] == "sent":
+                self.framer.feed(entry[1], len(entry[1]))
+        self.chip.log.clear()
+
+    def all_of(self, kind: int) -> list[tuple[Any, ...]]:
+        return [fields for got, fields in self.heard if got == kind]
+
+    def arm(self) -> None:
+        self.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1)
+        self.run(400)
+        self.say(wire.ARM, 1, self.all_of(wire.HELLO_ACK)[-1][4])
+        self.run(5)
+        assert self.all_of(wire.ACK)[-1][2] == wire.OK, self.all_of(wire.EVENT)
+
+
+@pytest.fixture
+def bench(chip: Chip, hal_stm32: Any) -> Bench:
+    saved = json.dumps({"tare_pa": [106000.0] * 4, "pulse_frame_us": 2500})
+    Path("flash.json").write_text(f"{saved}\n{zlib.crc32(saved.encode()):08x}\n")
+    return Bench(chip, hal_stm32)
+
+
+def test_it_boots_with_the_frame_from_flash_and_says_what_there_is(bench):
+    bench.run(300)
+    assert [bench.chip.timers[n].frame for n in (1, 8)] == [2500, 2500]
+    telemetry, status = bench.all_of(wire.TELEM), bench.all_of(wire.STATUS)
+    assert len(telemetry) == 150 and len(status) == 3
+    times_us = [fields[0] for fields in telemetry]
+    assert {(b - a) & 0xFFFFFFFF for a, b in itertools.pairwise(times_us)} == {20_000}
+    assert bench.chip.timers[4].pulses == {1: 1600, 2: 1500, 3: 1500, 4: 1400}
+    assert bench.chip.timers[3].pulses == {3: 1500}
+    assert not bench.firmware.tether.faults
+    line_us = 10 * len(bench.writer.frame(wire.TELEM, *telemetry[0]))
+    assert 1000 < telemetry[-1][-1] < 1000 + line_us < status[-1][4] < 3000, "the bus; at most the line too"
+
+
+def test_armed_it_steers_and_the_kill_switch_needs_no_software(bench):
+    bench.arm()
+    assert not bench.firmware.tether.faults
+    bench.depth_100um = 4500
+    bench.run(20)
+    up, flat = bench.chip.timers[1].pulses, bench.chip.timers[8].pulses
+    assert max(up.values()) < 1490 and set(flat.values()) == {1500}, "deeper: all four push down"
+    bench.chip.timers[1].on = False  # the break input
+    bench.run(20)
+    assert not bench.chip.timers[1].on
+    bench.chip.wires.dead = {0, 1, 2, 3}
+    bench.run(10)
+    assert set(bench.chip.timers[1].pulses.values()) == {1500} and not bench.firmware.control.state
+
+
+def test_an_interrupt_stops_the_motors_first(bench):
+    """Ctrl-C over USB, or hardware that fails."""
+    bench.arm()
+    bench.depth_100um = 4500
+    bench.run(20)
+
+    def interrupted() -> bool:
+        raise KeyboardInterrupt
+
+    assert max(bench.chip.timers[1].pulses.values()) < 1490
+    bench.hal.wait_tick = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        bench.firmware.run()
+    assert {us for n in (1, 8) for us in bench.chip.timers[n].pulses.values()} == {1500}
+
+
+def test_an_order_to_reboot_is_known_after_it(bench):
+    bench.arm()
+    boot_id = bench.all_of(wire.HELLO_ACK)[-1][4]
+    bench.say(wire.DISARM, 2, boot_id)
+    bench.say(wire.REBOOT, 3, boot_id, wire.REBOOT_MAGIC)
+    bench.run(2)
+    assert bench.firmware.tether.orders.reboot
+    with pytest.raises(Reset):
+        bench.hal.reboot()
+    assert bench.hal.boot_info()[2] == wire.BY_ORDER
