@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test bench fuzz lint format rooms clean
+.PHONY: venv run test bench firmware fuzz lint format rooms clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -14,6 +14,10 @@ test: .venv/ready-test lint
 
 bench: .venv/ready-test
 	$(BIN)/python -m tests.bench
+
+# The files that are copied to a board (hw/README.md, "Flash it").
+firmware: .venv/ready-test
+	$(BIN)/python -m hw.board_files build/firmware
 
 # Hostile bytes into whatever takes bytes from outside, until Ctrl-C or for so long. A seed: make fuzz FUZZ="--seed 7".
 FUZZ_SECONDS ?= 600
@@ -46,4 +50,4 @@ rooms: .venv/ready-test
 	touch .venv/ready $@
 
 clean:
-	rm -rf .venv runs
+	rm -rf .venv runs build

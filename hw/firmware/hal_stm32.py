@@ -24,9 +24,7 @@ _RX_BUFFER = const(1024)  # a garbage collection of 9 ms at 1 Mbaud is 900 bytes
 _VCP_PATIENCE_MS = const(2)  # for a host that does not read
 _WATCHDOG_MS = const(500)
 _SAVING_MS = const(8000)  # erasing a sector stops the processor, for up to a second each
-_SAFE_CYCLES = const(
-    200
-)  # before the watchdog, which never ends once begun: 2 s to interrupt a program that hangs at once
+_SAFE_CYCLES = const(200)  # before the watchdog, which never ends once begun: 2 s for whoever repairs what hangs
 
 # The driver counts whole ticks of its millisecond clock: with 1 ms a tick that happens to come ends a sound transfer.
 _I2C_TIMEOUT_US = const(2000)

@@ -46,28 +46,34 @@ def is_sound(prom):
     return check_sum(prom[0] & 15, prom) == prom[0] >> 4
 
 
+def thousandths(x):
+    """x * 1000 / 1024, in steps that do not grow."""
+    return x - (3 * x >> 7)
+
+
 def temperature(words, d2, scale, at):
     """Hundredths of a degree from a PROM and a raw temperature; what `pressures` needs goes into scale[at:at + 3].
 
-    The data sheet's recipe in whole numbers that stay within 30 bits for all water that there is: the raw temperature
-    is cut into 12 bits and the rest, and 1000 / 8 is 128 - 3. With OFF and SENS as in the data sheet, what is kept is
+    The data sheet's recipe in whole numbers that stay within 30 bits for all water that there is, for which the raw
+    temperature is cut into 12 bits and the rest. With OFF and SENS as in the data sheet, what is kept is
     SENS * 1000 / 4096, cut as well, and OFF * 1000 / 32768: a pressure in thousandths of a pascal.
     """
     _, c1, c2, c3, c4, c5, c6 = words
     dt = d2 - (c5 << 8)
     high, low = dt >> 12, dt & 4095
     celsius = 2000 + ((c6 * high + (c6 * low >> 12)) >> 11)
-    x, y = c3 * high, (c3 * low >> 5) * 125 >> 7
-    slope = c1 * 16000 + (x << 3) + (y - 3 * x + 8 >> 4)
-    x, y = c4 * high, (c4 * low >> 5) * 125 >> 7
-    zero = c2 * 4000 + (x << 1) + (y - 3 * x + 32 >> 6)
+    x, y = c3 * high, c4 * high
+    slope_16 = (thousandths(c3 * low) >> 5) - 3 * x + 8  # what does not come out even, in sixteenths
+    zero_64 = (thousandths(c4 * low) >> 5) - 3 * y + 32
     if celsius < 2000:  # second order, below 20 C
-        cold = celsius - 2000
-        zero -= (31 * cold * cold >> 5) * 125 + 512 >> 10
-        slope -= (63 * cold * cold >> 6) * 125 + 128 >> 8
+        cold = (celsius - 2000) * (celsius - 2000)
+        slope_16 -= thousandths(63 * cold) >> 3
+        zero_64 -= thousandths(31 * cold) >> 2
         dt >>= 9
         celsius -= 11 * dt * dt >> 17
-    scale[at], scale[at + 1], scale[at + 2] = slope >> 12, slope & 4095, max(0, zero)
+    slope = c1 * 16000 + (x << 3) + (slope_16 >> 4)
+    scale[at], scale[at + 1] = slope >> 12, slope & 4095
+    scale[at + 2] = max(0, c2 * 4000 + (y << 1) + (zero_64 >> 6))
     return celsius
 
 
@@ -84,7 +90,8 @@ def pressures(raw: ptr8, scale: ptr32, of: int, out) -> int:
         low = (raw[3 * k + 1] & 15) << 8 | raw[3 * k + 2]
         if of >> k & 1 and high + low:
             slope = scale[3 * k]
-            out[k] = high * slope + ((high * scale[3 * k + 1] + low * slope + 2048) >> 12) - scale[3 * k + 2]
+            part = scale[3 * k + 1]
+            out[k] = high * slope + ((high * part + low * slope + (low * part >> 12) + 2048) >> 12) - scale[3 * k + 2]
             good |= 1 << k
         k += 1
     return good
@@ -147,7 +154,8 @@ class Sensors:
 
     def _exchange(self, order):
         """Read all sensors that are known, and give them the next order; returns those that took it."""
-        write, read, select, places = self._write, self._read, self._select, self._places
+        write, read = self._write, self._read
+        select, places = self._select, self._places  # four at once would take memory
         known, took = self._known, 0
         for k in range(4):
             if known >> k & 1:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import operator
+import random
+import subprocess
 from array import array
 from collections.abc import Callable
 from fractions import Fraction
 from math import floor
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -14,6 +18,11 @@ from hypothesis import strategies as st
 
 from hw.firmware import ms5837
 from tests.hw.board.wires import CELSIUS, D1, D2, PASCAL, TIMEOUT_US, WORDS, Wires, prom_of
+from tests.hw.desk import MICROPYTHON
+
+FIRMWARE = Path(ms5837.__file__).parent
+CHECK = Path(__file__).with_name("check_sensors.py")
+COST = Path(__file__).with_name("sensor_cost.py")
 
 # Sensors as they come: the example's calibration and a third more or less of each number.
 prom_words = st.tuples(st.just(0), *[st.integers(c * 2 // 3, min(65535, c * 4 // 3)) for c in WORDS[1:]])
@@ -234,3 +243,31 @@ def test_what_one_missed_is_not_taken_for_something_else(cycle):
         board.step()
         assert board.sensors.temperature_cC == CELSIUS * 100
         assert board.mPa == pytest.approx([PASCAL * 1000] * 4, abs=1000)
+
+
+@pytest.mark.skipif(MICROPYTHON is None, reason="the MicroPython Unix port is not installed")
+def test_machine_code_says_what_python_says():
+    """Its own machine words there, whole numbers without bounds here."""
+    rng = random.Random(7)
+    rows = []
+    for _ in range(500):
+        words = (0, *[rng.randint(c * 2 // 3, min(65535, c * 4 // 3)) for c in WORDS[1:]])
+        rows.append((words, in_water(words, rng.uniform(-2, 45)), rng.choice((0, 1, 2**24 - 1, rng.randrange(2**24)))))
+    text = "".join(json.dumps(row) + "\n" for row in rows)
+    ran = subprocess.run([MICROPYTHON, CHECK, FIRMWARE], input=text, capture_output=True, text=True, timeout=30)
+    theirs = [tuple(map(int, line.split())) for line in ran.stdout.splitlines()]
+    mPa, ours = 0, []
+    for words, d2, d1 in rows:
+        check = prom_of(words)[0] >> 4
+        if d1:
+            celsius, mPa = by_the_board(words, d1, d2)
+        else:
+            celsius = ms5837.temperature(words, d2, array("i", [0] * 12), 0)
+        ours.append((check, celsius, mPa, 2 if d1 else 0))
+    assert theirs == ours, ran.stderr
+
+
+@pytest.mark.skipif(MICROPYTHON is None, reason="the MicroPython Unix port is not installed")
+def test_a_cycle_takes_no_memory():
+    ran = subprocess.run([MICROPYTHON, COST, FIRMWARE], capture_output=True, text=True, timeout=30)
+    assert ran.stdout == "0\n", ran.stderr

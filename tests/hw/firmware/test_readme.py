@@ -7,7 +7,6 @@ import re
 import sys
 import threading
 import time
-from pathlib import Path
 
 from hw.firmware import parameters, pwm, wire
 from hw.stm32.driver import Stm32
@@ -37,13 +36,6 @@ def test_every_message_with_its_size():
 def test_every_pin():
     for *_, pin in [*pwm.THRUSTERS, *pwm.SERVOS, pwm.LAMP, *pwm.KILL]:
         assert pin in README
-
-
-def test_every_file_is_copied_to_the_board_but_those_for_a_computer():
-    lines = [line for line in README.splitlines() if line.strip().startswith("mpremote cp ")]
-    copied = {word for line in lines for word in line.split() if word.endswith(".py")}
-    there = {path.name for path in Path(wire.__file__).parent.glob("*.py")}
-    assert copied == there - {"__init__.py", "bus.py", "hal_unix.py", "no_emitter.py", "wire.py"}
 
 
 def test_what_is_typed_at_the_bench_is_python_and_the_drivers():
