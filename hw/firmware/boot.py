@@ -2,4 +2,5 @@
 # into the file system while the firmware has it open.
 import pyb
 
+
 pyb.usb_mode("VCP")

@@ -1,9 +1,6 @@
 # What to do when the host falls silent, water comes in or the robot lies on its side: levels and arming checks.
 # Pure: time comes as microseconds since the last cycle, so that a table can test it on any interpreter.
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
+from micropython import const
 
 OK, HOLD, SURFACE, DISARM, LATCHED = 0, 1, 2, 3, 4
 

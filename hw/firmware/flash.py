@@ -1,12 +1,9 @@
 # What the board remembers over a power cut: parameters and tare, one table of names as the HAL stores it.
+from micropython import const
+
 import failsafe
 import parameters
 import tare
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
 
 _TIME_UNKNOWN = const(-1)
 _HOST_ROUND_MS = const(0x100000000)  # where the host's milliseconds begin again

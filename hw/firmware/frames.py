@@ -6,14 +6,9 @@
 #
 # COBS (Cheshire and Baker, 1999) keeps 0x00 for the end of a frame, so a reader is in step again at the next one.
 import binascii
+import micropython
 import struct
-
-try:
-    import micropython
-    from micropython import const
-except ImportError:
-    from hw.firmware import no_emitter as micropython
-    from hw.firmware.no_emitter import const, ptr8
+from micropython import const
 
 SCHEMA_CRC = 0xA725AA30  # of wire.TABLE: two ends that disagree on any field never arm
 

@@ -1,15 +1,15 @@
 # The hardware of the control module: an STM32F407VG under MicroPython. Wiring, pins, and what of this was and was not
 # tried on a chip: hw/README.md.
 import gc
+import machine
 import os
+import pyb
+from micropython import const
 from time import sleep_us, ticks_diff, ticks_us
 
-import machine
 import ms5837
 import pins
-import pyb
 import slots
-from micropython import const
 
 # Of wire.py, whose numbers these are
 _CAN_WATCHDOG = const(1)

@@ -7,13 +7,9 @@
 # where what the law believes is not of this world.
 #
 # This is the default law; law_pid.py and law_pi.py hold the two that it is compared with.
-try:
-    import micropython
-except ImportError:
-    from hw.firmware import no_emitter as micropython
 import math
-
-const = micropython.const
+import micropython
+from micropython import const
 
 _ABSURD = const(1 << 28)  # 84 m/s, 84 rad/s
 H_S = 0.01  # a tick; all gains hold for this one alone

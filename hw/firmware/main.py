@@ -3,15 +3,17 @@
 #   without arguments                          on the board
 import sys
 
-import motor_control
+if sys.implementation.name != "micropython":
+    import emitters_unix
+
+    emitters_unix.take_place()
+
+from micropython import const
+
 import failsafe
 import flash
+import motor_control
 import tether
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
 
 # Of wire.py, whose numbers these are
 _DISARMED = const(0)
@@ -25,7 +27,7 @@ _BY_WATCHDOG = const(3)
 # in odd ones the rest. Cycle after cycle, what a cycle takes must stay below 10 ms.
 TELEMETRY_EVERY = 2
 STATUS_EVERY, STATUS_AT = 100, 1
-COLLECT_EVERY, COLLECT_AT = 10, 5
+COLLECT_EVERY, COLLECT_AT = 50, 25  # what a cycle leaves is less than 200 bytes
 LOOK_EVERY, LOOK_AT = 100, 53  # how much memory is free: looking takes 2 ms
 
 

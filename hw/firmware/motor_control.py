@@ -1,14 +1,11 @@
 # From pressures and set-point to pulses, armed or not. No bytes, no hardware: those are tether.py and the HAL.
+from micropython import const
+
 import failsafe
 import law
 import parameters
 import pressure
 import thrust
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
 
 # Of wire.py, whose numbers these are
 _PA_PER_M = const(9789.0)

@@ -3,15 +3,10 @@
 # A conversion is begun in one cycle and fetched in the next, so that nobody waits for the 9 ms that it takes.
 # Commands, PROM, CRC and compensation: data sheet of the MS5837-02BA (TE Connectivity), pages "Commands",
 # "Pressure and temperature calculation" and "Cyclic redundancy check". Written from it; untested on hardware.
+import micropython
 import struct
 from array import array
-
-try:
-    import micropython
-    from micropython import const
-except ImportError:
-    from hw.firmware import no_emitter as micropython
-    from hw.firmware.no_emitter import const, ptr8, ptr32
+from micropython import const
 
 _MUX = const(0x70)  # addresses on the bus
 _SENSOR = const(0x76)

@@ -1,12 +1,9 @@
 # What the host may order, and the answer to each order: once executed, however often it is repeated.
+from micropython import const
+
 import failsafe
 import parameters
 import tare
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
 
 # Of wire.py, whose numbers these are
 _DISARMED = const(0)

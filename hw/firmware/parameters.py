@@ -2,11 +2,7 @@
 # Units and what each one is: hw/stm32/parameter_texts.py, for on the board every text takes memory.
 import binascii
 import struct
-
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
+from micropython import const
 
 REAL, WHOLE = const(0), const(1)  # type of a PARAM_VALUE; on the wire all are float32
 

@@ -1,6 +1,7 @@
 # The pins that move things: thrusters, servos, lamp, and the two inputs that stop the thrusters. Wiring: hw/README.md.
-import pwm
 import pyb
+
+import pwm
 
 
 class Pins:

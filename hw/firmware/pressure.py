@@ -5,13 +5,9 @@
 #   zeta_k = depth + x_k sin(pitch) - y_k sin(roll) cos(pitch)      (Aucamp, arXiv 2506.09876, the rows of Theta)
 #
 # Whole numbers: pressures in mPa, depths in 100 nm (1 mPa is 102 nm of fresh water), angles in 100 nrad.
-try:
-    import micropython
-except ImportError:
-    from hw.firmware import no_emitter as micropython
 import math
-
-const = micropython.const
+import micropython
+from micropython import const
 
 _LOWEST_mPa = const(30000000)  # what an MS5837-02BA can say, 300 to 1200 mbar (data sheet)
 _HIGHEST_mPa = const(120000000)
@@ -77,7 +73,6 @@ class Plane:
                     z[k] = z[(k + 1) & 3] + z[(k + 3) & 3] - z[(k + 2) & 3]
         self._tilt(dt_us)
 
-    @micropython.native
     def _measure(self, raw_mPa):
         """The depths that the sensors say."""
         tare, new, over = self.tare_mPa, self._new_100nm, self._over
@@ -85,7 +80,6 @@ class Plane:
             water_mPa = raw_mPa[k] - (tare[k] if tare else _STANDARD_AIR_mPa)
             new[k] = water_mPa + ((water_mPa >> 6) * over >> 10)
 
-    @micropython.native
     def _tilt(self, dt_us):
         """How the plane through the four depths lies."""
         z1, z2, z3, z4 = self.zeta_100nm
@@ -156,7 +150,6 @@ class Plane:
         return True
 
 
-@micropython.native
 def _asin(x):
     """asin of x in 1e-7, in 100 nrad."""
     if -_SERIES < x < _SERIES:

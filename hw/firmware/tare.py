@@ -1,8 +1,5 @@
 # The zero of the four pressure sensors: what they read in air, found before each dive and kept in flash.
-try:
-    from micropython import const
-except ImportError:
-    from hw.firmware.no_emitter import const
+from micropython import const
 
 _LOWEST_PA = const(30000)  # what the sensors can say, see pressure.py
 _HIGHEST_PA = const(120000)

@@ -1,17 +1,12 @@
 # The conversation with the host: frames in, frames out. What an order does is in orders.py.
+import micropython
 import struct
+from micropython import const
 
 import failsafe
 import frames
 import orders
 import parameters
-
-try:
-    import micropython
-    from micropython import const
-except ImportError:
-    from hw.firmware import no_emitter as micropython
-    from hw.firmware.no_emitter import const, ptr16
 
 # Of wire.py, whose numbers these are
 _ERROR = const(2)

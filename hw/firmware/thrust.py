@@ -1,10 +1,7 @@
 # Wrench -> forces of eight thrusters -> pulses. T1-T4 push upwards, T5-T8 lie flat at the corners, tangentially.
 # Whole numbers: forces in uN, moments in uNm, up to 60 N and 4 Nm without an object on the board.
-try:
-    import micropython
-except ImportError:
-    from hw.firmware import no_emitter as micropython
-const = micropython.const
+import micropython
+from micropython import const
 
 _ARM_X_MM = const(80)  # half-distances of the central thrusters, the paper's a and b
 _ARM_Y_MM = const(60)
@@ -23,8 +20,8 @@ ROLL = (1, 1, -1, -1)
 PITCH = (-1, 1, 1, -1)
 
 # Share of the full thrust, in 1/65536 -> pulse from neutral in us, forward: ((d - 30)/370)^1.27, a fit to the
-# manufacturer's points for the T200 at 14 V. The dead band is crossed within 0.2 % of thrust instead of in a jump, which would turn
-# the noise of a pressure sensor into hammering. Reverse has the same shape.
+# manufacturer's points for the T200 at 14 V. The dead band is crossed within 0.2 % of thrust instead of in a jump,
+# which would turn the noise of a pressure sensor into hammering. Reverse has the same shape.
 CURVE = (0, 131, 1606, 5164, 10879, 19071, 30015, 43909, 65536)
 CURVE_US = (0, 30, 50, 80, 120, 170, 230, 300, 400)
 
@@ -46,7 +43,6 @@ def full_uN(thrust_max_mN, battery_ratio):
     return thrust_max_mN * 1000 + ((thrust_max_mN * more >> 7) * 125 >> 4)
 
 
-@micropython.native
 def central(want, full, slew, forces, realised):
     """Forces of T1-T4 for the wrench [up, roll, pitch]; True where the limits of thrust cut anything.
 
@@ -89,7 +85,6 @@ def central(want, full, slew, forces, realised):
     return cut
 
 
-@micropython.native
 def flat(fx, fy, mz, full, forces):
     """Forces of T5-T8 for a planar push and a yaw moment, all scaled down together at the limit `full`."""
     turn = mz * 25 // _FLAT_ARM_MM * 10

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from hw.firmware import no_emitter, pwm
+from hw.firmware import emitters_unix, pwm
 from tests.hw.board.wires import Wires
 
 FIRMWARE = Path(pwm.__file__).parent
@@ -135,7 +135,7 @@ class Chip:
             I2C=I2C, UART=Uart, WDT=Watchdog, reset=reset, unique_id=lambda: bytes(12), reset_cause=lambda: chip.cause
         )
         stm = SimpleNamespace(RTC=0x40002800, RTC_BKP19R=156, mem32=Backup(self))
-        return {"pyb": pyb, "machine": machine, "stm": stm, "micropython": no_emitter}
+        return {"pyb": pyb, "machine": machine, "stm": stm, "micropython": emitters_unix}
 
     def timer(self, number: int, **settings: Any) -> Timer:
         made = self.timers.setdefault(number, Timer(self, number))
@@ -219,8 +219,8 @@ def firmware_on(chip: Chip, folder: Path) -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
         for name, module in chip.modules().items():
             patch.setitem(sys.modules, name, module)
-        patch.setattr(builtins, "ptr8", no_emitter.ptr8, raising=False)
-        patch.setattr(builtins, "ptr32", no_emitter.ptr32, raising=False)
+        patch.setattr(builtins, "ptr8", emitters_unix.ptr8, raising=False)
+        patch.setattr(builtins, "ptr32", emitters_unix.ptr32, raising=False)
         patch.setattr(time, "ticks_us", lambda: chip.us & 0x3FFFFFFF, raising=False)
         patch.setattr(time, "ticks_diff", lambda a, b: ((a - b + 2**29) & 0x3FFFFFFF) - 2**29, raising=False)
         patch.setattr(time, "sleep_us", chip.pass_us, raising=False)

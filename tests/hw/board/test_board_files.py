@@ -27,7 +27,7 @@ def test_everything_that_the_board_imports_is_there_and_nothing_else(folder):
     names = {path.name for path in board_files.build(folder)}
     assert {path.name for path in folder.iterdir()} == names
     assert {"main.py", "boot.py", "hal_stm32.mpy", "pins.mpy", "pwm.mpy", "ms5837.mpy", "slots.mpy"} <= names
-    assert not [name for name in names if "unix" in name or name.startswith(("__init__", "no_emitter", "bus."))]
+    assert not [name for name in names if "unix" in name or name.startswith(("__init__", "bus."))]
     there = {f"{path.stem}.mpy" for path in board_files.FIRMWARE.glob("*.py")}
     assert names - {"main.py", "boot.py"} <= there
 

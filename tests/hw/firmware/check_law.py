@@ -7,6 +7,7 @@ import json
 import sys
 
 sys.path.insert(0, sys.argv[1])
+import main  # noqa: F401 - sees to it that there is a micropython
 import motor_control
 import parameters
 

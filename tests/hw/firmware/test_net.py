@@ -149,7 +149,7 @@ def test_an_event_or_a_value_that_cannot_be_said_does_not_block_those_behind_it(
     assert [event[5] for event in board.heard(wire.EVENT)] == [9, 9, 9]
     heard = [value[2] for value in board.heard(wire.PARAM_VALUE)]
     assert heard == [0, 1, *range(3, len(board.control.values))], "all but the one that broke off"
-    assert board.faults == 2
+    assert board.faults == 4
 
 
 @pytest.mark.parametrize("part", ["law", "pulses", "sensors"])

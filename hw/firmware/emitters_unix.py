@@ -1,6 +1,7 @@
-# Stands for MicroPython's own module where there is none: on a computer a function stays what it is, a buffer its own
-# pointer, and a whole number has no bounds. Nothing of this goes to the board.
-uint = int
+# Takes the place of MicroPython's own module under another Python: a function stays what it is, a buffer is its own
+# pointer, and a whole number has no bounds.
+import builtins
+import sys
 
 
 def native(function):
@@ -31,3 +32,9 @@ def ptr16(buffer):
 def ptr32(buffer):
     """A buffer as words of 32 bits, with a sign as on the board."""
     return memoryview(buffer).cast("B").cast("i")
+
+
+def take_place():
+    """From now on this is what `import micropython` finds; pointers are words of the language in viper functions."""
+    sys.modules.setdefault("micropython", sys.modules[__name__])
+    builtins.ptr8, builtins.ptr16, builtins.ptr32 = ptr8, ptr16, ptr32
