@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from hw.firmware import emitters_unix
+
 # What a set-point asks for: everything at once, so that no part of the firmware has an easy time.
 BUSY = {
     "depth_100um": 3000,
@@ -31,12 +33,7 @@ class Host:
 
     def __init__(self, folder: Path) -> None:
         """folder: the firmware's, whose wire.py is imported as the board's modules import theirs."""
-        sys.path.insert(0, str(folder))
-        try:
-            sys.modules.pop("wire", None)
-            self._wire: Any = importlib.import_module("wire")
-        finally:
-            sys.path.remove(str(folder))
+        self._wire: Any = _import_wire(folder)
         self._writer = self._wire.Writer()
         self._names = {row[1]: _names(row[3]) for row in self._wire.TABLE}
         self._kinds = {row[0]: row[1] for row in self._wire.TABLE}
@@ -77,6 +74,22 @@ class Host:
             elif name == "EVENT" and fields["code"] == self._wire.EV_ARM_REFUSED:
                 lines += [text for i, text in enumerate(self._wire.ARM_CHECKS) if fields["arg"] >> i & 1]
         return list(dict.fromkeys(lines))
+
+
+def _import_wire(folder: Path) -> Any:
+    """This folder's, whatever others of these names have been imported; and none of them stays."""
+    ours = {path.stem for path in folder.glob("*.py")} & sys.modules.keys()
+    others = {name: sys.modules.pop(name) for name in ours}
+    before = set(sys.modules)
+    emitters_unix.take_place()
+    sys.path.insert(0, str(folder))
+    try:
+        return importlib.import_module("wire")
+    finally:
+        sys.path.remove(str(folder))
+        for name in set(sys.modules) - before:
+            del sys.modules[name]
+        sys.modules.update(others)
 
 
 def _names(text: str) -> list[str]:

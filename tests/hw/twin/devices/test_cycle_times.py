@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from hw.firmware import bus
+from hw.firmware import bus, wire
 from hw.twin.devices.boot import Boot
 from hw.twin.devices.cycle_times import NO_TIME, CycleTimes, read_table
 from hw.twin.pace import run_in_lock_step
@@ -16,7 +16,7 @@ from tests.bench.board import imposed
 from tests.hw.twin.stand_ins import tell
 from tests.places import ROOT
 
-SET_POINT, TELEM, STATUS = 38, 78, 34  # bytes on the wire
+SET_POINT, TELEM, STATUS = (wire.SIZE[kind] + wire.OVERHEAD + 2 for kind in (wire.SETPOINT, wire.TELEM, wire.STATUS))
 OVERRUN_US = 13_333
 
 

@@ -40,7 +40,7 @@ def tick(ours, clock_us, waited_us=0, percent=100):
 
 def answer(ours):
     """frame_us, pins_us, busy_us"""
-    return struct.unpack(bus.ACT, ours.recv(bus.ACT_SIZE))[-3:]
+    return struct.unpack(bus.ACT, ours.recv(bus.ACT_SIZE, socket.MSG_WAITALL))[-3:]
 
 
 def test_each_thing_takes_its_time_and_pins_are_written_in_between(hal):
