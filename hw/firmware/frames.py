@@ -41,18 +41,6 @@ FORMAT = {
     0x3B: "<HI",  # ESTOP
 }
 
-# Pressure of one metre of fresh water at 20 C, 998.2 kg/m3 x 9.80665 m/s2. Both ends convert with this number.
-PA_PER_M = 9789.0
-
-# What several files of the board go by; a number that one file alone needs is written in there, and a test compares.
-DISARMED, ARMED = 0, 1  # TELEM state
-# MODE: keep depth and level; keep level, no vertical thrust; go up and stop there; turn one thruster, law off
-HOLD, STABILISE, SURFACE, BENCH = 0, 1, 2, 3
-EV_BOOT, EV_LADDER = 1, 4  # EVENT codes
-INFO, WARNING, ERROR = 0, 1, 2  # severity of an EVENT, level of a LOG
-CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL = 1, 2, 4, 8  # HELLO_ACK capabilities
-BY_WATCHDOG, BY_ORDER = 3, 5  # HELLO_ACK and STATUS reset causes
-
 
 @micropython.viper
 def stuff(plain: ptr8, n: int, out: ptr8) -> int:

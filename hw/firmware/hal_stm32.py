@@ -7,9 +7,15 @@ import pyb
 from micropython import const
 from time import sleep_us, ticks_diff, ticks_us
 
-import frames
 import ms5837
 import pins
+
+# Of wire.py, whose numbers these are
+_CAN_WATCHDOG = const(1)
+_CAN_CURRENT = const(2)
+_CAN_LEAK = const(4)
+_CAN_KILL = const(8)
+_BY_ORDER = const(5)
 
 _CYCLE_US = const(10000)
 _BAUD = const(1000000)
@@ -56,7 +62,7 @@ def free_bus():
 class Hal(pins.Pins):
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
-    capabilities = frames.CAN_WATCHDOG | frames.CAN_CURRENT | frames.CAN_LEAK | frames.CAN_KILL
+    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL
 
     def __init__(self):
         super().__init__()
@@ -161,7 +167,7 @@ class Hal(pins.Pins):
         """Unique id (12 bytes), a fresh random boot id, reset cause."""
         cause = machine.reset_cause()
         if cause == _RESET_BY_PIN and self._mark(0) == _MARK:
-            cause = frames.BY_ORDER
+            cause = _BY_ORDER
         return machine.unique_id(), pyb.rng() << 2 & 0xFFFFFFFF, cause
 
     def _mark(self, value):

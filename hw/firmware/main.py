@@ -8,11 +8,20 @@ if sys.implementation.name != "micropython":
 
     emitters_unix.take_place()
 
+from micropython import const
+
 import failsafe
 import flash
-import frames
 import motor_control
 import tether
+
+# Of wire.py, whose numbers these are
+_DISARMED = const(0)
+_EV_BOOT = const(1)
+_EV_LADDER = const(4)
+_INFO = const(0)
+_WARNING = const(1)
+_BY_WATCHDOG = const(3)
 
 # What is not done in each cycle has cycles of its own, so that no two dear things meet: telemetry in even ones (50 Hz),
 # in odd ones the rest. Cycle after cycle, what a cycle takes must stay below 10 ms.
@@ -46,11 +55,11 @@ class Firmware:
             module.plane.tare_mPa = self.flash.tare_mPa()
         except ValueError as error:
             line.complain(str(error))
-        if line.reset_cause == frames.BY_WATCHDOG:
+        if line.reset_cause == _BY_WATCHDOG:
             line.complain("reset by watchdog: reboot by order, then arm")
             module.ladder.latch(failsafe.WATCHDOG)
         line.begin_pulses()
-        line.event(frames.EV_BOOT, 0, module.ladder.level, frames.INFO, line.reset_cause)
+        line.event(_EV_BOOT, 0, module.ladder.level, _INFO, line.reset_cause)
         flash.put_away()
         self.hal.collect()
 
@@ -67,7 +76,7 @@ class Firmware:
             return False
         except BaseException as error:
             self.control.disarm()
-            self.hal.armed = frames.DISARMED
+            self.hal.armed = _DISARMED
             self.hal.write_pins()
             self.tether.last_words("stopped: " + repr(error))
             raise
@@ -100,7 +109,7 @@ class Firmware:
             line.fault("control", error)
             moved = module.fail(dt_us)
         if moved:
-            line.event(frames.EV_LADDER, before, module.ladder.level, frames.WARNING, module.ladder.reason)
+            line.event(_EV_LADDER, before, module.ladder.level, _WARNING, module.ladder.reason)
         hal.armed = module.state
         hal.end_cycle()
         try:

@@ -2,10 +2,17 @@
 from micropython import const
 
 import failsafe
-import frames
 import law
 import pressure
 import thrust
+
+# Of wire.py, whose numbers these are
+_PA_PER_M = const(9789.0)
+_DISARMED = const(0)
+_ARMED = const(1)
+_HOLD = const(0)
+_STABILISE = const(1)
+_BENCH = const(3)
 
 _SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
 _BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
@@ -46,10 +53,10 @@ class Control:
     """State of the motors. Every buffer is made here, none in the cycle."""
 
     def __init__(self):
-        self.state = frames.DISARMED
-        self.mode = frames.HOLD
+        self.state = _DISARMED
+        self.mode = _HOLD
         self.bench_thruster = 0  # 1-8: turns in mode BENCH
-        self.plane = pressure.Plane(frames.PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
+        self.plane = pressure.Plane(_PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
@@ -114,7 +121,7 @@ class Control:
 
     def act(self, dt_us):
         """End a cycle: new pulses. Returns whether the ladder moved."""
-        if self.state == frames.DISARMED:
+        if self.state == _DISARMED:
             if self.esc_us < _NEVER_US:
                 self.esc_us += dt_us
             return False
@@ -125,7 +132,7 @@ class Control:
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
         )
-        if level >= failsafe.HOLD and self.mode == frames.BENCH:
+        if level >= failsafe.HOLD and self.mode == _BENCH:
             self.ladder.give_up()
             level = failsafe.DISARM
         if level >= failsafe.DISARM:
@@ -133,14 +140,14 @@ class Control:
             return True
         if level >= failsafe.HOLD:
             self.set_point.level_out()
-            if self.mode == frames.STABILISE:  # with nobody there, drifting up or down is no option
+            if self.mode == _STABILISE:  # with nobody there, drifting up or down is no option
                 self.hold_here()
         if level == failsafe.SURFACE:
             if before != level:
                 self.set_point.depth_100nm = self.plane.depth_100nm
             rise_100nm = failsafe.ASCENT_MM_S * dt_us // 100
             self.set_point.depth_100nm = max(failsafe.AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
-        if self.mode == frames.BENCH:
+        if self.mode == _BENCH:
             self._turn_one()
         else:
             self._drive(min((dt_us + _TICK_US // 2) // _TICK_US, _TICKS_AT_ONCE))
@@ -148,13 +155,13 @@ class Control:
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
-        if self.state == frames.DISARMED:
+        if self.state == _DISARMED:
             return False
         before = self.ladder.level
         self._owed = min(self._owed + _FAULT_CYCLES, _FAULTS_LIMIT * _FAULT_CYCLES)
         self._lost_us += dt_us
         self._failed = True
-        if self._lost_us >= _LOST_US or self.mode == frames.BENCH:
+        if self._lost_us >= _LOST_US or self.mode == _BENCH:
             self.ladder.give_up(failsafe.FAULT)
             self.disarm()
         elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
@@ -180,7 +187,7 @@ class Control:
 
     def hold_here(self):
         """Keep the depth that there is."""
-        self.mode = frames.HOLD
+        self.mode = _HOLD
         self.set_point.depth_100nm = self.plane.depth_100nm
 
     def _turn_one(self):
@@ -192,10 +199,10 @@ class Control:
         y[0], y[1], y[2] = plane.depth_100nm, plane.roll_100nrad, plane.pitch_100nrad
         ref, tilt = self._ref, set_point.tilt_100nrad
         ref[0], ref[1], ref[2] = set_point.depth_100nm, tilt[0], tilt[1]
-        if self.mode == frames.STABILISE:
+        if self.mode == _STABILISE:
             ref[0] = y[0]
         self.law.step(y, ref, realised, want, ticks)
-        if self.mode == frames.STABILISE:
+        if self.mode == _STABILISE:
             want[0] = 0
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
         weight = self._net_weight_uN
@@ -215,7 +222,7 @@ class Control:
 
         For an armed robot, which is called back from surfacing, the ESCs and the set-point are as they shall be.
         """
-        armed = self.state == frames.ARMED
+        armed = self.state == _ARMED
         return failsafe.arm_faults(
             hello,
             self.plane,
@@ -232,12 +239,12 @@ class Control:
     def arm(self):
         """Start the motors from rest, or go back to work from surfacing."""
         self.ladder.resume()
-        if self.state == frames.ARMED:
+        if self.state == _ARMED:
             return
         self._owed = self._lost_us = 0
         self._failed = False
         self._begin()
-        self.state = frames.ARMED
+        self.state = _ARMED
 
     def _begin(self):
         """Law and thrusters from rest, where the robot is."""
@@ -251,8 +258,8 @@ class Control:
 
     def disarm(self):
         """All pulses to neutral, now."""
-        self.state = frames.DISARMED
-        self.mode = frames.HOLD
+        self.state = _DISARMED
+        self.mode = _HOLD
         self.saturated = 0
         for j in range(8):
             self.pulses_us[j] = self.neutral_us[j]

@@ -3,9 +3,17 @@ from micropython import const
 
 import failsafe
 import flash
-import frames
 
 # Of wire.py, whose numbers these are
+_DISARMED = const(0)
+_ARMED = const(1)
+_HOLD = const(0)
+_STABILISE = const(1)
+_SURFACE = const(2)
+_BENCH = const(3)
+_EV_LADDER = const(4)
+_INFO = const(0)
+_WARNING = const(1)
 _ACK = const(0x30)
 _ARM = const(0x31)
 _DISARM = const(0x32)
@@ -79,7 +87,7 @@ class Orders:
         try:
             return self._execute(kind, fields)
         except Exception as error:
-            if was == frames.DISARMED:
+            if was == _DISARMED:
                 self._control.disarm()
             self._line.fault("order", error)
             return _REFUSED
@@ -97,7 +105,7 @@ class Orders:
         if kind == _PARAM_LIST:
             self._list_req_id, self._list_next, self._listing = fields[0], 0, True
             return _RUNNING  # the values are the answer; a repeat begins anew
-        if control.state == frames.ARMED:
+        if control.state == _ARMED:
             return _REFUSED
         if kind == _PARAM_SET:
             return self._set(fields[2], fields[5])
@@ -123,10 +131,10 @@ class Orders:
         control.tare_old = self._flash.tare_is_old(control.set_point.host_ms)
         faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:
-            self._line.event(_EV_ARM_REFUSED, before, before, frames.WARNING, faults)
+            self._line.event(_EV_ARM_REFUSED, before, before, _WARNING, faults)
             return _REFUSED
         control.arm()
-        self._line.event(_EV_ARMED, before, control.ladder.level, frames.INFO, failsafe.ORDER)
+        self._line.event(_EV_ARMED, before, control.ladder.level, _INFO, failsafe.ORDER)
         return _OK
 
     def _stop(self, reason):
@@ -135,29 +143,29 @@ class Orders:
         control.disarm()
         if reason == failsafe.STOP:
             control.ladder.latch(reason)
-        if was == frames.ARMED or before != control.ladder.level:
-            self._line.event(_EV_DISARMED, before, control.ladder.level, frames.INFO, reason)
+        if was == _ARMED or before != control.ladder.level:
+            self._line.event(_EV_DISARMED, before, control.ladder.level, _INFO, reason)
         return _OK
 
     def _mode(self, mode, thruster):
         control = self._control
-        armed = control.state == frames.ARMED
-        if mode > frames.BENCH or (mode == frames.BENCH and not 1 <= thruster <= 8):
+        armed = control.state == _ARMED
+        if mode > _BENCH or (mode == _BENCH and not 1 <= thruster <= 8):
             return _RANGE
-        if mode == frames.SURFACE:
-            if not armed or control.mode == frames.BENCH:
+        if mode == _SURFACE:
+            if not armed or control.mode == _BENCH:
                 return _REFUSED
             before = control.ladder.level
             control.surface()
             if before != control.ladder.level:
-                self._line.event(frames.EV_LADDER, before, control.ladder.level, frames.INFO, failsafe.ORDER)
+                self._line.event(_EV_LADDER, before, control.ladder.level, _INFO, failsafe.ORDER)
             return _OK
         # Armed, a robot on the bench stays on the bench, and one in the water in the water.
-        if armed and (mode == frames.BENCH) != (control.mode == frames.BENCH):
+        if armed and (mode == _BENCH) != (control.mode == _BENCH):
             return _REFUSED
-        if armed and mode == frames.STABILISE and control.ladder.level != failsafe.OK:
+        if armed and mode == _STABILISE and control.ladder.level != failsafe.OK:
             return _REFUSED
-        if armed and mode == frames.HOLD and control.mode == frames.STABILISE:
+        if armed and mode == _HOLD and control.mode == _STABILISE:
             control.hold_here()
         control.mode = mode
         control.bench_thruster = thruster

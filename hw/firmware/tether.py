@@ -8,6 +8,7 @@ import frames
 import orders
 
 # Of wire.py, whose numbers these are
+_ERROR = const(2)
 _PROTOCOL = const(1)
 _TELEM = const(0x01)
 _STATUS = const(0x02)
@@ -171,9 +172,9 @@ class Tether:
             self._host_boot = host_boot
             self.orders.forget()
             if not self.hello:
-                self.log(frames.ERROR, "host speaks another protocol: no arming")
+                self.log(_ERROR, "host speaks another protocol: no arming")
             for text in self._complaints:
-                self.log(frames.ERROR, text)
+                self.log(_ERROR, text)
         # fmt: off
         self.say(
             _HELLO_ACK, _PROTOCOL, frames.SCHEMA_CRC, _BUILD, self._uid, self.boot_id, self.reset_cause,
@@ -288,9 +289,9 @@ class Tether:
             now_us = self._hal.now_us()
             if self._fault_us is None or (now_us - self._fault_us) & 0xFFFFFFFF >= _FAULT_AGAIN_US:
                 self._fault_us = now_us
-                self.log(frames.ERROR, "fault %d, %s: %r" % (self.faults, where, error))
+                self.log(_ERROR, "fault %d, %s: %r" % (self.faults, where, error))
         except Exception:
             pass  # no memory for words: the count has it
 
     def last_words(self, text):
-        self._hal.write(self._writer.log(frames.ERROR, text.encode()))
+        self._hal.write(self._writer.log(_ERROR, text.encode()))

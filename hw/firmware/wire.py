@@ -65,17 +65,25 @@ _FIELDS = (
 TABLE = tuple([(kind, name, FORMAT[kind], fields) for kind, name, fields in _FIELDS])
 SIZE = {kind: struct.calcsize(FORMAT[kind]) for kind in FORMAT}
 
+# Pressure of one metre of fresh water at 20 C, 998.2 kg/m3 x 9.80665 m/s2. Both ends convert with this number.
+PA_PER_M = 9789.0
+
+DISARMED, ARMED = 0, 1  # TELEM state
+
 # Bits of TELEM's flags
 FLAG_HELLO, FLAG_DEGRADED, FLAG_TARED, FLAG_LEAK, FLAG_BATTERY, FLAG_FRESH = 1, 2, 4, 8, 16, 32
 MODE_SHIFT = 8  # two bits of the flags: the mode
+
+# MODE: keep depth and level; keep level, no vertical thrust; go up and stop there; turn one thruster, law off
+HOLD, STABILISE, SURFACE, BENCH = 0, 1, 2, 3
 
 UNSAVED = 1  # PARAM_VALUE flags: it is not what is in flash
 
 REBOOT_MAGIC = 0xB007B007  # a flipped bit in another command shall not restart a robot
 
-# More HELLO_ACK capabilities and reset causes, these as MicroPython's machine module numbers them on an STM32
-SIMULATED = 16
-POWER_ON, BY_PIN = 1, 2
+# HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32
+CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL, SIMULATED = 1, 2, 4, 8, 16
+POWER_ON, BY_PIN, BY_WATCHDOG, BY_ORDER = 1, 2, 3, 5
 
 # SETPOINT valid bits: a part whose bit is clear keeps what was last set
 VALID_DEPTH, VALID_ATTITUDE, VALID_FORCE, VALID_SERVO, VALID_LIGHT = 1, 2, 4, 8, 16
@@ -85,8 +93,9 @@ VALID_ALL = 31
 OK, REFUSED, UNKNOWN, STALE_BOOT, BUSY, RANGE, RUNNING = 0, 1, 2, 3, 4, 5, 6
 RESULTS = ("ok", "refused", "unknown", "stale boot", "busy", "out of range", "running")
 
-# More EVENT codes; arg is an index of REASONS, for a refusal the bit mask of ARM_CHECKS that failed
-EV_ARMED, EV_DISARMED, EV_ARM_REFUSED = 2, 3, 5
+# EVENT codes; arg is an index of REASONS, for a refusal the bit mask of ARM_CHECKS that failed
+EV_BOOT, EV_ARMED, EV_DISARMED, EV_LADDER, EV_ARM_REFUSED = 1, 2, 3, 4, 5
+INFO, WARNING, ERROR = 0, 1, 2  # severity of an EVENT, level of a LOG
 
 REASONS = (
     "none",

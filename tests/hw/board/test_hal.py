@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hw.firmware import frames
+from hw.firmware import wire
 from tests.hw.board.chip import Reset
 from tests.hw.board.wires import PASCAL
 
@@ -158,7 +158,7 @@ def test_a_reset_by_order_is_told_from_one_by_the_pin(hal, chip):
     assert hal.boot_info()[2] == 2
     with pytest.raises(Reset):
         hal.reboot()
-    assert hal.boot_info()[2] == frames.BY_ORDER
+    assert hal.boot_info()[2] == wire.BY_ORDER
     assert hal.boot_info()[2] == 2, "the mark is for one boot"
 
 

@@ -1,13 +1,14 @@
 # COBS and the framer on whichever interpreter runs this: check_cobs.py FIRMWARE_DIR LINES
 #
 # A line has plain bytes and what another implementation stuffs them to, or chunks and the frames that are in them.
-# ruff: noqa: PTH123, T201 - MicroPython has no pathlib
+# ruff: noqa: I001, PTH123, T201 - main comes first; MicroPython has no pathlib
 import json
 import sys
 
 sys.path.insert(0, sys.argv[1])
 import binascii
 
+import main  # noqa: F401 - sees to it that there is a micropython
 import frames
 
 unhex = binascii.unhexlify

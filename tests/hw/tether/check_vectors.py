@@ -6,6 +6,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import binascii
 
+import main  # noqa: F401 - sees to it that there is a micropython
 import wire
 
 
