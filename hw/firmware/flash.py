@@ -10,7 +10,7 @@ _HOST_ROUND_MS = const(0x100000000)  # where the host's milliseconds begin again
 
 def put_away():
     """Drop the modules that only boot and orders to a robot at rest need: in a dive they take no memory."""
-    for name in ("parameters", "tare"):
+    for name in ("parameters", "tare", "gains"):
         sys.modules.pop(name, None)
 
 

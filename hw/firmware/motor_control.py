@@ -88,7 +88,9 @@ class Control:
         of = {name: values[i] for i, name in enumerate(parameters.NAMES)}
         name = parameters.LAWS[int(of["law"])]
         if name == "observer":
-            self.law = law.Observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"])
+            import gains
+
+            self.law = law.Observer(gains.observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]))
         elif name == "pid":
             import law_pid  # these two take no memory where they are not wanted
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hw.firmware import law, law_pi, law_pid, pressure, thrust
+from hw.firmware import gains, law, law_pi, law_pid, pressure, thrust
 from tests.hw.firmware.nominal_plant import ARM_X_M, ARM_Y_M, PA_PER_M, Plant
 
 CYCLE_US = 10_000
@@ -21,7 +21,7 @@ class Loop:
         self.plant, self.ref_m = plant, depth_m
         self.plane = pressure.Plane(PA_PER_M, 130, 130)
         self.plane.tare_mPa = [round(1000 * p) for p in plant.tare_pa]
-        self.law = law.Observer()
+        self.law = law.Observer(gains.observer())
         self.realised, self.want, self.forces, self.pulses_us = [0] * 3, [0] * 3, [0] * 8, [0] * 8
         self.answered = 15
         self.history: list[tuple[float, float, float]] = []

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hw.firmware import gains, law
 from tests.hw.firmware.bare_board import firmware_main
 from tests.hw.firmware.float_law import FloatObserver, recorded
 
@@ -23,11 +24,11 @@ def modules() -> tuple[ModuleType, ModuleType]:
     return main.motor_control, main.motor_control.parameters
 
 
-def armed(law: str, first: list[int], **flash: float) -> Any:
+def armed(name: str, first: list[int], **flash: float) -> Any:
     """Control with the motors on, in front of these pressures."""
     motor_control, parameters = modules()
     control = motor_control.Control()
-    control.configure(parameters.from_flash({"law": law, "net_weight_N": 0.5, "zero_3_us": 1507, **flash}))
+    control.configure(parameters.from_flash({"law": name, "net_weight_N": 0.5, "zero_3_us": 1507, **flash}))
     control.plane.tare_mPa = [AIR_mPa] * 4
     for _ in range(10):
         control.sense(first, 15, 15000, 0, CYCLE_US)
@@ -35,10 +36,10 @@ def armed(law: str, first: list[int], **flash: float) -> Any:
     return control
 
 
-def fly(law: str, number: type[int] = int, **flash: float) -> tuple[np.ndarray, np.ndarray, Any]:
+def fly(name: str, number: type[int] = int, **flash: float) -> tuple[np.ndarray, np.ndarray, Any]:
     """Pulses of the recorded dive now and in floats, (1000, 8) each, and the control after it."""
-    cycles = list(recorded(law))
-    control = armed(law, [number(p) for p in cycles[0].pressure_mPa], **flash)
+    cycles = list(recorded(name))
+    control = armed(name, [number(p) for p in cycles[0].pressure_mPa], **flash)
     pulses = []
     for cycle in cycles:
         control.set_point.age_us, control.set_point.ttl_us = 0, 500_000
@@ -50,19 +51,23 @@ def fly(law: str, number: type[int] = int, **flash: float) -> tuple[np.ndarray, 
     return np.array(pulses), np.array([cycle.pulses_us for cycle in cycles]), control
 
 
-@pytest.mark.parametrize("law", ["observer", "pid", "pi"])
-def test_pulses_are_those_of_the_law_in_floats(law):
+def observer() -> Any:
+    return law.Observer(gains.observer())
+
+
+@pytest.mark.parametrize("name", ["observer", "pid", "pi"])
+def test_pulses_are_those_of_the_law_in_floats(name):
     """To a microsecond, where a propeller turns.
 
     Inside the dead band, which is crossed at 0.7 mN a microsecond, the observer may be 10 us off: a recording does not
     answer, so that what the thrusters give and what the water gives cannot be told apart, and the roundings of ten
     seconds add up in the difference, to 16 mN. In water they do not: test_law_on_plant.py.
     """
-    now, floats, _ = fly(law)
+    now, floats, _ = fly(name)
     off = np.abs(now - floats)
     turns = np.abs(floats - NEUTRAL_US) > DEAD_BAND_US
     assert off[turns].max() <= 1
-    assert off.max() <= (10 if law == "observer" else 1)
+    assert off.max() <= (10 if name == "observer" else 1)
     assert (off > 1).mean() < 0.01
     central = floats[:, :4]  # and the dives are worth comparing
     assert central.min() == 1100 or central.max() == 1900, "the push saturates"
@@ -71,9 +76,8 @@ def test_pulses_are_those_of_the_law_in_floats(law):
 
 def test_the_observer_wants_what_its_equations_want():
     """Given the same measurements and the same wrench that came of it: within 3 mN, 0.1 mNm, 0.05 % of its terms."""
-    motor_control, _ = modules()
     rng = np.random.default_rng(1)
-    whole, floats = motor_control.law.Observer(), FloatObserver()
+    whole, floats = observer(), FloatObserver()
     y, want, realised = np.array([3_000_000, 0, 0]), [0] * 3, [0] * 3
     whole.reset(y.tolist())
     floats.reset((y * 1e-7).tolist())
@@ -96,10 +100,9 @@ def test_the_observer_wants_what_its_equations_want():
 
 def test_a_lost_tick_is_predicted_over():
     """What stood still meanwhile were the pulses: the law of a robot that falls knows where it is by now."""
-    motor_control, _ = modules()
-    each, every_second = motor_control.law.Observer(), motor_control.law.Observer()
-    for law in (each, every_second):
-        law.reset([3_000_000, 0, 0])
+    each, every_second = observer(), observer()
+    for one in (each, every_second):
+        one.reset([3_000_000, 0, 0])
     want, heavy = [0] * 3, [0] * 3
     for tick in range(1, 200):
         y = [3_000_000 + 20 * tick * tick, 0, 0]
