@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import hw.firmware  # noqa: F401 - from now on there is a module of the name micropython
+
 # What a set-point asks for: everything at once, so that no part of the firmware has an easy time.
 BUSY = {
     "depth_100um": 3000,
