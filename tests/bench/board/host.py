@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import hw.firmware  # noqa: F401 - from now on there is a module of the name micropython
+from hw.firmware import emitters_unix
 
 # What a set-point asks for: everything at once, so that no part of the firmware has an easy time.
 BUSY = {
@@ -81,6 +81,7 @@ def _import_wire(folder: Path) -> Any:
     ours = {path.stem for path in folder.glob("*.py")} & sys.modules.keys()
     others = {name: sys.modules.pop(name) for name in ours}
     before = set(sys.modules)
+    emitters_unix.take_place()
     sys.path.insert(0, str(folder))
     try:
         return importlib.import_module("wire")
