@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tests.bench.board.tools import BoardError
 
-COMPUTERS_ONLY = "hal_unix"  # main.py imports it where it runs on a computer
+COMPUTERS_ONLY = "_unix"  # so ends the name of what main.py imports where it runs on a computer
 BOARD, COMPUTER = "armv7emsp", "x64"  # what mpy-cross calls them
 SHIPPED = 3  # the -O of `make firmware`: no assertions, no line numbers
 
@@ -85,7 +85,7 @@ def candidates(folder: Path) -> dict[str, str]:
                 names = [node.module or ""]
             else:
                 continue
-            wanted += [n for n in names if n != COMPUTERS_ONLY and (folder / (n + ".py")).is_file()]
+            wanted += [n for n in names if not n.endswith(COMPUTERS_ONLY) and (folder / (n + ".py")).is_file()]
     return found
 
 
