@@ -18,14 +18,11 @@ BOOT_ID = 77
 
 
 def firmware_main() -> ModuleType:
-    """The firmware's main module. On a board its files are no package, so its folder is looked through first."""
-    sys.path.insert(0, str(FIRMWARE))
-    try:
-        for late in ("law_pid", "law_pi"):  # which it imports where they are chosen
-            importlib.import_module(late)
-        return importlib.import_module("main")
-    finally:
-        sys.path.remove(str(FIRMWARE))
+    """The firmware's main module. On a board its files are no package, so its folder is looked through too: for good,
+    as it imports some where it needs them."""
+    if str(FIRMWARE) not in sys.path:
+        sys.path.append(str(FIRMWARE))
+    return importlib.import_module("main")
 
 
 class BareHal:

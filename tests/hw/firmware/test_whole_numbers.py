@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from types import ModuleType
 from typing import Any
 
@@ -20,8 +21,7 @@ NEUTRAL_US = np.array([1500, 1500, 1507, 1500, 1500, 1500, 1500, 1500])
 
 
 def modules() -> tuple[ModuleType, ModuleType]:
-    main = firmware_main()
-    return main.motor_control, main.motor_control.parameters
+    return firmware_main().motor_control, importlib.import_module("parameters")
 
 
 def armed(name: str, first: list[int], **flash: float) -> Any:
