@@ -14,14 +14,16 @@ from tests.places import ROOT
 PACKAGES = ("agent", "hw", "replay", "router_config")
 SOURCES = sorted(path for room in (*PACKAGES, "tests") for path in (ROOT / room).rglob("*.py"))
 FILES_IN_A_ROOM = 20
+# MicroPython finds modules beside main.py, and the board's flash is one folder.
+ROOMIER = {"hw/firmware": 28}
 LINES_IN_A_FILE = 300
 CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
 
 
 def test_no_room_has_more_files_than_the_eye_takes_in() -> None:
     rooms = [path.parent.relative_to(ROOT) for path in SOURCES]
-    crowded = {str(room): rooms.count(room) for room in set(rooms) if rooms.count(room) > FILES_IN_A_ROOM}
-    assert not crowded
+    counts = {str(room): rooms.count(room) for room in set(rooms)}
+    assert not {room: n for room, n in counts.items() if n > ROOMIER.get(room, FILES_IN_A_ROOM)}
 
 
 def test_no_file_is_longer_than_one_idea() -> None:

@@ -7,7 +7,6 @@
 # where what the law believes is not of this world.
 #
 # This is the default law; law_pid.py and law_pi.py hold the two that it is compared with.
-import micropython
 from micropython import const
 
 _ABSURD = const(1 << 28)  # 84 m/s, 84 rad/s
@@ -44,7 +43,6 @@ class Observer:
         return self._state[i][3] * gains[2] >> gains[1]
 
 
-@micropython.native
 def _step(state, gains, y, ref, realised, ticks):
     """Predict and correct one axis; the wrench that it wants."""
     sign, shift, unit, decay, linear, quadratic, k1, k2, cap, l1, l2, l3, lead, most = gains

@@ -6,7 +6,6 @@
 #
 # Whole numbers: pressures in mPa, depths in 100 nm (1 mPa is 102 nm of fresh water), angles in 100 nrad.
 import math
-import micropython
 from micropython import const
 
 _LOWEST_mPa = const(30000000)  # what an MS5837-02BA can say, 300 to 1200 mbar (data sheet)
@@ -121,7 +120,6 @@ class Plane:
                 worst = k
         return worst
 
-    @micropython.native
     def _follow(self, k, mPa, answered, dt_us):
         zeta = self._new_100nm[k]
         same_us = 0

@@ -57,23 +57,26 @@ def run(tools: Tools, options: Options) -> tuple[Run, host.Host]:
     texts = sources.with_native(sources.candidates(options.firmware), list(options.native))
     # One host each, whose frames begin at number 0: the same bytes, whichever boot is first.
     hosts = [host.Host(options.firmware) for _ in NUMBERINGS]
-    texts = _imported(tools, options, host.Host(options.firmware), texts)
+    kept = _kept(tools, options, host.Host(options.firmware), texts)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        runs = list(pool.map(lambda h, n: _boot(tools, options, h, texts, n), hosts, NUMBERINGS))
+        runs = list(pool.map(lambda h, n: _boot(tools, options, h, texts, kept, n), hosts, NUMBERINGS))
     runs[0].log = counts.mean_of([run.log for run in runs])
     return runs[0], hosts[0]
 
 
-def _imported(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, str]) -> dict[str, str]:
-    """Those modules that the firmware really imports on a board; found without counting, in less than a second."""
+def _kept(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, str]) -> dict[str, str]:
+    """Those modules that are there in a dive: neither never imported nor dropped after boot. Found without counting, in
+    less than a second."""
     script = _script(speaks, options, 0, '\nprint("IMPORTED", " ".join(sys.modules))\n')
     lines = _carry_out(tools, options, speaks, texts, script, None)[0]
     names = {"main", *next(line for line in reversed(lines) if line.startswith("IMPORTED ")).split()[1:]}
     return {name: text for name, text in texts.items() if name in names}
 
 
-def _boot(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, str], numbering: int) -> Run:
-    functions = sources.functions(texts)
+def _boot(
+    tools: Tools, options: Options, speaks: host.Host, texts: dict[str, str], kept: dict[str, str], numbering: int
+) -> Run:
+    functions = sources.functions(kept)
     fakes = [f for f in sources.functions(_pretended()) if f.module != "b_plan"]
     rows = [(i, f) for i, f in enumerate(functions)] + [(FAKES + i, f) for i, f in enumerate(fakes)]
     parts = "".join(f"{i} {f.module} {f.owner or '-'} {f.name}\n" for i, f in rows)
@@ -86,7 +89,7 @@ def _boot(tools: Tools, options: Options, speaks: host.Host, texts: dict[str, st
             number, i2c, adc, tx, idle = map(int, line.split()[1:])
             buses[number] = (i2c, adc, tx, idle)
     board = Compiler(tools.mpy_cross, BOARD, options.optimise)
-    sizes = board.size(texts), board.size(sources.without_native(texts))
+    sizes = board.size(kept), board.size(sources.without_native(kept))
     size = len(speaks.set_point(host.BUSY))
     return Run(lines, counted, {i: f.label for i, f in rows}, list(buses), buses, sent, size, *sizes)
 
