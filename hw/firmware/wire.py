@@ -81,7 +81,7 @@ UNSAVED = 1  # PARAM_VALUE flags: it is not what is in flash
 
 REBOOT_MAGIC = 0xB007B007  # a flipped bit in another command shall not restart a robot
 
-# HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32
+# HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32; 5 is ours
 CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL, SIMULATED = 1, 2, 4, 8, 16
 POWER_ON, BY_PIN, BY_WATCHDOG, BY_ORDER = 1, 2, 3, 5
 
