@@ -44,7 +44,14 @@ class Observer:
 
 
 def _step(state, gains, y, ref, realised, ticks):
-    """Predict and correct one axis; the wrench that it wants."""
+    """Predict and correct one axis; the wrench that it wants.
+
+    In SI units, with a tick H and the gains of gains.py (shifts round, and keep products within 31 bits):
+
+        p += H v;  v += H (sign a + d - drag(v)) / m;  a += (realised - a) (1 - exp(-H / lag))
+        r = y - p;  p += L1 r;  v += L2 r;  d += L3 m r
+        want = sign (drag(v) - m (K1 clip(p - ref) + K2 v) - d);  want += K_LEAD (want - a)
+    """
     sign, shift, unit, decay, linear, quadratic, k1, k2, cap, l1, l2, l3, lead, most = gains
     p, v, a, d = state
     realised = ((realised << shift) + (unit >> 1)) // unit

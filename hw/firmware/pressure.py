@@ -10,17 +10,11 @@ from micropython import const
 
 _LOWEST_mPa = const(30000000)  # what an MS5837-02BA can say, 300 to 1200 mbar (data sheet)
 _HIGHEST_mPa = const(120000000)
-_ABOVE_WATER_100nm = const(
-    1000000
-)  # higher than this above the surface is no place of a submerged robot (ArduPilot issue 9837)
+_ABOVE_WATER_100nm = const(1000000)  # higher is no place of a submerged robot (ArduPilot issue 9837)
 _BAD_AFTER = const(5)  # faulty readings in a row (50 ms); below that the last good one stands in
 _GOOD_AFTER = const(100)  # good readings in a row (1 s)
-_SPIKE_100nm = const(
-    500000
-)  # a sensor that leaves the others' plane by more in a cycle is doubted, for _BAD_AFTER cycles
-_STUCK_AFTER_US = const(
-    5000000
-)  # the same reading for so long is a fault only while the others move (ArduPilot issue 30854)
+_SPIKE_100nm = const(500000)  # who leaves the others' plane by more in a cycle is doubted, for _BAD_AFTER cycles
+_STUCK_AFTER_US = const(5000000)  # the same reading is a fault only while the others move (ArduPilot issue 30854)
 _MOVING_US = const(1000000)
 _PARITY_LIMIT_100nm = const(200000)
 _PARITY_FOR_US = const(500000)

@@ -1,5 +1,5 @@
 # Wrench -> forces of eight thrusters -> pulses. T1-T4 push upwards, T5-T8 lie flat at the corners, tangentially.
-# Whole numbers: forces in uN, moments in uNm, up to 60 N and 4 Nm without an object on the board.
+# Whole numbers: forces in uN, moments in uNm, up to 60 N a thruster without an object on the board.
 import micropython
 from micropython import const
 

@@ -141,9 +141,10 @@ for _name in ("neg", "abs", "pos"):
         {},
         {"net_weight_N": -5.0, "water_kg_m3": 1040.0},
         {"thrust_max_N": 40.0, "heave_kg": 35.0, "tilt_kgm2": 1.2, "slew_N": 8.0, "lag_s": 0.2, "water_kg_m3": 990.0},
+        {"thrust_max_N": 60.0, "heave_kg": 30.0, "tilt_kgm2": 0.8, "slew_N": 60.0, "curve_battery_mV": 11300},
         {"thrust_max_N": 5.0, "heave_kg": 4.0, "tilt_kgm2": 0.03, "lag_s": 0.05, "curve_battery_mV": 12000},
     ],
-    ids=["default", "light", "heavy", "small"],
+    ids=["default", "light", "heavy", "strong", "small"],
 )
 def test_no_number_of_the_cycle_is_an_object_on_the_board(robot):
     """Noise, steps, saturation, a dead sensor; a spike of 3 cm or a push of 60 N is within."""
