@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import json
+import sys
 import zlib
 from pathlib import Path
 from typing import Any
@@ -116,3 +117,20 @@ def test_an_order_to_reboot_is_known_after_it(bench):
     with pytest.raises(Reset):
         bench.hal.reboot()
     assert bench.hal.boot_info()[2] == wire.BY_ORDER
+
+
+def test_what_only_a_robot_at_rest_needs_is_there_for_its_orders_alone(bench):
+    def held() -> set[str]:
+        return sys.modules.keys() & {"parameters", "tare", "gains"}
+
+    assert not held()
+    bench.run(5)
+    bench.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1)
+    bench.run(5)
+    boot_id = bench.all_of(wire.HELLO_ACK)[-1][4]
+    bench.say(wire.PARAM_SET, 1, boot_id, 2, 0, 0, 9.0)
+    bench.say(wire.TARE, 2, boot_id, 0)
+    bench.run(5)
+    assert bench.all_of(wire.PARAM_VALUE)[-1][-1] == 9.0 and "parameters" not in held()
+    bench.run(210)
+    assert bench.all_of(wire.ACK)[-1][:2] == (2, wire.TARE) and not held()

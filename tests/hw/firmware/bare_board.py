@@ -22,7 +22,9 @@ def firmware_main() -> ModuleType:
     as it imports some where it needs them."""
     if str(FIRMWARE) not in sys.path:
         sys.path.append(str(FIRMWARE))
-    return importlib.import_module("main")
+    main = importlib.import_module("main")
+    main.flash.put_away = lambda: None  # memory is not scarce here, and thousands of boards would read its files again
+    return main
 
 
 class BareHal:
