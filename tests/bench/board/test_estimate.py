@@ -101,4 +101,5 @@ def test_the_firmware_keeps_its_cycle(monkeypatch):
     assert table["mean_ms"] <= bench_board.MEAN_MS and table["worst_ms"] <= bench_board.WORST_MS
     assert table["lost"] == 0
     assert np.mean(result["bytes_a_cycle"]) <= bench_board.BYTES
+    assert result["free_after_boot"] >= 1000 * bench_board.FREE_KB
     assert not result["heap_was_full"] and not result["collector_overflows"]
