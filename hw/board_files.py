@@ -16,16 +16,16 @@ AS_TEXT = ("boot.py", "main.py")
 COMPILE = ("-O3", "-march=armv7emsp")  # without line numbers and asserts, which take memory; for a Cortex-M4 with FPU
 
 
-def modules() -> list[str]:
+def modules(folder: Path = FIRMWARE) -> list[str]:
     """What main.py and boot.py import from the firmware's folder, and what that imports; not what a computer needs."""
     found: set[str] = set()
     waiting = [Path(name).stem for name in AS_TEXT]
     while waiting:
         name = waiting.pop()
-        if name in found or name.endswith("_unix") or not (FIRMWARE / f"{name}.py").is_file():
+        if name in found or name.endswith("_unix") or not (folder / f"{name}.py").is_file():
             continue
         found.add(name)
-        for node in ast.walk(ast.parse((FIRMWARE / f"{name}.py").read_text(encoding="utf-8"))):
+        for node in ast.walk(ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 waiting += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.module:

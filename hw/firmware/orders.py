@@ -91,6 +91,8 @@ class Orders:
                 self._control.disarm()
             self._line.fault("order", error)
             return _REFUSED
+        finally:
+            flash.put_away()
 
     def _execute(self, kind, fields):
         control = self._control
@@ -111,7 +113,6 @@ class Orders:
             return self._set(fields[2], fields[5])
         if kind == _PARAM_SAVE:
             self._flash.save_parameters(control.values)
-            flash.put_away()
             self.dirty = False
             return _OK
         if kind == _TARE:
@@ -183,7 +184,6 @@ class Orders:
         self.dirty = values != self._flash.saved
         if parameters.NAMES[i] == "pulse_frame_us":
             self._line.begin_pulses()
-        flash.put_away()
         return _OK
 
     def step(self, pressure_mPa):

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hw import board_files
 from tests.bench.board.tools import BoardError
 
-COMPUTERS_ONLY = "_unix"  # so ends the name of what main.py imports where it runs on a computer
 BOARD, COMPUTER = "armv7emsp", "x64"  # what mpy-cross calls them
 SHIPPED = 3  # the -O of `make firmware`: no assertions, no line numbers
 
@@ -71,22 +71,7 @@ def candidates(folder: Path) -> dict[str, str]:
     """Text of main.py and of all that it may import from its folder, by module name, main first."""
     if not (folder / "main.py").is_file():
         raise BoardError(f"{folder} has no main.py: name the folder of the firmware")
-    found: dict[str, str] = {}
-    wanted = ["main"]
-    while wanted:
-        name = wanted.pop(0)
-        if name in found:
-            continue
-        found[name] = (folder / (name + ".py")).read_text()
-        for node in ast.walk(ast.parse(found[name])):
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                names = [node.module or ""]
-            else:
-                continue
-            wanted += [n for n in names if not n.endswith(COMPUTERS_ONLY) and (folder / (n + ".py")).is_file()]
-    return found
+    return {name: (folder / f"{name}.py").read_text() for name in ("main", *board_files.modules(folder))}
 
 
 def digest(folder: Path) -> str:

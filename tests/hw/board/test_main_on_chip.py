@@ -129,6 +129,9 @@ def test_what_only_a_robot_at_rest_needs_is_there_for_its_orders_alone(bench):
     bench.run(5)
     boot_id = bench.all_of(wire.HELLO_ACK)[-1][4]
     bench.say(wire.PARAM_SET, 1, boot_id, 2, 0, 0, 9.0)
+    bench.say(wire.PARAM_SET, 3, boot_id, 2, 0, 0, -9.0)
+    bench.run(1)
+    assert bench.all_of(wire.ACK)[-1][2] == wire.RANGE and not held(), "nor does one that is refused leave anything"
     bench.say(wire.TARE, 2, boot_id, 0)
     bench.run(5)
     assert bench.all_of(wire.PARAM_VALUE)[-1][-1] == 9.0 and "parameters" not in held()
