@@ -1,4 +1,4 @@
-"""Where a run writes: the folder that stays, and one that goes with it."""
+"""Where a command writes: a new file, a folder that stays, and one that goes with the run."""
 
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ def run_folder(out: Path | None) -> Path:
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     return folder
+
+
+def new_file(path: Path) -> Path:
+    """The path, where nothing is yet: no verb overwrites what is on the disk. Raises ConfigError where something is."""
+    if path.exists() or path.is_symlink():
+        raise ConfigError(f"{path}: is there already, and nothing is overwritten; give --out another name")
+    return path
 
 
 @contextlib.contextmanager
