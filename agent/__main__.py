@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from agent.commands import boards, calibrating, diving, experimenting, operating, replaying, seeing
+from agent.commands import boards, calibrating, diving, experimenting, exporting, operating, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -30,6 +30,7 @@ app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(boards.app, name="board")
 app.add_typer(experimenting.app, name="experiment")
 app.add_typer(replaying.app, name="replay")
+app.add_typer(exporting.app)
 
 
 def usage_error(error: typer.TyperException) -> str:

@@ -16,11 +16,9 @@ app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 
 
 @app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")
-def replay_info(
-    files: Recordings, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False
-) -> None:
-    """What is in a recording, and whether it is whole."""
-    from replay.files.info import info_all
+def replay_info(files: Runs, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False) -> None:
+    """What happened in a dive, what is in its recording, and whether that is whole."""
+    from replay.story.told import info_all
 
     info_all(files, as_json, typer.echo)
 
