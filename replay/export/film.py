@@ -7,6 +7,7 @@ sweep reads is a part of the picture; it is drawn where it belongs into the last
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -103,9 +104,9 @@ def _show(writer: cv2.VideoWriter, shot: Shot, times: int, t_s: float, robot: st
         return 0
     image = shot.image if shot.image.shape[1::-1] == size else np.asarray(cv2.resize(shot.image, size), np.uint8)
     image = image.copy()
-    for colour, width in ((BLACK, 3), (WHITE, 1)):
-        text = f"{robot}  {t_s:6.2f} s  {shot.text}"
-        cv2.putText(image, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, width, cv2.LINE_AA)
+    text = f"{robot}  {t_s:6.2f} s  {shot.text}"
+    for colour, at in ((BLACK, (9, 21)), (WHITE, (8, 20))):  # a shadow: legible on any picture
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
     for _ in range(times):
         writer.write(image)
     return times
@@ -128,7 +129,7 @@ def _seen(box: BlackBox) -> Iterator[Shot]:
                 yield waiting
             _paste(canvas, picture)
             drawn, last = canvas.copy(), record.sequence
-        _outline(drawn, sighting)
+        _outline(drawn, sighting, box.calibration.camera.f_px)
         waiting = Shot(picture.t_ns, drawn, _about(sighting))
     if waiting is not None:
         yield waiting
@@ -142,12 +143,14 @@ def _paste(canvas: Colours, picture: Picture) -> None:
     canvas[y : y + high, x : x + wide] = image[:high, :wide]
 
 
-def _outline(image: Colours, seen: Sighting) -> None:
+def _outline(image: Colours, seen: Sighting, f_px: float) -> None:
+    """A circle of the ball's angular radius, or the box; off the axis the outline is nearly one."""
     if not seen.found or seen.centre_px is None:
         return
     u, v = seen.centre_px
     if seen.radius_px is not None:
-        cv2.circle(image, (round(u), round(v)), round(seen.radius_px), GREEN, 1, cv2.LINE_AA)
+        radius = f_px * math.tan(seen.radius_px / f_px)
+        cv2.circle(image, (round(u), round(v)), round(radius), GREEN, 1, cv2.LINE_AA)
     elif seen.size_px is not None:
         half_w, half_h = seen.size_px[0] / 2, seen.size_px[1] / 2
         cv2.rectangle(image, (round(u - half_w), round(v - half_h)), (round(u + half_w), round(v + half_h)), GREEN, 1)
