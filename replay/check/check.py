@@ -102,7 +102,8 @@ def _reexecute_all(
 ) -> list[Reexecution]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"))
     found = []
-    with Progress(*columns, TimeElapsedColumn(), console=console, disable=console is None, transient=True) as bar:
+    shown = console is not None and console.is_terminal  # else it leaves an empty line behind
+    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not shown, transient=True) as bar:
         task = bar.add_task("", total=sum(box.recorded for box in boxes))
         for box in boxes:
             bar.update(task, description=box.path.name)

@@ -107,7 +107,8 @@ def check_vision(paths: Sequence[Path], make_see: MakeSee, console: Console | No
     Raises ConfigError for input that is no recording or whose frames do not decode.
     """
     boxes, found = open_boxes(paths), []
-    with Progress(console=console, disable=console is None, transient=True) as bar:
+    shown = console is not None and console.is_terminal  # else it leaves an empty line behind
+    with Progress(console=console, disable=not shown, transient=True) as bar:
         for box in boxes:
             with suspecting(box.path):
                 pairs = sighting_pairs(box, make_see)

@@ -48,7 +48,7 @@ class Section(NamedTuple):
 def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = None) -> Path:
     """Write the page of a run's folder, or of one recording, and return its path.
 
-    `out` is report.html in the folder, or NAME.html beside the file, if not given. A robot without a recording is left
+    `out` is `page_of` it, if not given. A robot without a recording is left
     out of the figures. `depth` makes the map of a whole sweep; None: there are no maps. Raises ConfigError if there is
     nothing to show.
     """
@@ -56,10 +56,15 @@ def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = Non
         return _report(path, out, depth)
 
 
+def page_of(path: Path) -> Path:
+    """What the page of a run's folder, or of one recording, is called."""
+    return path / "report.html" if path.is_dir() else path.with_name(f"{path.name.split('.mcap')[0]}.html")
+
+
 def _report(path: Path, out: Path | None, depth: MeasureDepth | None) -> Path:
     run = open_run(path)
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
-    out = out or (path / "report.html" if path.is_dir() else path.with_name(f"{path.name.split('.mcap')[0]}.html"))
+    out = out or page_of(path)
     out.write_text(
         page.render(
             title=f"Fleet {run.fleet.fleet}",
