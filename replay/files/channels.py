@@ -40,7 +40,7 @@ STEP_OUT = Channel(
 )
 CAMERA_IMAGE = Channel(
     "/{robot}/camera/image",
-    "frames between sweeps, as JPEG; one in 64, and all of `aucamp agent --lossless`, as PNG",
+    "frames between sweeps, as JPEG; one in 128, and all of `aucamp agent --lossless`, as PNG",
     PROTOBUF,
     "foxglove.CompressedImage",
     AGENT,
