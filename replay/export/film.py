@@ -24,7 +24,7 @@ from agent.kernel.step_io import Sighting
 from replay.check.black_box import BlackBox, open_box
 from replay.export.source import recordings_of, wanted, whole_or_none
 from replay.files.channels import VISION, network_topic
-from replay.files.frames import Frames, Picture, pixels
+from replay.files.frames import MAX_PIXELS, Frames, Picture, pixels
 from replay.files.info import info
 from replay.files.log import read
 from replay.files.names import parts
@@ -114,7 +114,10 @@ def _show(writer: cv2.VideoWriter, shot: Shot, times: int, t_s: float, robot: st
 
 def _seen(box: BlackBox) -> Iterator[Shot]:
     """The frames of a black box with the outlines that vision found; a frame of several targets comes once."""
-    canvas = np.zeros((box.calibration.camera.height_px, box.calibration.camera.width_px, 3), np.uint8)
+    camera = box.calibration.camera
+    if camera.width_px * camera.height_px > MAX_PIXELS:  # before memory is taken for it
+        raise ConfigError(f"{box.path}: its camera has {camera.width_px} x {camera.height_px} pixels, which none has")
+    canvas = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
     frames, last, drawn = Frames(), -1, canvas
     waiting: Shot | None = None
     for record in read(box.path):
@@ -129,7 +132,7 @@ def _seen(box: BlackBox) -> Iterator[Shot]:
                 yield waiting
             _paste(canvas, picture)
             drawn, last = canvas.copy(), record.sequence
-        _outline(drawn, sighting, box.calibration.camera.f_px)
+        _outline(drawn, sighting, camera.f_px)
         waiting = Shot(picture.t_ns, drawn, _about(sighting))
     if waiting is not None:
         yield waiting

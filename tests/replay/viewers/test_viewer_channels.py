@@ -238,7 +238,9 @@ def run(command: list[str], home: Path) -> str:
 
 
 def test_pymcap_cli_finds_no_error(box: Path, tmp_path: Path) -> None:
-    assert "passed MCAP doctor checks" in run([tool("pymcap-cli"), "doctor", str(box)], tmp_path)
+    said = run([tool("pymcap-cli"), "doctor", str(box)], tmp_path)
+    assert "passed MCAP doctor checks" in said or ": 0 errors," in said
+    assert set(re.findall(r"\b[A-Z]+(?:_[A-Z]+)+\b", said)) <= {"CHUNK_COMPRESSION_INEFFICIENT"}  # one PNG is a chunk
 
 
 def test_rerun_accepts_the_file_and_shows_each_channel_as_what_it_is(box: Path, tmp_path: Path) -> None:
