@@ -16,7 +16,7 @@ app = typer.Typer()
 
 @app.command(
     "export",
-    epilog="Examples: aucamp export runs/20260101T120000Z --csv --out tables; aucamp export r1.mcap --mp4 --out r1.mp4",
+    epilog="Example: aucamp export runs/20260101T120000Z --csv --out tables",
 )
 def export_command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording (MCAP).")],

@@ -10,7 +10,8 @@ of its own standard deviation:
 * rms of the shifts of peaks and places: SHARE_RMS. An independent error of half a sigma makes a sigma 12 % larger; that
   is as far as the kernel's sigmas are off themselves (`aucamp experiment consistency`: normalised error squared 3.79
   instead of 3 beyond 0.9 m).
-* each of them: SHARE_WORST, what the measurement itself says it may be off by.
+* each of them: SHARE_WORST, four times as much, which errors of that rms exceed once in 16,000 sweeps. What lies beyond
+  is not what compression does.
 * the mean shift of all outlines, which chance does not move: OUTLINE_PX, two standard deviations of what the kernel
   takes for the noise of a centre and the bias of an edge.
 
@@ -27,7 +28,7 @@ from agent.kernel.ranging.cues import EDGE_BIAS_PX
 from agent.kernel.ranging.fix import CENTRE_NOISE_PX
 
 SHARE_RMS = 0.5
-SHARE_WORST = 1.0
+SHARE_WORST = 4.0 * SHARE_RMS
 OUTLINE_PX = 2.0 * math.hypot(CENTRE_NOISE_PX, EDGE_BIAS_PX)
 ODD = 0.01  # share of compressed frames in which a ball may be seen that is only just there, or just not
 
