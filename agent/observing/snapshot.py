@@ -57,7 +57,7 @@ def hopeless(fleet: Fleet, robot: str, state: State | None, refused: str) -> str
 
 def about(path: Path, image: Image) -> str:
     """The picture in one line."""
-    lens = "lens moving" if image.focus is None else f"lens position {image.focus}"
+    lens = "lens position not known" if image.focus is None else f"lens position {image.focus}"
     made = "enhanced" if image.enhanced else "as the camera gave it"
     return (
         f"{path}: frame {image.frame} of {image.robot}, {image.width_px}x{image.height_px} pixels, "
