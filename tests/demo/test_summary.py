@@ -4,10 +4,10 @@ import math
 
 import pytest
 
+from agent.demo.summary import History, first_below, reasons, score, settled, summarize
 from agent.fleet_files import fleet_file
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import State
-from agent.summary import History, first_below, reasons, score, settled, summarize
 
 TRUTH = (0.76, 0.56, 0.07)
 
