@@ -10,8 +10,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from agent.agent_process import own_calibration
+from agent.fleet_setup.addresses import is_here
 from agent.fleet_setup.finding import Finding, tried
 from agent.kernel.config import ConfigError, Fleet, Target
+from agent.keys.key_files import private_file
 from agent.keys.key_folder import read_keys
 from agent.keys.robot_keys import keys_folder, robot_keys
 from agent.perception.detection.detectors import target_picture
@@ -49,6 +51,10 @@ def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
         return f"keys in {folder}"
 
     yield tried(name, read)
+    foreign = [other for other in fleet.robot if other != name and private_file(folder, other).exists()]
+    if foreign and any(not is_here(fleet.robot[other].listen) for other in foreign):
+        text = f"{folder}: holds private keys of {', '.join(foreign)}, for whom this computer can speak; remove them"
+        yield Finding("warning", name, text)
     missing = [other for other in read_keys(folder, fleet.robot).missing if other != name]
     if missing:
         text = f"{folder}: no public key of {', '.join(missing)}, of whom nothing is believed; copy NAME.sign.pub there"

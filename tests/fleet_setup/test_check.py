@@ -139,6 +139,8 @@ def test_keys_that_are_missing_or_readable_for_others(real: Path, tmp_path: Path
     checked = check(real, "r1", tmp_path)
     assert any("no public key of r2" in line for line in lines(checked, "warning"))
     assert any("keys in " in line for line in lines(checked, "ok"))
+    make_keys(["r2"], tmp_path / "keys")
+    assert any("holds private keys of r2" in line for line in lines(check(real, "r1", tmp_path), "warning"))
     (tmp_path / "keys" / "r1.sign").chmod(0o644)
     assert any("chmod 600" in line for line in lines(check(real, "r1", tmp_path), "wrong"))
 

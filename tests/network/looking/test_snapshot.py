@@ -69,7 +69,7 @@ def test_who_is_not_heard_and_who_has_no_picture(
     monkeypatch.setattr(snapshot, "PICTURE_S", 1.5)
     fleet = make_fleet({"r1": ("r2",), "r2": ("r1",)})
     with showing(fleet, state("r1")):
-        with pytest.raises(Failed, match=r"^r2 is not heard at tcp/127.0.0.1:\d+: start its agent, or correct listen"):
+        with pytest.raises(Failed, match=r"^r2 is not heard at tcp/127.0.0.1:\d+: start its agent, or give the fleet"):
             next_picture(fleet, "r2")
         monkeypatch.setattr(snapshot, "HEARD_S", 60.0)
         with pytest.raises(Failed, match=r"showed no picture in 2 s: .* try again"):
