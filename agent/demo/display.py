@@ -28,10 +28,10 @@ def how_to_look(fleet: Fleet, path: Path) -> list[str]:
     asked = next(iter(fleet.robot.values())).listen
     file = shlex.quote(str(path))
     console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k 'aucamp/**' --decoder aucamp"
-    viewer = "" if importlib.util.find_spec("foxglove") else "   # first: pip install foxglove-sdk"
-    client = "" if shutil.which(program("zenoh")) else "   # first: pip install zenoh-cli"
+    viewer = "" if importlib.util.find_spec("foxglove") else f"   # first: {program('pip')} install foxglove-sdk"
+    client = "" if shutil.which(program("zenoh")) else f"   # first: {program('pip')} install zenoh-cli"
     return [
-        "look at it from a second terminal in this folder: what a robot sends, all in Foxglove, a router for consoles",
+        "look at it from a second terminal in this folder: every message, all in Foxglove, or through a router",
         f"  {console} --line '{{key}} {{value}}'{client}",
         f"  {program('aucamp')} view {file}{viewer}",
         f"  {program('aucamp')} router {file}",
