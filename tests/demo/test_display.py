@@ -48,14 +48,13 @@ def test_the_result_says_never_only_of_who_never_saw() -> None:
         "error_axis_mm": [-10.7, 12.5, -0.4],
         "error_mm": 16.46,
         "relative_error_percent": 1.73,
-        "allowed_mm": None,
     }
     blind = {**row, "prior_rmse_axis_mm": None, "error_axis_mm": None, "error_mm": None, "relative_error_percent": None}
     agents = {"r1": {**row, "acquired_iteration": 12}, "r2": {**blind, "acquired_iteration": None}}
     summary = {
         "protocol": "evidence",
         "seed": 1,
-        "targets": {"ball": {"truth_m": [0.76, 0.56, 0.07], "radius_m": None, "agents": agents}},
+        "targets": {"ball": {"truth_m": [0.76, 0.56, 0.07], "radii_m": None, "agents": agents}},
     }
     text = shown(result_table(summary, "ball"))
     assert max(map(len, text.splitlines())) <= 80 and "…" not in text
