@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from agent.commands import boards, calibrating, diving, experimenting, operating, replaying, seeing
+from agent.commands import boards, calibrating, diving, experimenting, looking, operating, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -28,6 +28,7 @@ app = typer.Typer(
 )
 app.add_typer(diving.app)
 app.add_typer(operating.app)
+app.add_typer(looking.app)
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(boards.app, name="board")
