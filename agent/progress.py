@@ -7,8 +7,9 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
-import rich.progress
+from rich import progress as bars
 from rich.console import Console
+from rich.text import Text
 
 T = TypeVar("T")
 
@@ -18,7 +19,8 @@ Progress = Callable[[int, int], None]  # parts of the work that are done, parts 
 def with_bar(console: Console, what: str, work: Callable[[Progress], T]) -> T:
     """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
     with contextlib.ExitStack() as stack:
-        bar = rich.progress.Progress(console=console)
+        words, share = bars.TextColumn("{task.description}", markup=False), bars.TaskProgressColumn()
+        bar = bars.Progress(words, bars.BarColumn(), share, bars.TimeRemainingColumn(), console=console)
         task = bar.add_task(what)
 
         def show(done: int, total: int) -> None:
@@ -41,8 +43,8 @@ def with_spinner(console: Console, what: str) -> Iterator[Callable[[str], None]]
     """Say what takes long: beside a spinner on a terminal, as a line in a pipe. What is given changes the words beside
     the spinner."""
     if console.is_terminal:
-        with console.status(what) as status:
-            yield status.update
+        with console.status(Text(what)) as status:
+            yield lambda words: status.update(Text(words))
     else:
         console.print(what)
         yield lambda words: None

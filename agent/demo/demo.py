@@ -116,7 +116,7 @@ def keeping(run: Path, console: Console) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, SystemExit):
-        console.print(f"interrupted; what there is of this run is in {run}", markup=False)
+        console.print(f"interrupted; what there is of this run is in {run}")
         raise
     except Failed as error:
         raise Failed(f"{error}; what there is of this run is in {run}") from None
@@ -141,11 +141,10 @@ def dive(
     start_ns = clock.now_ns()
     until_ns = start_ns + round(duration_s * 1e9)
     for line in how_to_look(fleet, path):
-        console.print(line, highlight=False, markup=False)
+        console.print(line, highlight=False)
     console.print(
         f"diving until all robots know where it is and have settled, at most {duration_s:.0f} s; Ctrl-C ends it; "
-        f"logs are in {run / 'logs'}",
-        markup=False,
+        f"logs are in {run / 'logs'}"
     )
     live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
     with Observer(fleet, clock.now_ns, (STATE,)) as observer, live or nullcontext():
@@ -166,7 +165,7 @@ def dive(
         console.print()  # a table that was drawn once, into a pipe, has no end of line
     processes.stop(*fleet.robot)
     for complaint in processes.stop("recorder"):
-        console.print(complaint, style="red", markup=False)
+        console.print(complaint, style="red")
     processes.stop("twin")
     for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:
         console.print(complaint)

@@ -13,7 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from agent.console_log import hears
-from agent.demo.summary import Histories
+from agent.demo.summary import PASS_PERCENT, SIGMAS, Histories
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, fault_kind
 
@@ -28,10 +28,10 @@ def how_to_look(fleet: Fleet, path: Path) -> list[str]:
     asked = next(iter(fleet.robot.values())).listen
     file = shlex.quote(str(path))
     console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k 'aucamp/**' --decoder aucamp"
-    viewer = "" if importlib.util.find_spec("foxglove") else "   # first: pip install foxglove-sdk"
-    client = "" if shutil.which(program("zenoh")) else "   # first: pip install zenoh-cli"
+    viewer = "" if importlib.util.find_spec("foxglove") else f"   # first: {program('pip')} install foxglove-sdk"
+    client = "" if shutil.which(program("zenoh")) else f"   # first: {program('pip')} install zenoh-cli"
     return [
-        "look at it from a second terminal in this folder: what a robot sends, all in Foxglove, a router for consoles",
+        "look at it from a second terminal in this folder: every message, all in Foxglove, or through a router",
         f"  {console} --line '{{key}} {{value}}'{client}",
         f"  {program('aucamp')} view {file}{viewer}",
         f"  {program('aucamp')} router {file}",
@@ -80,37 +80,48 @@ def progress_row(state: State | None) -> tuple[str, ...]:
     )
 
 
+BALL_SAYS = "rms: of its own measurements, in x y z. error: of its last estimate, in x y z and in all."
+BOX_SAYS = """estimate: from the middle of the thing, in x y z. outside: how far it lies outside of the thing;
+allowed: 3 of the standard deviations that the robot states, at most the thing's largest radius."""
+
+
 def result_table(summary: dict[str, Any], target: str) -> Table:
     """What each robot measured of one target, and what it held at the end, against the truth; mm in x, y and z."""
     about = summary["targets"][target]
+    is_ball = about["radii_m"] is None
     place = ", ".join(f"{x:g}" for x in about["truth_m"])
     table = Table(
         title=f"{target} at ({place}) m, protocol {summary['protocol']}, twin seed {summary['seed']}",
         title_justify="left",
-        caption="rms: of its own measurements, in x y z. error: of its last estimate, in x y z and in all.",
+        caption=BALL_SAYS if is_ball else BOX_SAYS,
         caption_justify="left",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
-    is_ball = about["radius_m"] is None
-    for column in ("robot", "saw at", "iterations", "rms mm", "error mm", "in all", "%" if is_ball else "allowed"):
+    own = ("rms mm", "error mm", "in all", "%") if is_ball else ("estimate mm", "outside mm", "allowed mm")
+    for column in ("robot", "saw at", "iterations", *own):
         table.add_column(column, justify="right", no_wrap=True)
     for name, row in about["agents"].items():
-        percent, allowed_mm = row["relative_error_percent"], row["allowed_mm"]
-        table.add_row(
-            name,
-            "never" if row["acquired_iteration"] is None else str(row["acquired_iteration"]),
-            str(row["iterations"]),
-            " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or []),
-            " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or []),
-            f"{row['error_mm']:.2f}" if row["error_mm"] is not None else "-",
-            *([f"{percent:.2f}" if percent is not None else "-"] if is_ball else []),
-            *([f"{allowed_mm:.1f}" if allowed_mm is not None else "-"] if not is_ball else []),
-        )
+        acquired = row["acquired_iteration"]
+        cells: tuple[str, ...] = name, "never" if acquired is None else str(acquired), str(row["iterations"])
+        error = " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or [])
+        if is_ball:
+            rms = " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or [])
+            cells += (rms, error, number(row["error_mm"], 2), number(row["relative_error_percent"], 2))
+        else:
+            cells += (error, number(row["outside_mm"], 1), number(row["allowed_mm"], 1))
+        table.add_row(*cells)
     return table
+
+
+def number(value: float | None, digits: int) -> str:
+    """A cell; a dash for what there is not."""
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def verdict(summary: dict[str, Any]) -> str:
     """Whether all estimates are good enough, and for what that counts."""
-    wanted = dict.fromkeys(about["wanted"] for about in summary["targets"].values())
-    return f"{summary['verdict']}: {'; '.join(summary['reasons'] or wanted)}"
+    is_ball = {about["radii_m"] is None for about in summary["targets"].values()}
+    balls = [f"every robot's error is below {PASS_PERCENT} %"] if True in is_ball else []
+    boxes = [f"every robot's estimate lies on the thing, to within {SIGMAS:.0f} sigma"] if False in is_ball else []
+    return f"{summary['verdict']}: {'; '.join(summary['reasons'] or balls + boxes)}"

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
-from rich.console import Console
 
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
@@ -19,6 +18,7 @@ from agent.perception.tracking.follow import parse_box
 from agent.pictures.depth_box import BoxRange, as_json, box_range
 from agent.pictures.depth_files import draw, write_csv
 from agent.pictures.depth_sweep import DepthMap, OnStep, measure, sweep
+from agent.plain_console import plain_console
 from agent.progress import with_bar
 from hw.camera.open import open_camera
 
@@ -77,7 +77,7 @@ def run(
     if known is not None:
         known = replace(known, focus=at_tilt(known.focus, math.radians(tilt_deg)))
     result = with_bar(
-        Console(stderr=True),
+        plain_console(stderr=True),
         "focus sweep",
         lambda progress: depth_map(source, out, block, Path(), known, progress, growth, drawn),
     )

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.console import Console
 
 from agent.kernel.config import ConfigError
 from agent.perception.detection.detectors import BoxDetector, Found, boxed
@@ -19,6 +18,7 @@ from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import Follower, parse_box
 from agent.pictures.sources import Picture, Pictures, pictures
+from agent.plain_console import plain_console
 from agent.progress import with_bar
 from hw.camera.camera import Image
 
@@ -46,8 +46,9 @@ def run(
     drawn, follower = parse_box(box), Follower(load_box_tracker(backbone, neck))
     found = pictures(source, frames)
     say(HEADER)
+    console = plain_console(stderr=True)
     with writer(out) as show:
-        return with_bar(Console(stderr=True), "following", lambda bar: follow(found, drawn, follower, show, say, bar))
+        return with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
 
 
 def follow(

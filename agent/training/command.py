@@ -112,8 +112,8 @@ def curves(points: Iterable[Point], out: Path) -> None:
 
 def steps_bar(console: Console) -> Progress:
     """A bar with the steps done and the time left."""
-    left = TimeRemainingColumn()
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), left, console=console)
+    words, left = TextColumn("{task.description}", markup=False), TimeRemainingColumn()
+    return Progress(words, BarColumn(), MofNCompleteColumn(), left, console=console)
 
 
 def _made(out: Path, seed: int, console: Console) -> tuple[Pairs, Pairs]:
