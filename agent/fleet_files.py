@@ -1,11 +1,14 @@
-"""Fleet files that come with the package, found by name."""
+"""Fleet files that come with the package, found by name; and what goes with a file into another folder."""
 
 from __future__ import annotations
 
+import shutil
 from importlib import resources
 from pathlib import Path
 
-from agent.kernel.config import ConfigError
+import msgspec
+
+from agent.kernel.config import ConfigError, Fleet
 
 FLEETS = Path(str(resources.files("agent") / "fleets"))
 
@@ -29,3 +32,18 @@ def fleet_file(name: str) -> Path:
             f"--fleet {name}: no such fleet; give one of {', '.join(shipped_names())}, or the path of a .toml file"
         )
     return shipped_fleet(name)
+
+
+def with_pictures(fleet: Fleet, folder: Path) -> Fleet:
+    """The fleet as a file in this folder says it, once its targets' pictures have been copied there.
+
+    A run's folder is given to others, who do not have what lay beside the file that it was made from.
+    """
+    targets = {}
+    for name, target in fleet.target.items():
+        if target.picture is not None:
+            own = f"{name}{Path(target.picture).suffix}"
+            shutil.copyfile(target.picture, folder / own)
+            target = msgspec.structs.replace(target, picture=own)
+        targets[name] = target
+    return msgspec.structs.replace(fleet, target=targets)

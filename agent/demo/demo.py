@@ -26,7 +26,7 @@ from agent.demo.fleet import demo_fleet, listening
 from agent.demo.summary import Histories, History, is_box, settled, summarize
 from agent.failure import Failed
 from agent.fleet_clock import fleet_clock
-from agent.fleet_files import fleet_file
+from agent.fleet_files import fleet_file, with_pictures
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Access, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
@@ -80,7 +80,7 @@ def demo(
         make_keys(fleet.robot, folder / FOLDER)
         run = run_folder(out)
         path = run / "fleet.toml"
-        path.write_text(dump(fleet), encoding="utf-8")
+        path.write_text(dump(with_pictures(fleet, run)), encoding="utf-8")
         stack.enter_context(keeping(run, console))
         processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
         calibrate(fleet, path, processes, console)

@@ -48,7 +48,10 @@ def hopeless(fleet: Fleet, robot: str, state: State | None, refused: str) -> str
         )
     if state is None:
         where = fleet.robot[robot].listen
-        return f"{robot} is not heard at {where}: start its agent, or correct listen in the fleet file"
+        return (
+            f"{robot} is not heard at {where}: start its agent, or give the fleet file that it was started with "
+            f"(a demo's is in its run's folder)"
+        )
     if fleet.link.preview_hz == 0:
         return f"{robot} is heard, but shows no pictures: [link] preview_hz is 0; set it, and start the agent again"
     blind = [fault for fault in state.faults if fault.startswith(("no camera", "no frames"))]
