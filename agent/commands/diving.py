@@ -40,13 +40,14 @@ def demo(
 ) -> None:
     """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report."""
     from agent.demo.demo import demo as dive
+    from agent.demo.demo import keeping
     from agent.demo.display import verdict
     from agent.pictures.recorded_depth import sweep_depth
     from agent.progress import with_spinner
     from replay.report.report import report
 
     run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed)
-    with with_spinner(terminal(), "writing the report"):
+    with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
         page = report(run, depth=sweep_depth)
     terminal().print(f"{verdict(summary)}. Look at {page}; recordings are beside it")
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
