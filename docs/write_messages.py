@@ -8,7 +8,7 @@ from typing import Any
 
 from agent.kernel import topics
 from agent.kernel.codec import encoding
-from agent.observing.schemas import schema, write
+from agent.observing.schemas import TOKENS, schema, write
 
 PAGE = Path(__file__).with_name("messages.md")
 SCHEMAS = Path(__file__).with_name("schemas")
@@ -35,7 +35,7 @@ def keys() -> str:
         name = row.message.__name__
         size = f"{row.qos.reliability.lower().replace('_', ' ')}, {row.limit} bytes"
         lines.append(f"| `{row.key}` | [`{name}`](#{name.lower()}) | {rate} | {size} |")
-    lines += [f"| `{key}` | liveliness token, no payload | | |" for key in (topics.ALIVE, topics.TWICE)]
+    lines += [f"| `{key}` | liveliness token without payload: {about} | | |" for key, about in TOKENS.items()]
     return "\n".join(lines) + "\n"
 
 

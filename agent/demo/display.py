@@ -16,6 +16,7 @@ from agent.console_log import hears
 from agent.demo.summary import PASS_PERCENT, SIGMAS, Histories
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, fault_kind
+from agent.kernel.topics import EVERY_FLEET
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 
@@ -30,7 +31,7 @@ def how_to_look(fleet: Fleet, path: Path) -> list[str]:
     missing = [] if shutil.which(program("zenoh")) else ["zenoh-cli"]
     missing += [] if importlib.util.find_spec("foxglove") else ["foxglove-sdk"]
     first = f" (first: {program('pip')} install {' '.join(missing)})" if missing else ""
-    console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k 'aucamp/**' --decoder aucamp"
+    console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k '{EVERY_FLEET}' --decoder aucamp"
     return [
         "look at it from a second terminal in this folder: every message; all in Foxglove; a router for consoles"
         + first,

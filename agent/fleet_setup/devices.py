@@ -19,10 +19,11 @@ BY_ID = Path("/dev/serial/by-id")  # udev's names, which stay the same
 def device_findings(fleet: Fleet, name: str) -> Iterator[Finding]:
     """Control module and camera of one robot."""
     robot = fleet.robot[name]
-    if robot.serial.startswith("twin:"):
+    if robot.serial.startswith("twin:") and robot.camera.startswith("twin:"):
         yield Finding("ok", name, "control module and camera in the twin")
         return
-    yield tried(name, lambda: serial_port(Path(robot.serial)))
+    if not robot.serial.startswith("twin:"):
+        yield tried(name, lambda: serial_port(Path(robot.serial)))
     yield tried(name, lambda: camera(fleet, name))
 
 

@@ -22,6 +22,10 @@ AS_MSGPACK = (
     "the bytes themselves: write them in base64 before you check a message against this schema."
 )
 INDEX = "topics.json"
+TOKENS = {
+    topics.ALIVE: "an agent of this robot runs; the token goes with its session",
+    topics.TWICE: "the witness is linked to two agents of this robot's name",
+}
 
 
 def schema(kind: type[Message]) -> dict[str, Any]:
@@ -56,7 +60,7 @@ def index() -> dict[str, Any]:
             }
             for row in TOPICS
         ],
-        "liveliness": [topics.ALIVE, topics.TWICE],
+        "liveliness": [{"key": key, "description": about} for key, about in TOKENS.items()],
     }
 
 

@@ -47,7 +47,7 @@ def test_every_field_of_every_message_says_what_it_is() -> None:
 @pytest.mark.parametrize("case", ["three_evidence", "two", "signed"])
 def test_what_robots_said_in_the_golden_dives_is_what_the_schemas_say(case: str) -> None:
     heard, said = 0, 0
-    for record in list(read(GOLDEN / case / "r2.mcap"))[::7]:  # any dive has thousands, which say the same
+    for record in list(read(GOLDEN / case / "r2.mcap"))[::15]:  # any dive has thousands, which say the same
         if record.channel == STEP_IN.name:
             for item in decode(record.data, Inputs, len(record.data)).heard:
                 assert not wrong("Estimate", item.payload)
