@@ -53,7 +53,7 @@ def test_a_folder_with_a_result_is_left_alone(verb: str, tmp_path: Path) -> None
     (tmp_path / "result.json").write_text("{}")
     done = CliRunner().invoke(app, [verb, "--out", str(tmp_path)])
     assert isinstance(done.exception, ConfigError)
-    assert "not empty; give --out a new folder" in str(done.exception)
+    assert "not empty, and nothing is overwritten; give --out a new folder" in str(done.exception)
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     assert (tmp_path / "result.json").read_text() == "{}"
 
