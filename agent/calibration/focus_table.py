@@ -106,9 +106,14 @@ def paper_gauge(fit: FocusFit) -> PaperGauge:
     return PaperGauge(f_m / fit.rho0, f_m, fit.u_inf_m - f_m)
 
 
+def badly_foretold(left_out: Sequence[LeftOut]) -> list[LeftOut]:
+    """The distances that the others foretell too badly for the fit to be good."""
+    return [one for one in left_out if one.error_m > GOOD_LEFT_OUT * one.u_m]
+
+
 def verdict(fit: FocusFit, left_out: Sequence[LeftOut]) -> str:
     """Good or not, and what to do, in one or two sentences."""
-    bad = [one for one in left_out if one.error_m > GOOD_LEFT_OUT * one.u_m]
+    bad = badly_foretold(left_out)
     reach = f"{left_out[0].u_m:.2f} to {left_out[-1].u_m:.2f} m"
     if not bad:
         return f"Good from {reach}: every distance is foretold by the others to {100 * GOOD_LEFT_OUT:.0f} %."

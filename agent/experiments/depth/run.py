@@ -64,6 +64,10 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     missed: list[str]
     shown: list[MeasuredView]
 
+    @property
+    def failed(self) -> bool:
+        return bool(self.missed)
+
 
 class Findings(NamedTuple):
     """What one sensor gave, in the parts of the result."""
