@@ -30,7 +30,7 @@ def test_without_noise_the_hyperbola_comes_back():
 
 def test_calibration_error_is_small_unbiased_and_as_large_as_it_says():
     errors, said, noise = [], [], []
-    for seed in range(120):
+    for seed in range(60):
         fit = fit_focus(rows(seed))
         errors.append(h(fit, 102 + 136 / 0.451) - 0.45)
         J = np.array([1.0, 1 / (136 / 0.451), 136 / (136 / 0.451) ** 2])
@@ -169,7 +169,7 @@ def test_rows_that_know_less_pull_less():
     """Four times the noise on the far rows: weighed by it, the near end is better, and the scale is right."""
     plain, weighed, noise = [], [], []
     sigma = np.where(DISTANCES_M > 0.4, 2.0, 0.5)
-    for seed in range(80):
+    for seed in range(40):
         rho = 102 + 136 / (DISTANCES_M + 0.001) + np.random.default_rng(seed).normal(0, sigma)
         fits = [
             fit_focus([FocusRow(u, r, 90.0, s) for u, r, s in zip(DISTANCES_M, rho, known, strict=True)])

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 
+from agent.calibration import focus_table
 from agent.calibration.focus_table import paper_gauge, read_table, run
 from agent.kernel.config import ConfigError
 from agent.kernel.toml_files import read_toml
@@ -39,7 +41,8 @@ def test_the_papers_curve_comes_back_without_noise(tmp_path: Path) -> None:
     assert paper.k * 100 == pytest.approx(K, rel=1e-6)
 
 
-def test_the_papers_r2_and_rmse_come_back_with_its_noise(tmp_path: Path) -> None:
+def test_the_papers_r2_and_rmse_come_back_with_its_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(focus_table, "figure", lambda *_: Figure())  # the plots of fifteen tables take most of the time
     fits = [run(table(tmp_path / "t.csv", seed), None, quiet()) for seed in range(15)]
     assert 3.1 < 100 * np.median([fit.rmse_m for fit in fits]) < 3.8
     assert np.median([fit.r2 for fit in fits]) == pytest.approx(0.99, abs=0.004)

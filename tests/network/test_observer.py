@@ -67,11 +67,41 @@ def test_an_observer_hears_the_rows_it_asked_for(make_fleet: Fleets, estimate: S
         assert {item.topic for item in seen} == {STATE}
 
 
+def console_config(endpoint: str) -> zenoh.Config:
+    """As `zenoh --mode client --connect ENDPOINT`."""
+    return zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"], timeout_ms: 60000}}}}')
+
+
+def test_a_console_at_a_robot_sees_it_and_its_neighbours_and_nobody_else(
+    make_fleet: Fleets, estimate: Says, state: Shows
+) -> None:
+    fleet = make_fleet({"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2", "r4"), "r4": ("r3",)})
+    with contextlib.ExitStack() as stack:
+        agents = {name: stack.enter_context(Transport(fleet, name, time.time_ns)) for name in fleet.robot}
+        console = stack.enter_context(zenoh.open(console_config(fleet.robot["r2"].listen)))
+        seen = console.declare_subscriber(topics.EVERY_FLEET, zenoh.handlers.RingChannel(1000))
+        states, links = set(), set()
+
+        def all_seen() -> bool:
+            for name, agent in agents.items():
+                agent.show(state(name))
+                for neighbour in fleet.robot[name].neighbours:
+                    agent.say(estimate(name, neighbour))
+            while sample := seen.try_recv():
+                topic, chunks = topics.match(str(sample.key_expr))
+                (states if topic is STATE else links).add(chunks.get("robot") or (chunks["src"], chunks["dst"]))
+            return states >= {"r1", "r2", "r3"} and len(links) >= 5
+
+        until(all_seen, what=lambda: (states, links))
+        assert states == {"r1", "r2", "r3"}  # those that are linked to r2, which forwards nothing for r4
+        assert links == {("r1", "r2"), ("r2", "r1"), ("r2", "r3"), ("r3", "r2"), ("r3", "r4")}
+
+
 def test_a_router_shows_all_and_joins_nobody(make_fleet: Fleets, estimate: Says, state: Shows, free_port: int) -> None:
     fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
     stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port}"
     router = threading.Thread(target=run_router, args=(fleet, stop, endpoint))
-    client = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"], timeout_ms: 60000}}}}')
+    client = console_config(endpoint)
     with contextlib.ExitStack() as stack:
         r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))
         r2 = stack.enter_context(zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r2"))))
