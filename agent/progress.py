@@ -45,11 +45,12 @@ def step_by_step(progress: Progress, total: int) -> Callable[[], None]:
 
 
 @contextlib.contextmanager
-def with_spinner(console: Console, what: str) -> Iterator[None]:
-    """Say what takes long: beside a spinner on a terminal, as a line in a pipe."""
+def with_spinner(console: Console, what: str) -> Iterator[Callable[[str], None]]:
+    """Say what takes long: beside a spinner on a terminal, as a line in a pipe. What is given changes the words beside
+    the spinner."""
     if console.is_terminal:
-        with console.status(Text(what)):
-            yield
+        with console.status(Text(what)) as status:
+            yield lambda words: status.update(Text(words))
     else:
         console.print(what)
-        yield
+        yield lambda words: None

@@ -49,6 +49,13 @@ def free_name(path: Path) -> Path:
     return free
 
 
+def new_recording(path: Path) -> Path:
+    """The path of a recording, where nothing is yet. Raises ConfigError for what would not be found as one again."""
+    if path.suffix != ".mcap":
+        raise ConfigError(f"{path}: the name of a recording ends in .mcap; give --out such a name")
+    return new_file(path)
+
+
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[Path]:
     """A folder with a short path: that of a socket may not be longer than 107 bytes."""
