@@ -42,7 +42,7 @@ from agent.transport import Observer
 from hw.twin.devices.twin_folder import twin_dir
 
 CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work
-READY_S = 120.0  # the first start compiles the twin's kernels
+READY_S = 300.0  # of the wall; the first start compiles the twin's kernels
 SETTLE_ITERATIONS = 30  # after the last robot's first view
 SETTLE_WINDOW = 10
 SETTLE_M = 0.0015

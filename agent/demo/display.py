@@ -16,6 +16,7 @@ from agent.console_log import hears
 from agent.demo.summary import PASS_PERCENT, SIGMAS, Histories
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, fault_kind
+from agent.kernel.topics import EVERY_FLEET
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 
@@ -23,17 +24,19 @@ FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and
 def how_to_look(fleet: Fleet, path: Path) -> list[str]:
     """Commands that attach to a running fleet, each ready to paste into another terminal in this folder.
 
-    What has to be installed first stands behind a command as a comment, which a shell passes over.
+    What has to be installed first stands above them: not every shell passes over a comment behind a command.
     """
     asked = next(iter(fleet.robot.values())).listen
     file = shlex.quote(str(path))
-    console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k 'aucamp/**' --decoder aucamp"
-    viewer = "" if importlib.util.find_spec("foxglove") else f"   # first: {program('pip')} install foxglove-sdk"
-    client = "" if shutil.which(program("zenoh")) else f"   # first: {program('pip')} install zenoh-cli"
+    missing = [] if shutil.which(program("zenoh")) else ["zenoh-cli"]
+    missing += [] if importlib.util.find_spec("foxglove") else ["foxglove-sdk"]
+    first = f" (first: {program('pip')} install {' '.join(missing)})" if missing else ""
+    console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k '{EVERY_FLEET}' --decoder aucamp"
     return [
-        "look at it from a second terminal in this folder: every message, all in Foxglove, or through a router",
-        f"  {console} --line '{{key}} {{value}}'{client}",
-        f"  {program('aucamp')} view {file}{viewer}",
+        "look at it from a second terminal in this folder: every message; all in Foxglove; a router for consoles"
+        + first,
+        f"  {console} --line '{{key}} {{value}}'",
+        f"  {program('aucamp')} view {file}",
         f"  {program('aucamp')} router {file}",
     ]
 

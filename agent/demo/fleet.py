@@ -12,6 +12,7 @@ from agent.kernel.config import Access, ConfigError, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.launch import free_ports
 from agent.perception.detection.detectors import target_picture
+from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from hw.twin.scene import scene_of
 from hw.twin.targets import target_solids
 
@@ -36,7 +37,7 @@ def demo_fleet(
     fleet = load_fleet(path)
     names = _first(fleet, robots, path)
     _lives_in_the_twin(fleet, names, path)
-    _can_be_judged(fleet, path)
+    _has_its_targets(fleet, path)
     kept = {
         name: msgspec.structs.replace(
             fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names)
@@ -86,8 +87,8 @@ def _lives_in_the_twin(fleet: Fleet, names: list[str], path: Path) -> None:
                 )
 
 
-def _can_be_judged(fleet: Fleet, path: Path) -> None:
-    """The twin's scene has all targets, and pictures of those that are no ball can be used."""
+def _has_its_targets(fleet: Fleet, path: Path) -> None:
+    """The twin's scene has all targets, and what tells those that are no ball can be used."""
     scene = scene_of(fleet)
     known = target_solids(fleet, scene, path)
     for name, target in fleet.target.items():
@@ -98,3 +99,5 @@ def _can_be_judged(fleet: Fleet, path: Path) -> None:
             )
         if target.picture is not None:
             target_picture(name, target, (fleet.camera.width_px, fleet.camera.height_px))
+        if target.models is not None:
+            load_box_tracker(*model_files(Path(target.models)))

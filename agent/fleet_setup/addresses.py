@@ -72,7 +72,7 @@ def resolved(listen: str) -> Address | None:
     host, _, port = listen.partition("/")[2].rpartition(":")
     try:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-    except OSError:
+    except (OSError, UnicodeError):  # the latter of what is no name of any host
         return None
     return family, address
 

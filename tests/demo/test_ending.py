@@ -62,13 +62,18 @@ def test_bad_input_is_said_as_it_is() -> None:
         raise ConfigError("bad")
 
 
-def test_how_to_look_is_ready_to_paste(tmp_path: Path) -> None:
+def test_how_to_look_is_ready_to_paste(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fleet = demo_fleet(2, "evidence", 0.0, 0, False, tmp_path)
     _, console, view, router = how_to_look(fleet, Path("runs/my run/fleet.toml"))
     assert f"--mode client --connect {fleet.robot['r1'].listen} subscribe -k 'aucamp/**' " in console
-    assert "--decoder aucamp --line '{key} {value}'" in console
-    assert "aucamp view 'runs/my run/fleet.toml'" in view
+    assert console.endswith("--decoder aucamp --line '{key} {value}'")
+    assert view.endswith("aucamp view 'runs/my run/fleet.toml'")
     assert router.endswith("aucamp router 'runs/my run/fleet.toml'")
+    monkeypatch.setattr("sys.executable", "/nowhere/python")
+    monkeypatch.setenv("PATH", "/nowhere")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    words, *_ = how_to_look(fleet, Path("fleet.toml"))
+    assert words.endswith("(first: pip install zenoh-cli foxglove-sdk)")
 
 
 def test_a_program_is_named_as_a_shell_here_finds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,8 @@
 import io
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -17,6 +19,7 @@ TANK = shipped_fleet().read_text()
 NO_TWIN = TANK.replace('camera = "twin:r2"', 'camera = "v4l2:/dev/video0"').replace('"twin:r2"', '"/dev/ttyACM0"')
 BOX = 'detector = "box"\npicture = "rock.png"\nbox = [0, 0, 9, 9]'
 ROCK = TANK.replace("[target.ball]", "[target.rock]").replace('detector = "ball"\nradius_m = 0.07', BOX)
+NETS = 'big.png"\nmodels = "nets'
 STONE = '[[solid]]\nkind = "stone"\nname = "rock"\nposition_m = [1, 1, 0]\nradii_m = [1, 1, 1]'
 SCENE = '\n[twin]\nscene = "SCENE"\n'
 
@@ -48,6 +51,12 @@ def test_all_robots_of_a_file_dive_and_three_of_the_tank(
         (NO_TWIN.replace("/dev/ttyACM0", "twin:r2"), None, r"'robot.r2.camera'"),
         (ROCK, None, r"'target.rock': nothing in scene 'tank' has this name, .* write name = \"rock\" under a"),
         (ROCK + SCENE, None, r"rock.png: no picture for target 'rock'"),
+        (ROCK.replace("rock.png", "small.png") + SCENE, None, r"small.png: 2x1 pixels, the camera has 640x480"),
+        (
+            ROCK.replace("rock.png", 'big.png"\nmodels = "nets') + SCENE,
+            None,
+            r"nets.nanotrack_backbone_sim.onnx: no such",
+        ),
         (TANK + SCENE.replace("SCENE", "two"), None, "scene 'two': no such scene; give one of .*tank, two_balls"),
     ],
 )
@@ -58,6 +67,8 @@ def test_what_cannot_dive_or_be_judged_is_one_line_and_leaves_nothing(
     scene.write_text(
         'name = "rocks"\n[[solid]]\nkind = "stone"\nname = "rock"\nposition_m = [1, 1, 0]\nradii_m = [1, 1, 1]'
     )
+    for name, shape in (("small.png", (1, 2, 3)), ("big.png", (480, 640, 3))):
+        cv2.imwrite(str(tmp_path / name), np.zeros(shape, np.uint8))
     file = tmp_path / "my.toml"
     file.write_text(text.replace("SCENE", str(scene)))
     (tmp_path / "here").mkdir()
