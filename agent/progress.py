@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from rich import progress as bars
 from rich.console import Console
@@ -16,17 +16,23 @@ T = TypeVar("T")
 Progress = Callable[[int, int], None]  # parts of the work that are done, parts in all
 
 
-def with_bar(console: Console, what: str, work: Callable[[Progress], T]) -> T:
+class Show(Protocol):
+    """A Progress that may be told what is done now; nothing: as before."""
+
+    def __call__(self, done: int, total: int, what: str = "") -> None: ...
+
+
+def with_bar(console: Console, what: str, work: Callable[[Show], T]) -> T:
     """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
     with contextlib.ExitStack() as stack:
         words, share = bars.TextColumn("{task.description}", markup=False), bars.TaskProgressColumn()
         bar = bars.Progress(words, bars.BarColumn(), share, bars.TimeRemainingColumn(), console=console)
         task = bar.add_task(what)
 
-        def show(done: int, total: int) -> None:
+        def show(done: int, total: int, what: str = "") -> None:
             if not bar.live.is_started:
                 stack.enter_context(bar)
-            bar.update(task, completed=done, total=total)
+            bar.update(task, completed=done, total=total, description=what or None)
 
         return work(show)
 
