@@ -100,7 +100,8 @@ def _reexecute_all(
     correspondences: dict[Path, Correspondence],
     console: Console | None,
 ) -> list[Reexecution]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"))
+    name, unit = (TextColumn(text, markup=False) for text in ("{task.description}", "steps"))
+    columns = (name, BarColumn(), MofNCompleteColumn(), unit)
     found = []
     with Progress(*columns, TimeElapsedColumn(), console=console, disable=console is None, transient=True) as bar:
         task = bar.add_task("", total=sum(box.recorded for box in boxes))

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
@@ -128,7 +128,8 @@ def check_vision(paths: Sequence[Path], make_see: MakeSee, console: Console | No
     Raises ConfigError for input that is no recording or whose frames do not decode.
     """
     boxes, found = open_boxes(paths), []
-    with Progress(console=console, disable=console is None, transient=True) as bar:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=console is None, transient=True) as bar:
         for box in boxes:
             with suspecting(box.path):
                 pairs = sighting_pairs(box, make_see)
