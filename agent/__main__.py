@@ -1,16 +1,19 @@
 """The command line `aucamp`: its commands put together, its errors as one line.
 
-Exit 0: done; 1: the answer is no; 2: bad input; 128 + n: ended by signal n, 130 by Ctrl-C.
+Exit 0: done, and so ends what runs until it is ended; 1: the answer is no; 2: bad input; 128 + n: ended by signal n
+before it was done, 130 by Ctrl-C.
 """
 
 from __future__ import annotations
 
 import signal
 import sys
+from typing import Annotated, Any
 
 import typer
+from typer.main import get_command
 
-from agent.commands import boards, calibrating, diving, experimenting, exporting, operating, replaying, seeing
+from agent.commands import boards, calibrating, diving, experimenting, exporting, looking, operating, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -25,12 +28,46 @@ app = typer.Typer(
 )
 app.add_typer(diving.app)
 app.add_typer(operating.app)
+app.add_typer(looking.app)
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(boards.app, name="board")
 app.add_typer(experimenting.app, name="experiment")
 app.add_typer(replaying.app, name="replay")
 app.add_typer(exporting.app)
+
+
+def say_version(wanted: bool) -> None:
+    """What a report of trouble should begin with."""
+    if wanted:
+        from replay.files.environment import environment
+
+        about = environment()
+        changed = " with changes" if about["dirty"] == "yes" else ""
+        typer.echo(f"aucamp {about['version.aucamp']}, commit {about['commit']}{changed}, Python {about['python']}")
+        raise typer.Exit
+
+
+@app.callback()
+def aucamp(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=say_version, help="Say which version this is.")
+    ] = False,
+) -> None:
+    pass
+
+
+def command_line() -> Any:
+    """All commands. In their help a flag has no type: it takes no value."""
+    line = get_command(app)
+    waiting: list[Any] = [line]
+    while waiting:
+        command = waiting.pop()
+        waiting += getattr(command, "commands", {}).values()
+        for parameter in command.get_params(typer.Context(command)):
+            if getattr(parameter, "is_flag", False) and parameter.metavar is None:
+                parameter.metavar = ""
+    return line
 
 
 def usage_error(error: typer.TyperException) -> str:
@@ -47,7 +84,7 @@ def main() -> None:
             signal.signal(number, leave)
     exit_with_parent()
     try:
-        sys.exit(app(prog_name="aucamp", standalone_mode=False))  # else typer draws a box around its errors
+        sys.exit(command_line()(prog_name="aucamp", standalone_mode=False))  # else typer draws a box around its errors
     except typer.TyperException as error:
         sys.stderr.write(usage_error(error))
         sys.exit(2)

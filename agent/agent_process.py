@@ -29,7 +29,6 @@ from agent.perception.preview import Preview
 from agent.perception.vision import Vision
 from agent.pictures.recorded_depth import sweep_depth
 from agent.runtime import Runtime, say_goodbye
-from agent.stop_signal import until_signal
 from agent.transport import Transport
 from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
@@ -55,16 +54,19 @@ class Setup(NamedTuple):
     keys: RobotKeys
 
 
-def run(fleet_path: Path, name: str, out: Path | None, arm: bool, lossless: bool = False, views: bool = True) -> None:
-    """One agent process, from its fleet file until SIGTERM or Ctrl-C. Raises ConfigError or CameraError before
-    anything moves.
+def run(
+    fleet_path: Path, name: str, out: Path | None, arm: bool, stop: Event, lossless: bool = False, views: bool = True
+) -> None:
+    """One agent process, from its fleet file until `stop` is set. Raises ConfigError or CameraError before anything
+    moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
     `lossless` records frames bit by bit, `views` adds channels for viewers to the recording.
     """
     setup = load_setup(fleet_path, name)
+    if stop.is_set():
+        return
     with ExitStack() as stack:
-        stop = stack.enter_context(until_signal())
         stack.enter_context(recovering(torn_files((out or Path()) / f"{name}.mcap")))
         process = AgentProcess(setup, stack, stop)
         process.open_links(out or Path(), lossless, views)

@@ -17,7 +17,8 @@ from agent.failure import Failed
 from agent.kernel.fleet_rules import MAX_PORT
 from agent.parent_watch import GRACE_S, ParentWatch, watched_by_us
 
-FIRST_PORT, PORTS_APART, PLACES = 17401, 8, 1500  # up to 29400, well below the ephemeral range
+# Above the ports of the fleet files that ship and of the router, up to 29340: well below the ephemeral range.
+FIRST_PORT, PORTS_APART, PLACES = 17501, 8, 1480
 STOP_S = GRACE_S  # from SIGTERM to SIGKILL
 
 
@@ -62,15 +63,16 @@ class Crew:
             if child.process.poll() is not None:
                 raise Failed(f"{child.name} ended by itself ({how_it_ended(child)}): {last_line(child.log)}")
 
-    def finish(self, name: str, timeout_s: float) -> None:
-        """Wait for a process that ends by itself. Raises Failed if it says no or takes too long."""
-        child = self._child(name)
-        try:
-            code = child.process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            raise Failed(f"{name} took longer than {timeout_s:.0f} s; its output is in {child.log}") from None
-        if code != 0:
-            raise Failed(f"{name} failed: {last_line(child.log)}")
+    def finish_one(self, timeout_s: float) -> None:
+        """Wait until one of these processes has ended by itself. Raises Failed if it says no, or all take too long."""
+        deadline_s = machine.monotonic_s() + timeout_s
+        while (child := next((c for c in self._children if c.process.poll() is not None), None)) is None:
+            if machine.monotonic_s() > deadline_s:
+                slow = self._children[0]
+                raise Failed(f"{slow.name} took longer than {timeout_s:.0f} s; its output is in {slow.log}")
+            machine.sleep(0.05)
+        if child.process.returncode != 0:
+            raise Failed(f"{child.name} failed: {last_line(child.log)}")
         self._children.remove(child)
 
     def stop(self, *names: str) -> list[str]:

@@ -27,7 +27,8 @@ from replay.files.backlog import Backlog, Entry
 from replay.files.channels import NETWORK, PRESENCE, name
 from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
-from replay.files.log import Limits, LogWriter, drop_note, unused
+from replay.files.log import Limits, LogWriter, drop_note, parts, unused
+from replay.roll_call import RollCall
 from replay.viewers.viewer_channels import ViewerChannels
 from router_config.door import Sample, Session, unusable
 from router_config.session import observer_config
@@ -37,7 +38,6 @@ logger = logging.getLogger(__name__)
 CHANNELS = 16_384  # keys that are recorded: a mesh of 64 robots has 4,200, and a file can number 65,535 channels
 PERIOD_S = 0.1  # how often arrivals are decoded and handed to the writer
 GIVEN_UP_S = 60.0  # a disk that takes nothing for so long will not: whoever started this has to know
-SILENCE_S = 3.0  # robots publish five times a second: by now something should have come
 BACKLOG_MESSAGES = 8192
 BACKLOG_BYTES = 16 * 1024 * 1024
 
@@ -53,14 +53,13 @@ def record(
 ) -> dict[str, int]:
     """Record into `out` until `stop` is set; returns messages per topic, and what was not recorded by reason.
 
-    Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap.
-    Log times are the clock's. `warn` takes one line for a person,
-    `views` adds channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
+    Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap. Where nothing at all
+    was heard, no file is left. Log times are the clock's. `warn` takes lines for a person, one at a time, `views` adds
+    channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
     has become full, and if no session can be opened. What no message of a fleet may do is counted, and recorded.
     """
-    started_ns = clock.now_ns()
-    arrivals, rate = Arrivals(clock.now_ns), RateNotes(clock)
-    warned = stuck = False
+    arrivals, rate, roll = Arrivals(clock.now_ns), RateNotes(clock), RollCall(fleet, warn)
+    stuck = False
     torn = torn_files(out)
     if torn and not out.exists():
         out = unused(out)  # a recorder that was killed goes on; what was finished on purpose is not added to
@@ -77,15 +76,19 @@ def record(
                 raise ConfigError(f"{out}: recording stopped: {log.fault}")
             if stuck is not (stuck := log.fault is not None):
                 warn(f"{out}: {log.fault or 'the disk answers again; info says what was lost'}")
-            if not warned and not any(arrivals.counts.values()) and clock.now_ns() - started_ns > SILENCE_S * 1e9:
-                warned = True
-                warn(f"nothing heard from fleet '{fleet.fleet}' in {SILENCE_S:.0f} s: no robot up, or another fleet")
+            roll.look(arrivals.robots)
         for entry in arrivals.drain():
             log.put(entry)
         log.at_end["not_recorded"] = arrivals.not_recorded()
     if log.failed:  # on the way out
         raise ConfigError(f"{out}: recording stopped: {log.failed}")
-    return {**arrivals.counts, **arrivals.refused, **arrivals.raised}
+    counts = {**arrivals.counts, **arrivals.refused, **arrivals.raised}
+    if any(counts.values()):
+        roll.end()
+    else:
+        for file in parts(log.path):
+            file.unlink()
+    return counts
 
 
 def facts(fleet: Fleet) -> dict[str, str]:
@@ -108,6 +111,7 @@ class Arrivals:
         self.counts = dict.fromkeys([*(topic.name for topic in topics.TOPICS), "alive", "not decoded", "overrun"], 0)
         self.refused: Counter[str] = Counter()  # what is in no file, by reason
         self.raised: Counter[str] = Counter()  # messages that made trouble, by kind; their bytes are recorded
+        self.robots: set[str] = set()  # that were heard, or came and went
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._clock = clock
         self._keys: set[str] = set()
@@ -147,6 +151,7 @@ class Arrivals:
         for entry in entries:
             row = topics.match(entry.channel)
             self.counts[row[0].name if row else "alive"] += 1
+            self.robots.add(row[1][row[0].writer] if row else entry.channel.rpartition("/")[2])
             yield self._decoded(entry, row[0] if row else None)._replace(channel=name(NETWORK, key=entry.channel))
 
     def _decoded(self, entry: Entry, topic: Topic | None) -> Entry:

@@ -17,6 +17,7 @@ from agent.kernel.config import ConfigError, Fleet
 from replay.files.backlog import Entry
 from replay.files.clock_rate import RateNotes
 from replay.recorder import CHANNELS, PERIOD_S, Arrivals, receiving
+from replay.roll_call import RollCall
 from replay.viewers.layout import foxglove_layout, shipped
 from replay.viewers.viewer_channels import ViewerChannels
 
@@ -29,7 +30,7 @@ def view(
 ) -> None:
     """Serve until `stop` is set. Raises ConfigError without the extra `view`, or if the port is taken.
 
-    `say` gets one line: where to look.
+    `say` gets lines for a person: where to look, and who is not heard.
     """
     try:
         import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
@@ -55,10 +56,13 @@ def view(
         except RuntimeError as error:
             raise ConfigError(f"port {port} of {HOST}: {error}; choose another with --port") from None
         try:
-            say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}")
+            say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}; Ctrl-C ends it")
+            roll = RollCall(fleet, say)
             while not machine.wait(stop, PERIOD_S):
                 for entry in (*arrivals.drain(), *rate.due()):
                     show_all_of(entry, derive, show, arrivals.trouble)
+                roll.look(arrivals.robots)
+            roll.end()
             if arrivals.raised:
                 say(f"not shown: {', '.join(f'{count} messages {kind}' for kind, count in arrivals.raised.items())}")
         finally:

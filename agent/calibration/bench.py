@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 
 import msgspec
 
-from agent.calibration.procedure import Place
+from agent.calibration.procedure import SETTINGS, Place, setting
 from agent.clock import machine
 from agent.clock.clock import SystemClock
 from agent.kernel.config import Fleet
@@ -59,13 +59,16 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
         clock = SystemClock()
         module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock))
         asked: Vector | None = None
+        done = 0
 
         def place(board_m: Vector | None, servos_us: tuple[int, int]) -> None:
-            nonlocal asked
+            nonlocal asked, done
             module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), clock.now_ns())
             if board_m is not None and board_m != asked:
                 x, y, z = board_m
-                input(f"board {x:.3f} m ahead of the gimbal's pivot, {y:+.3f} m left, {z:+.3f} m up; then press Enter ")
+                where = f"{x:.3f} m ahead of the gimbal's pivot, {y:+.3f} m left, {z:+.3f} m up"
+                input(f"{setting(done)} ({done + 1} of {SETTINGS} in all): put the board {where}; then press Enter ")
+                done += 1
             asked = board_m
             machine.sleep(SERVO_S)
 

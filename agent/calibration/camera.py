@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from agent.calibration.focus_table import put
+from agent.calibration.calibration_file import check_file, put
 from agent.kernel.config import ConfigError
-from agent.kernel.toml_files import read_toml
 from agent.progress import Progress, with_bar
 from hw.picture_files import picture_files, read_picture
 
@@ -39,6 +38,7 @@ class Intrinsics(NamedTuple):
 
 def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | None, console: Console) -> Intrinsics:
     """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
+    kept = check_file(out).get("camera", {}) if out is not None else {}
     fit = with_bar(console, "looking for the board", lambda show: intrinsics(folder, columns, rows, square_mm, show))
     corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
     radius = corner_px / fit.f_px
@@ -48,13 +48,11 @@ def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | Non
         f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners"
     )
     if out is not None:
-        kept = read_toml(out).get("camera", {}) if out.exists() else {}
         sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
         lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
         # OpenCV's k1 is our bend; what else the old scale went with does not belong to the new one.
         fresh = {"bend": fit.k1, "ahead_m": 0.0, "lens": 0.0, "breathing": 0.0, "scale_covariance": [0.0, 0.0, 0.0]}
-        put(out, "camera", {**kept, **sizes, **lens, **fresh})
-        console.print(f"[camera] of {out} written")
+        console.print(put(out, "camera", {**kept, **sizes, **lens, **fresh}, folder))
     return fit
 
 

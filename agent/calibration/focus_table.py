@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import tomli_w
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from agent.calibration.calibration_file import check_file, put
 from agent.calibration.fit import CalibrationRefused, FocusRow, LeftOut, fit_focus, leave_one_out
 from agent.kernel.config import ConfigError
 from agent.kernel.messages import Symmetric
 from agent.kernel.ranging.calibration import FocusFit
 from agent.kernel.ranging.lens_sag import TiltedPeak, with_sag
-from agent.kernel.toml_files import read_toml
+from agent.run_folder import free_name
 
 REQUIRED = ("u_mm", "code")
 OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")
@@ -42,14 +42,15 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
         fit, left_out = with_sag(fit_focus(rows), tilted), leave_one_out(rows)
     except CalibrationRefused as error:
         raise ConfigError(f"{table}: {error}") from None
+    if out is not None:
+        check_file(out)
     console.print(result_table(fit, left_out))
     console.print(verdict(fit, left_out))
-    picture = table.with_suffix(".png")
+    picture = free_name(table.with_suffix(".png"))
     figure(rows, fit, left_out).savefig(picture)
     console.print(f"picture: {picture}")
     if out is not None:
-        put(out, "focus", _fields(fit))
-        console.print(f"[focus] of {out} written")
+        console.print(put(out, "focus", _fields(fit), table))
     return fit
 
 
@@ -105,9 +106,14 @@ def paper_gauge(fit: FocusFit) -> PaperGauge:
     return PaperGauge(f_m / fit.rho0, f_m, fit.u_inf_m - f_m)
 
 
+def badly_foretold(left_out: Sequence[LeftOut]) -> list[LeftOut]:
+    """The distances that the others foretell too badly for the fit to be good."""
+    return [one for one in left_out if one.error_m > GOOD_LEFT_OUT * one.u_m]
+
+
 def verdict(fit: FocusFit, left_out: Sequence[LeftOut]) -> str:
     """Good or not, and what to do, in one or two sentences."""
-    bad = [one for one in left_out if one.error_m > GOOD_LEFT_OUT * one.u_m]
+    bad = badly_foretold(left_out)
     reach = f"{left_out[0].u_m:.2f} to {left_out[-1].u_m:.2f} m"
     if not bad:
         return f"Good from {reach}: every distance is foretold by the others to {100 * GOOD_LEFT_OUT:.0f} %."
@@ -159,16 +165,6 @@ def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut])
     below.legend()
     drawn.tight_layout()
     return drawn
-
-
-def put(path: Path, table: str, fields: dict[str, Any]) -> None:
-    """Write one table of a calibration file and keep its others; the file as it was goes to <name>.before."""
-    content: dict[str, Any] = read_toml(path) if path.exists() else {"robot": path.stem, "made": "", "source": ""}
-    if path.exists():
-        path.with_suffix(path.suffix + ".before").write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
-    content[table] = fields
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(tomli_w.dumps(content), encoding="utf-8")
 
 
 def _fields(fit: FocusFit) -> dict[str, Any]:

@@ -41,24 +41,25 @@ COLUMNS, ROWS, SQUARE_M = 14, 9, 0.020  # inner corners of a board of 15 x 10 sq
 BOARD_AT_M = (0.68, 0.85)  # the whole board within 31 degrees, with room for a gimbal that is a degree off
 VIEWS_DEG = ((0.0, 0.0), (-24.0, 0.0), (24.0, 0.0), (0.0, -8.0), (0.0, 8.0), (-16.0, -6.0), (16.0, 6.0))
 SAG_AT_M, SAG_TILTS_DEG = (0.40, 0.43, 0.46), (-20.0, 20.0)  # near: an error of the distance matters least
+LOOKS = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)  # settings of the board before those that look up and down
+SETTINGS = LOOKS + len(SAG_AT_M) * len(SAG_TILTS_DEG)
 BLURS = (-1.5, 0.0, 1.5)  # peak half-widths by which the lens is set off, looking straight: to see the picture grow
 BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 
 def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
-    """Run the whole procedure; progress counts settings of the board.
+    """Run the whole procedure; progress counts settings of the board, from 0 to SETTINGS.
 
     Raises CalibrationRefused, ConfigError for a camera without focus, CameraError.
     """
-    looks = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)
-    total = looks + len(SAG_AT_M) * len(SAG_TILTS_DEG)
-    focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, total)))
+    progress(0, SETTINGS)
+    focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, SETTINGS)))
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
         corners += view
-        progress(done + 1, total)
+        progress(done + 1, SETTINGS)
     seen = fit_camera(corners, fleet.body, camera.size)
-    tilted = tilted_peaks(fleet, camera, seen, place, lambda done, _: progress(looks + done, total))
+    tilted = tilted_peaks(fleet, camera, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
     centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
     return Calibration(
@@ -68,6 +69,15 @@ def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: 
         focus=with_sag(focus, tilted),
         camera=seen,
     )
+
+
+def setting(done: int) -> str:
+    """What comes after so many settings of the board."""
+    if done < DISTANCES:
+        return f"distance {done + 1} of {DISTANCES}"
+    if done < LOOKS:
+        return f"view {done - DISTANCES + 1} of {LOOKS - DISTANCES} of the board"
+    return f"view up or down {done - LOOKS + 1} of {SETTINGS - LOOKS}" if done < SETTINGS else "done"
 
 
 def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -> list[FocusRow]:

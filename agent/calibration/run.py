@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
 
 from agent.calibration.bench import bench_by_hand, twin_bench
-from agent.calibration.procedure import calibrate
-from agent.kernel.config import ConfigError
+from agent.calibration.procedure import calibrate, setting
+from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.fleet_reader import load_fleet, load_robot
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import dump
-from agent.progress import with_bar
+from agent.progress import Show, with_bar, with_spinner
 
 
 def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None:
@@ -24,14 +25,32 @@ def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None
     robot = load_robot(fleet, name, fleet_path)
     file = out or fleet_path.parent / robot.calibration
     if file.exists():
-        raise ConfigError(f"{file}: exists already; move it away or give another --out")
-    bench = twin_bench if robot.camera.startswith("twin:") else bench_by_hand
-    with bench(fleet, name) as (camera, place):
-        calibration = with_bar(console, f"calibrating {name}", lambda show: calibrate(fleet, name, camera, place, show))
-    file.parent.mkdir(parents=True, exist_ok=True)
+        raise ConfigError(
+            f"{file}: is there already, and nothing is overwritten; move it away, or give --out another name"
+        )
+    file.parent.mkdir(parents=True, exist_ok=True)  # what cannot be made is said before the work
+    if robot.camera.startswith("twin:"):
+        calibration = _on_the_twin(fleet, name, console)
+    else:
+        with bench_by_hand(fleet, name) as (camera, place):  # its questions say how far it is
+            calibration = calibrate(fleet, name, camera, place, lambda done, total: None)
     file.write_text(dump(calibration), encoding="utf-8")
     console.print(describe(calibration))
     console.print(f"written to {file}")
+
+
+def _on_the_twin(fleet: Fleet, name: str, console: Console) -> Calibration:
+    with ExitStack() as stack:
+        with with_spinner(console, f"calibrating {name}: starting the twin's bench"):
+            camera, place = stack.enter_context(twin_bench(fleet, name))
+
+        def work(show: Show) -> Calibration:
+            def told(done: int, total: int) -> None:
+                show(done, total, f"calibrating {name}: {setting(done)}")
+
+            return calibrate(fleet, name, camera, place, told)
+
+        return with_bar(console, f"calibrating {name}", work)
 
 
 def describe(calibration: Calibration) -> str:

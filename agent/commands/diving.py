@@ -8,31 +8,46 @@ from typing import Annotated
 import typer
 
 from agent.commands.options import FleetFile, Port, RobotName, Speed, complain, terminal
+from agent.failure import Failed
+from agent.fleet_files import shipped_names
 from agent.kernel.config import Protocol
 from agent.kernel.fleet_reader import load_fleet
+from agent.run_folder import new_recording
+from agent.stop_signal import until_signal
+from router_config.session import ROUTER_LISTEN
+
+SHIPPED = ", ".join(shipped_names())
 
 app = typer.Typer()
 
 
 @app.command(epilog="Example: aucamp demo --robots 3 --seed 1")
 def demo(
-    robots: Annotated[int, typer.Option(help="How many: the first ones of the fleet file.")] = 3,
+    robots: Annotated[
+        int | None,
+        typer.Option(help="How many: the first ones of the fleet file; if not given all, of the tank three."),
+    ] = None,
     protocol: Annotated[Protocol, typer.Option(help="How robots agree.")] = "evidence",
     loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds of the dive.")] = 120.0,
     enhance: Annotated[bool, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
-    fleet: Annotated[str, typer.Option(help="A fleet that ships (tank, two_balls), or a fleet file.")] = "tank",
+    fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
 ) -> None:
-    """Robots find a ball in the twin's tank within two minutes; a table at the end, recordings and a report."""
-    from agent.demo import demo as dive
+    """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report."""
+    from agent.demo.demo import demo as dive
+    from agent.demo.demo import keeping
+    from agent.demo.display import verdict
     from agent.pictures.recorded_depth import sweep_depth
+    from agent.progress import with_spinner
     from replay.report.report import report
 
     run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed)
-    report(run, depth=sweep_depth)
+    with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
+        page = report(run, depth=sweep_depth)
+    terminal().print(f"{verdict(summary)}. Look at {page}; recordings are beside it")
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 
@@ -46,9 +61,10 @@ def agent(
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
-    from agent.agent_process import run
+    with until_signal() as stop:
+        from agent.agent_process import run
 
-    run(fleet, robot, out, arm, lossless, view)
+        run(fleet, robot, out, arm, stop, lossless, view)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")
@@ -60,38 +76,44 @@ def twin(
     speed: Speed = 1.0,
 ) -> None:
     """The tank twin, until Ctrl-C: serial ports and cameras for every robot, and the clock that all follow."""
-    from hw.twin.__main__ import run
-
-    raise typer.Exit(run(fleet, bench=bench, speed=speed))
+    with until_signal() as stop:  # importing takes a while; then the twin looks for signals itself
+        from hw.twin.__main__ import run
+    raise typer.Exit(0 if stop.is_set() else run(fleet, bench=bench, speed=speed))
 
 
 @app.command(epilog="Example: aucamp record fleet.toml --out fleet.mcap")
 def record(
     fleet: FleetFile,
-    out: Annotated[Path, typer.Option(help="File to write (MCAP).")],
+    out: Annotated[Path, typer.Option(help="File to write: NAME.mcap.")],
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
-    """Record all traffic of a fleet until Ctrl-C or SIGTERM. The robots do not notice."""
-    from agent.fleet_clock import fleet_clock
-    from agent.stop_signal import until_signal
-    from replay.recorder import record as run
+    """Record all traffic of a fleet until Ctrl-C or SIGTERM. The robots do not notice.
 
+    Where nothing was heard nothing is written, and the exit code is 1.
+    """
     with until_signal() as stop:
-        robots = load_fleet(fleet)
+        from agent.fleet_clock import fleet_clock
+        from replay.recorder import record as run
+
+        robots, file = load_fleet(fleet), new_recording(out)
         clock = fleet_clock(robots)
         complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
-        counts = run(robots, out, stop, clock, views=view)
-    terminal().print(", ".join(f"{name} {count}" for name, count in counts.items()))
+        counts = run(robots, file, stop, clock, complain, views=view)
+    if not any(counts.values()):
+        raise Failed(f"nobody of fleet '{robots.fleet}' was heard, so {file} was not kept: nothing is in it")
+    terminal().print("recorded: " + ", ".join(f"{name} {count}" for name, count in counts.items() if count))
 
 
 @app.command(epilog="Example: aucamp router fleet.toml")
-def router(fleet: FleetFile) -> None:
+def router(
+    fleet: FleetFile,
+    listen: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Where consoles attach.")] = ROUTER_LISTEN,
+) -> None:
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
-    from agent.router import run_router
-    from agent.stop_signal import until_signal
-
     with until_signal() as stop:
-        run_router(load_fleet(fleet), stop, say=complain)
+        from agent.router import run_router
+
+        run_router(load_fleet(fleet), stop, listen, complain)
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")
@@ -100,10 +122,9 @@ def view(
     port: Port = 8765,
 ) -> None:
     """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C."""
-    from agent.fleet_clock import fleet_clock
-    from agent.stop_signal import until_signal
-    from replay.view import view as serve
-
-    robots = load_fleet(fleet)
     with until_signal() as stop:
+        from agent.fleet_clock import fleet_clock
+        from replay.view import view as serve
+
+        robots = load_fleet(fleet)
         serve(robots, stop, fleet_clock(robots), port, typer.echo)

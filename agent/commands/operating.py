@@ -2,15 +2,55 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from agent.commands.options import FleetFile
+from agent.kernel.config import ConfigError
 from agent.kernel.fleet_reader import load_fleet
+from agent.run_folder import new_file
 
 app = typer.Typer()
+
+
+@app.command(epilog="Example: aucamp init --twin --robots 3 --out fleet.toml")
+def init(
+    robots: Annotated[int, typer.Option(min=1, max=10, help="How many.")] = 3,
+    twin: Annotated[bool, typer.Option("--twin", help="In the twin, which needs no hardware.")] = False,
+    out: Annotated[Path, typer.Option(help="File to write: NAME.toml.")] = Path("fleet.toml"),
+) -> None:
+    """A fleet file to begin with, with comments that say what to change. Of real robots, unless --twin is given."""
+    from agent.fleet_setup.init import write_fleet
+
+    if out.suffix != ".toml":
+        raise ConfigError(f"--out {out}: a fleet file is a TOML file; give it a name that ends in .toml")
+    for line in write_fleet(new_file(out), robots, twin):
+        typer.echo(line)
+
+
+@app.command(epilog="Example: aucamp check fleet.toml --robot r1")
+def check(
+    fleet: FleetFile,
+    robot: Annotated[str | None, typer.Option(help="This robot alone, whose computer this is.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """All that can be known before a dive: file, addresses, devices, calibrations, keys, disk. Nothing is started.
+
+    One line for each thing: ok, warning or wrong, and what to do. Exit 1 if something is wrong.
+    """
+    from agent.fleet_setup.check import check as look
+
+    checked = look(fleet, robot, Path())
+    if as_json:
+        typer.echo(json.dumps(checked.as_json()))
+    else:
+        for finding in checked.findings:
+            typer.echo(finding)
+        typer.echo(checked.verdict)
+    raise typer.Exit(0 if checked.well else 1)
 
 
 @app.command(epilog="Example: aucamp keys fleet.toml --out keys")

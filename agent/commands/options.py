@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+
+from agent.plain_console import plain_console
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
@@ -44,5 +45,5 @@ def complain(line: str) -> None:
 
 
 def terminal() -> Console:
-    """Lines with paths are not folded; a pipe is as wide as our widest table."""
-    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
+    """Where results go."""
+    return plain_console()

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from agent.commands.options import FleetFile, Recordings, Runs, complain, terminal
 from agent.kernel.fleet_reader import load_fleet
+from agent.plain_console import plain_console
 from agent.run_folder import new_file
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
@@ -52,7 +52,7 @@ def replay_check(
     from replay.check.vision_check import check_vision
     from replay.files.auto_recover import auto_recovered
 
-    bar = Console(stderr=True)
+    bar = plain_console(stderr=True)
     if update:
         for updated in update_recordings(paths, reason):
             typer.echo(str(updated))

@@ -9,7 +9,8 @@ from typing import TypeVar
 from rich.console import Console, RenderableType
 
 from agent.experiments.figure_files import Figures, write_figures
-from agent.experiments.result import ExperimentResult, write_result
+from agent.experiments.result import NAME, ExperimentResult, write_result
+from agent.failure import Failed
 from agent.progress import Progress, with_bar
 from agent.run_folder import run_folder
 
@@ -33,7 +34,8 @@ def perform(
 ) -> R:
     """Run it into `out` or runs/<UTC>; `counted` is what the bar counts.
 
-    Raises ConfigError where the folder holds anything or cannot be written, and whatever the run raises.
+    Raises ConfigError where the folder holds anything or cannot be written, whatever the run raises, and at its end
+    Failed where the experiment misses a target.
     """
     folder = run_folder(out)
     result = with_bar(console, counted, lambda show: run(settings, show))
@@ -41,4 +43,6 @@ def perform(
     write_figures(figures(result), folder)
     console.print(table(result))
     console.print(f"written to {folder}")
+    if result.failed:
+        raise Failed(f"a target is missed; the tables say which, and {folder / NAME}")
     return result

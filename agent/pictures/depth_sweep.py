@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.kernel.config import ConfigError
-from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.calibration import FocusFit
 from agent.kernel.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak, h, phase_sigma
 from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
 from agent.perception.clarity.clarity import grid, tenengrad_grid
@@ -52,6 +52,7 @@ class DepthMap(NamedTuple):
     block_px: int
     lens_position: Array  # of the clarity's peak
     sigma: Array
+    width: Array  # half width of the peak, lens positions
     quality: Array
     accepted: NDArray[np.bool_]
     range_m: Array | None  # z-depth from the gimbal pivot; NaN where there is none. None without a calibration
@@ -134,7 +135,7 @@ def _lens_positions(camera: Camera) -> list[int]:
 def measure(
     taken: DepthSweep,
     block: int,
-    calibration: Calibration | None,
+    focus: FocusFit | None,
     method: Method = "matched",
     min_quality: float = MIN_QUALITY,
 ) -> DepthMap:
@@ -146,16 +147,17 @@ def measure(
     lens_position = peaks.lens_position.reshape(shape)
     accepted = (peaks.accepted & (peaks.quality >= min_quality)).reshape(shape) & textured
     range_m = None
-    if calibration is not None:
+    if focus is not None:
         range_m = np.full(shape, np.nan)
         for cell in np.argwhere(accepted):
-            z_m = h(calibration.focus, float(lens_position[tuple(cell)]))
+            z_m = h(focus, float(lens_position[tuple(cell)]))
             if z_m is not None:  # else sharp at infinity
                 range_m[tuple(cell)] = z_m
     return DepthMap(
         block_px=block,
         lens_position=lens_position,
         sigma=sigma.reshape(shape),
+        width=peaks.width.reshape(shape),
         quality=peaks.quality.reshape(shape),
         accepted=accepted,
         range_m=range_m,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,24 +17,13 @@ from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, enhancer
 from agent.perception.enhancement.grey_world import Image
 from agent.perception.enhancement.variants import Variant
 from agent.pictures.sources import Pictures, pictures
-from agent.progress import with_bar
+from agent.progress import Progress, with_bar
+from agent.run_folder import new_folder
 
 FRAMES = 30  # of a camera, unless told
 
 
-class Destination(NamedTuple):
-    """Where results go; `source` stays as it is."""
-
-    out: Path
-    source: Path
-    render: Callable[[Image], Image]  # from a picture to what is written of it
-
-    def file(self, name: str) -> Path:
-        """Raises ConfigError where that is the source."""
-        path = self.out / name
-        if path.resolve() == self.source.resolve():
-            raise ConfigError(f"{path}: would overwrite its source; give another folder with --out")
-        return path
+Render = Callable[[Image], Image]  # from a picture to what is written of it
 
 
 def run(
@@ -48,54 +36,55 @@ def run(
     console: Console,
 ) -> int:
     """Exit code: 0, or 1 if a part of the source could not be read. Raises ConfigError and CameraError, one line."""
+    new_folder(out)
     problems: list[str] = []
     found = pictures(source, frames, problems, of_camera=FRAMES)
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
-    into = Destination(out, Path(source), side_by_side_with(way) if side_by_side else way.apply)
-    make_folder(into)
-    work = film if found.kind == "video" else stills
-    with_bar(console, "enhance", lambda show: work(found, into, show))
+    render = side_by_side_with(way) if side_by_side else way.apply
+    make_folder(out)
+    if found.kind == "video":
+        with_bar(console, "enhance", lambda show: film(found, out / f"{Path(source).stem}.mp4", render, show))
+    else:
+        with_bar(console, "enhance", lambda show: stills(found, out, render, show))
     for problem in problems:
         console.print(f"skipped: {problem}" if found.kind == "images" else problem)
     console.print(f"written to {out}")
     return 1 if problems else 0
 
 
-def side_by_side_with(way: Enhancer) -> Callable[[Image], Image]:
+def side_by_side_with(way: Enhancer) -> Render:
     return lambda image: np.hstack([image, way.apply(image)])
 
 
-def make_folder(into: Destination) -> None:
+def make_folder(out: Path) -> None:
     try:
-        into.out.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--out {into.out}: {error.strerror}; give a folder that can be written") from None
-    if into.source.is_dir() and into.out.resolve() == into.source.resolve():
-        raise ConfigError(f"--out {into.out}: is the source folder, whose files stay as they are; give another one")
+        raise ConfigError(f"--out {out}: {error.strerror}; give a folder that can be written") from None
 
 
-def stills(found: Pictures, into: Destination, show: Callable[[int, int], None]) -> None:
+def stills(found: Pictures, out: Path, render: Render, show: Progress) -> None:
     """One PNG for each picture, with its name or number; two images of one stem keep their suffixes."""
     used: set[str] = set()
     for done, picture in enumerate(found.each, start=1):
         name = f"{Path(picture.name).stem}.png" if found.kind == "images" else f"{int(picture.name):06d}.png"
         name = f"{picture.name}.png" if name in used else name
         used.add(name)
-        file = into.file(name)
-        if not cv2.imwrite(str(file), into.render(picture.image)):
+        file = out / name
+        if not cv2.imwrite(str(file), render(picture.image)):
             raise ConfigError(f"{file}: cannot be written; choose another folder with --out")
         show(done, found.total or done)
     if found.total:
         show(found.total, found.total)  # with those that were skipped
 
 
-def film(found: Pictures, into: Destination, show: Callable[[int, int], None]) -> None:
+def film(found: Pictures, file: Path, render: Render, show: Progress) -> None:
     """One MP4 with the rate of the source."""
-    file, rate_hz = into.file(f"{into.source.stem}.mp4"), found.rate_hz or 30.0
+    rate_hz = found.rate_hz or 30.0
     first = next(found.each)  # there is one, or the walk has said why not
-    result = into.render(first.image)
+    result = render(first.image)
     size = (result.shape[1], result.shape[0])
     sink = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, size)
     if not sink.isOpened():
@@ -103,7 +92,7 @@ def film(found: Pictures, into: Destination, show: Callable[[int, int], None]) -
     try:
         sink.write(result)
         for done, picture in enumerate(found.each, start=2):
-            sink.write(into.render(picture.image))
+            sink.write(render(picture.image))
             show(done, max(found.total or done, done))
     finally:
         sink.release()

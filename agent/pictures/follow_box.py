@@ -5,13 +5,13 @@ One line a frame on standard output; with --out also the pictures, with the box 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.console import Console
 
 from agent.kernel.config import ConfigError
 from agent.perception.detection.detectors import BoxDetector, Found, boxed
@@ -19,7 +19,9 @@ from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import Follower, parse_box
 from agent.pictures.sources import Picture, Pictures, pictures
+from agent.plain_console import plain_console
 from agent.progress import with_bar
+from agent.run_folder import new_file, new_folder
 from hw.camera.camera import Image
 
 VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
@@ -41,13 +43,20 @@ def run(
 ) -> bool:
     """Say HEADER and a line for each picture; returns whether the thing is still there at the end.
 
-    Raises ConfigError and CameraError, one line each. Existing files are not overwritten.
+    Raises ConfigError and CameraError, one line each, before anything is said or written where the first picture and
+    the box do not go together.
     """
     drawn, follower = parse_box(box), Follower(load_box_tracker(backbone, neck))
+    if out is not None:
+        check_out(out)
     found = pictures(source, frames)
-    say(HEADER)
+    first = next(found.each)  # there is one, or the walk has said why not
+    follower.start(first.image, drawn)
+    found = found._replace(each=itertools.chain((first,), found.each))
+    console = plain_console(stderr=True)
     with writer(out) as show:
-        return with_bar(Console(stderr=True), "following", lambda bar: follow(found, drawn, follower, show, say, bar))
+        say(HEADER)
+        return with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
 
 
 def follow(
@@ -58,12 +67,12 @@ def follow(
     say: Callable[[str], None],
     progress: Callable[[int, int], None],
 ) -> bool:
+    """`follower` has been started on the first picture."""
     detector, size = BoxDetector(follower), None
     now: Found | None = boxed(box, 1.0)
     for k, picture in enumerate(found.each):
         if size is None:
             size = picture.image.shape
-            follower.start(picture.image, box)
         elif picture.image.shape != size:
             raise ConfigError(f"{picture.name}: not of the size of the first picture; give pictures of one size")
         else:
@@ -95,13 +104,21 @@ def _far_corner(box: Box) -> tuple[float, float]:
     return box.x + box.width, box.y + box.height
 
 
+def check_out(out: Path) -> None:
+    """Raises ConfigError for what is no new video and no new folder."""
+    if out.suffix.lower() in VIDEOS:
+        new_file(out)
+    elif out.suffix and not out.is_dir():
+        raise ConfigError(f"{out}: give --out a folder, or a video that ends in {' or '.join(VIDEOS)}")
+    else:
+        new_folder(out)
+
+
 @contextmanager
 def writer(out: Path | None) -> Iterator[Show]:
-    """Where annotated pictures go: a video if `out` ends as one, else a new folder. Raises ConfigError."""
+    """Where annotated pictures go: a video if `out` ends as one, else a folder. Raises ConfigError."""
     if out is None:
         yield lambda image, name: None
-    elif out.exists():
-        raise ConfigError(f"{out}: exists; give --out another name, nothing is overwritten")
     elif out.suffix.lower() in VIDEOS:
         film: list[cv2.VideoWriter] = []
 
@@ -118,11 +135,9 @@ def writer(out: Path | None) -> Iterator[Show]:
         finally:
             for one in film:
                 one.release()
-    elif out.suffix:
-        raise ConfigError(f"{out}: give --out a folder, or a video that ends in {' or '.join(VIDEOS)}")
     else:
         try:
-            out.mkdir(parents=True)
+            out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another place") from None
         yield lambda image, name: _save(out, image, name)

@@ -37,7 +37,7 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     lens_positions = np.array([float(frame.sighting.focus or 0) for frame in seen])
     grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
     taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
-    found = measure(taken, BLOCK_PX, calibration)
+    found = measure(taken, BLOCK_PX, calibration.focus)
     assert found.range_m is not None  # there is a calibration
     reference = seen[taken.reference]
     x, y = _centre(reference)

@@ -112,8 +112,8 @@ def curves(points: Iterable[Point], out: Path) -> None:
 
 def steps_bar(console: Console) -> Progress:
     """A bar with the steps done and the time left."""
-    left = TimeRemainingColumn()
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), left, console=console)
+    words, left = TextColumn("{task.description}", markup=False), TimeRemainingColumn()
+    return Progress(words, BarColumn(), MofNCompleteColumn(), left, console=console)
 
 
 def _made(out: Path, seed: int, console: Console) -> tuple[Pairs, Pairs]:
@@ -130,6 +130,11 @@ def _made(out: Path, seed: int, console: Console) -> tuple[Pairs, Pairs]:
 
 def _real(folders: tuple[Path, Path], everything: bool, console: Console) -> tuple[Pairs, Pairs]:
     pairs = _read(folders, console)
+    if not everything and (scenes := len(set(pairs.scene))) < SHARES:
+        raise ConfigError(
+            f"{folders[0]}: {scenes} different scenes, of which one in {SHARES} is kept back for validation; give "
+            f"pairs of at least {SHARES} scenes, or keep none back with --all"
+        )
     held_out = np.zeros(len(pairs.raw), bool) if everything else folds(pairs.scene, SHARES, 0) == 0
     return pairs.only(~held_out), pairs.only(held_out)
 

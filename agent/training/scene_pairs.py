@@ -64,7 +64,7 @@ def folds(scene: NDArray[np.str_], count: int, seed: int) -> NDArray[np.intp]:
     """
     names, sizes = np.unique(scene, return_counts=True)
     if len(names) < count:
-        raise ConfigError(f"{len(names)} scenes cannot make {count} folds; give more pairs or fewer folds")
+        raise ConfigError(f"{len(names)} scenes cannot make {count} folds; give pairs of more scenes, or fewer folds")
     order = np.random.default_rng(seed).permutation(len(names))
     filled, place = [0] * count, {}
     for i in sorted(order, key=lambda k: -int(sizes[k])):  # the largest first, into the emptiest

@@ -90,9 +90,9 @@ class Run:
             state: dict[str, Any] = torch.load(file, weights_only=True)
             kept = Plan(**state["plan"])
         except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, UnpicklingError) as error:
-            raise ConfigError(f"{file}: no checkpoint to go on from; leave --resume out to start anew") from error
+            raise ConfigError(f"{file}: no checkpoint to go on from; start anew without --resume") from error
         if kept != plan:
-            raise ConfigError(f"{file}: was started with {kept}; give the same numbers, or leave --resume out")
+            raise ConfigError(f"{file}: was started {started_with(kept, plan)}; give the same, or start anew elsewhere")
         run = Run(plan)
         run.fresh = False
         run.step, run.curve = state["step"], [Point(*point) for point in state["curve"]]
@@ -101,6 +101,16 @@ class Run:
         run.average.load_state_dict(state["average"])
         run.optimiser.load_state_dict(state["optimiser"])
         return run
+
+
+def started_with(kept: Plan, plan: Plan) -> str:
+    """What a run was asked for that is asked for otherwise now, as it is typed."""
+    if kept[3:] != plan[3:]:
+        return "by another version of aucamp"
+    words = [f"--{name} {was}" for name, was, now in zip(Plan._fields[:2], kept, plan, strict=False) if was != now]
+    if kept.rate != plan.rate:  # it follows from what a run starts from
+        words.append("--start" if kept.rate < plan.rate else "no --start")
+    return f"with {', '.join(words)}"
 
 
 def advance(run: Run, training: Pairs, validation: Pairs) -> Iterator[float]:

@@ -31,7 +31,8 @@ from hw.twin.optics.painter import Painter
 from hw.twin.pace import run_by_clock
 from hw.twin.physics.rotation import euler_rad
 from hw.twin.physics.tank import TICK_NS
-from hw.twin.scene import Scene, generator, load_scene
+from hw.twin.scene import Scene, Solid, generator, scene_of
+from hw.twin.targets import target_solids
 
 SWITCH_S = 0.0005  # Python's own 5 ms, for which a camera's thread keeps the water waiting, are half a tick
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -83,7 +84,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     if not any(robot.serial.startswith("twin:") for robot in fleet.robot.values()):
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
     scene = scene_of(fleet)
-    targets_m = _targets_m(fleet, scene, fleet_path)
+    solids = target_solids(fleet, scene, fleet_path)
     optics = [_optics(fleet, scene, name) for name in robots]
     Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
     clock = RunClock(clock_path(fleet))
@@ -108,7 +109,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     stack.callback(keeper.close)
     for device in devices:
         device.start()
-    _write_truth(folder / "truth.json", fleet, targets_m, dive)
+    _write_truth(folder / "truth.json", fleet, solids, dive)
     _be_ready(folder, stop)
     sys.setswitchinterval(SWITCH_S)
     run_by_clock(dive, keeper, stop)
@@ -123,12 +124,6 @@ def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, st
     stack.callback(server.close)
     server.start()
     serve(bench, folder / f"{robot}.bench", stop, lambda: _be_ready(folder, stop))
-
-
-def scene_of(fleet: Fleet) -> Scene:
-    """The scene that the fleet file names, filled with the water that it names."""
-    scene = load_scene(fleet.twin.scene)
-    return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
 
 
 def _optics(fleet: Fleet, scene: Scene, robot: str) -> tuple[Lens, Vcm, Painter]:
@@ -149,26 +144,12 @@ def _close_together(devices: list[Board | FrameServer]) -> None:
         thread.join()
 
 
-def _targets_m(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, tuple[float, float, float]]:
-    """Where each ball is, world frame: nothing says which solid is in a box. Raises ConfigError when the scene has
-    none, or two, like it."""
-    found = {}
-    for name, target in fleet.target.items():
-        if target.detector != "ball":
-            continue
-        like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
-        if len(like) != 1:
-            what = f"{target.ball_colour} {target.detector}"
-            raise ConfigError(
-                f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; "
-                f"take another colour, or another scene in [twin]"
-            )
-        found[name] = like[0].position_m
-    return found
-
-
-def _write_truth(path: Path, fleet: Fleet, targets_m: dict[str, tuple[float, float, float]], dive: Dive) -> None:
+def _write_truth(path: Path, fleet: Fleet, solids: dict[str, Solid], dive: Dive) -> None:
     """Where everything is at the start: for summaries and reports, never for an agent."""
+    targets = {
+        "target_m": {name: solid.position_m for name, solid in solids.items()},
+        "target_radii_m": {name: solid.radii_m for name, solid in solids.items()},
+    }
     robots = {
         name: {
             "position_m": state["position_m"].tolist(),
@@ -176,7 +157,7 @@ def _write_truth(path: Path, fleet: Fleet, targets_m: dict[str, tuple[float, flo
         }
         for name, state in zip(dive.robots, dive.states, strict=True)
     }
-    path.write_text(json.dumps({"seed": fleet.twin.seed, "target_m": targets_m, "robot": robots}, indent=1) + "\n")
+    path.write_text(json.dumps({"seed": fleet.twin.seed, **targets, "robot": robots}, indent=1) + "\n")
 
 
 def _be_ready(folder: Path, stop: threading.Event) -> None:

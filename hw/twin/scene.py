@@ -7,10 +7,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
-from agent.kernel.config import Colour, ConfigError, Positive, Struct, WaterKind
+from agent.kernel.config import Colour, ConfigError, Fleet, Positive, Struct, WaterKind
 from agent.kernel.toml_files import convert, read_toml
 from hw.twin.faults import KINDS, AnyFault
 
@@ -26,6 +27,7 @@ class Solid(Struct, frozen=True, kw_only=True):
     """An ellipsoid that stands where it is put. The agents' targets are among these."""
 
     kind: Literal["ball", "stone"]
+    name: str | None = None  # of a target that robots know from a picture: what tells who judges which one it was
     colour: Colour = "red"  # of a ball; stones are grey
     position_m: tuple[float, float, float]
     radii_m: tuple[Positive, Positive, Positive]
@@ -61,6 +63,12 @@ def load_scene(name: str) -> Scene:
         if kind not in KINDS:
             raise ConfigError(f"{path}: key 'event[{i}].kind': {kind!r} is none of {', '.join(KINDS)}; correct it")
     return convert(data, Scene, path)
+
+
+def scene_of(fleet: Fleet) -> Scene:
+    """The scene that the fleet file names, filled with the water that it names."""
+    scene = load_scene(fleet.twin.scene)
+    return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
 
 
 def generator(seed: int, *names: str) -> np.random.Generator:

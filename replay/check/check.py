@@ -100,7 +100,8 @@ def _reexecute_all(
     correspondences: dict[Path, Correspondence],
     console: Console | None,
 ) -> list[Reexecution]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"))
+    name, unit = (TextColumn(text, markup=False) for text in ("{task.description}", "steps"))
+    columns = (name, BarColumn(), MofNCompleteColumn(), unit)
     found = []
     shown = console is not None and console.is_terminal  # else it leaves an empty line behind
     with Progress(*columns, TimeElapsedColumn(), console=console, disable=not shown, transient=True) as bar:

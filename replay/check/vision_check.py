@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
@@ -108,7 +108,8 @@ def check_vision(paths: Sequence[Path], make_see: MakeSee, console: Console | No
     """
     boxes, found = open_boxes(paths), []
     shown = console is not None and console.is_terminal  # else it leaves an empty line behind
-    with Progress(console=console, disable=not shown, transient=True) as bar:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not shown, transient=True) as bar:
         for box in boxes:
             with suspecting(box.path):
                 pairs = sighting_pairs(box, make_see)

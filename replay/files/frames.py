@@ -35,7 +35,7 @@ JPEG = [
 ]
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 # So many frames to one that is kept as PNG: on it `check --vision` holds vision to every bit. A dive of 45 s has two or
-# three of them, which make a black box larger by some 5 % (0.43 MB each, a JPEG 0.056 MB: 12 recordings of the twin).
+# three of them, which make a black box larger by some 6 % (0.43 MB each, a JPEG 0.056 MB: 12 recordings of the twin).
 EXACT_EVERY = 128
 MAX_PIXELS = 32 * 10**6  # of an image that is decoded: twice the largest sensor of a small camera
 MAX_FRAME = 16 * 1024 * 1024  # bytes of a Picture: for `codec.decode`

@@ -17,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.config import Fleet, Robot
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump

@@ -12,6 +12,7 @@ from agent.calibration import focus_table
 from agent.calibration.focus_table import paper_gauge, read_table, run
 from agent.kernel.config import ConfigError
 from agent.kernel.toml_files import read_toml
+from agent.plain_console import plain_console
 
 K, F_CM, C_CM = 0.3922, 0.7431, 0.7577  # the paper's printed fit; centimetres is the only plausible unit
 RHO0, B_CM, U_INF_CM = F_CM / K, F_CM * F_CM / K, F_CM + C_CM
@@ -59,7 +60,34 @@ def test_the_file_keeps_its_other_table_and_its_former_self(tmp_path: Path) -> N
     assert content["camera"] == {"f_px": 1000.0}
     assert content["focus"]["r2"] > 0.98
     assert "focus" not in read_toml(tmp_path / "r1.toml.before")
+    assert content["source"].startswith("s; [focus] on 20") and content["made"] == "m"
     assert (tmp_path / "t.png").stat().st_size > 5000
+
+
+def test_nothing_is_lost_when_a_table_is_measured_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, console = tmp_path / "r1.toml", plain_console()
+    for seed in range(3):
+        run(table(tmp_path / "t.csv", seed), out, console)
+    said = capsys.readouterr().out
+    assert f"[focus] written to {out}, the calibration of robot 'r1'\n" in said
+    assert "[camera] is missing; a robot needs it: aucamp calibrate camera" in said
+    first, second = (read_toml(tmp_path / name) for name in ("r1.toml.before", "r1.toml.2.before"))
+    assert f"[focus] of {out} replaced; the file as it was: {tmp_path / 'r1.toml.2.before'}" in said
+    assert len({each["focus"]["b_m"] for each in (first, second, read_toml(out))}) == 3
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "r1.toml", "r1.toml.before", "r1.toml.2.before", "t.csv", "t.png", "t.2.png", "t.3.png"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text", "expected"), [
+    ("fleet.toml", 'fleet = "tank"\n[robot.r1]\n', "fleet.toml: is no calibration file; give --out a new name"),
+    ("r1.txt", "", "r1.txt: give --out a name that ends in .toml"),
+])  # fmt: skip
+def test_another_file_gets_no_table_of_ours(tmp_path: Path, name: str, text: str, expected: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=expected):
+        run(table(tmp_path / "t.csv", 0), tmp_path / name, quiet())
+    assert (tmp_path / name).read_text() == text and not (tmp_path / "t.png").exists()
 
 
 BAD = {

@@ -1,8 +1,11 @@
 """An agent believes a calibration file only if it is that of its own camera."""
 
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+import tomli_w
 from msgspec.structs import replace
 
 from agent.agent_process import own_calibration
@@ -17,16 +20,24 @@ FLEET = load_fleet(shipped_fleet())
 KNOWN = Calibration(robot="r1", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
 
 
-def believed(tmp_path: Path, calibration: Calibration | None, fleet: Fleet = FLEET) -> Calibration:
+def believed(tmp_path: Path, calibration: Calibration | dict[str, Any] | None, fleet: Fleet = FLEET) -> Calibration:
     file = tmp_path / fleet.robot["r1"].calibration
     file.parent.mkdir()
     if calibration is not None:
-        file.write_text(dump(calibration))
+        file.write_text(tomli_w.dumps(calibration) if isinstance(calibration, dict) else dump(calibration))
     return own_calibration(fleet, "r1", tmp_path / "fleet.toml")
 
 
 def test_ones_own_is_believed(tmp_path: Path) -> None:
     assert believed(tmp_path, KNOWN) == KNOWN
+
+
+@pytest.mark.parametrize("table", ["focus", "camera"])
+def test_a_table_that_is_missing_is_named_with_what_makes_it(tmp_path: Path, table: str) -> None:
+    content = tomllib.loads(dump(KNOWN))
+    del content[table]
+    with pytest.raises(ConfigError, match=rf"r1\.toml: has no table \[{table}\]; add it by `aucamp calibrate {table}`"):
+        believed(tmp_path, content)
 
 
 @pytest.mark.parametrize(

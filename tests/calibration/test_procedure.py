@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.calibration.fit import CalibrationRefused
-from agent.calibration.procedure import COLUMNS, ROWS, calibrate, find_corners
+from agent.calibration.procedure import COLUMNS, ROWS, SETTINGS, calibrate, find_corners, setting
 from agent.kernel.config import Body, ConfigError, Fleet, Pose, Robot, Target
 from agent.kernel.ranging.focus import h
 from hw.camera.camera import FocusRange, Frame, Roi
@@ -120,7 +120,13 @@ def test_every_setting_is_reached_from_shorter_pulses(measured):
 
 def test_progress_counts_up_to_its_total(measured):
     steps = measured[2]
-    assert [done for done, _ in steps] == list(range(1, steps[0][1] + 1))
+    assert steps == [(done, SETTINGS) for done in range(SETTINGS + 1)]
+
+
+def test_each_setting_has_a_name():
+    words = [setting(done) for done in range(SETTINGS + 1)]
+    assert len(set(words)) == SETTINGS + 1 and words[2] == "distance 3 of 16" and words[-1] == "done"
+    assert words[16] == "view 1 of 14 of the board" and words[-2] == "view up or down 6 of 6"
 
 
 def test_nothing_to_see_is_refused_with_its_reason(fleet):

@@ -74,10 +74,15 @@ def test_places_are_in_the_tank_and_beliefs_about_right():
         assert np.abs(np.array(case.level[1:]) - case.roll_pitch_yaw_deg[:2]).max() < 1.0
 
 
-@pytest.mark.parametrize(("nees", "honest"), [(3.0, True), (2.4, False), (3.6, False), (None, False)])
-def test_a_mean_that_is_not_honest_is_said(nees, honest):
+@pytest.mark.parametrize(
+    ("nees", "count", "honest"),
+    [(3.0, 1000, True), (2.4, 1000, False), (3.6, 1000, False), (None, 1000, False), (3.6, 999, None)],
+)
+def test_a_mean_that_is_not_honest_is_said(nees, count, honest):
     rest = {"range_m": [0.25, 1.2], "count": 1, "measured": 1, "nees_median": 2.4, "error_rms_mm": 1, "sigma_mm": 1}
     cases = [{"cues": cue, "nees": value, **rest} for cue, value in (("both", 3.0), ("both", nees), ("size", 9.0))]
-    result = Result(seed=0, count=1, cases=cases, measurements=[])
-    assert result.honest is honest
-    assert any("missed" in str(part) for part in table(result).renderables) is not honest
+    result = Result(seed=0, count=count, cases=cases, measurements=[])
+    assert result.honest is honest and result.failed is (honest is False)
+    said = [str(part) for part in table(result).renderables]
+    assert any("missed" in part for part in said) is result.failed
+    assert any("no verdict" in part for part in said) is (honest is None)

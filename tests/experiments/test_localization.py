@@ -4,6 +4,7 @@ import json
 import math
 from random import Random
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -143,7 +144,7 @@ def test_result_figures_and_tables(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(experiment, "cases", lambda quick, full: few)
     monkeypatch.setattr(experiment, "liar_cases", lambda quick, full: lies)
     done = []
-    result = experiment.run(Settings(seed=3, quick=True), lambda n, total: done.append((n, total)))
+    result = experiment.run(Settings(seed=3), lambda n, total: done.append((n, total)))
     assert done[-1][0] == done[-1][1]
     assert len({total for _, total in done}) == 1
     write_result(result, tmp_path)
@@ -162,6 +163,9 @@ def test_result_figures_and_tables(tmp_path, monkeypatch) -> None:
     assert result.liars[0]["moved_max_mm"] > 10.0 * result.liars[1]["moved_max_mm"] > 0.0
     assert liars_table(result.liars).row_count == 2
     assert verdicts_table(result.verdicts).row_count == len(result.verdicts) > 0
+    assert result.failed is not all(verdict["met"] for verdict in result.verdicts)
+    quick = msgspec.structs.replace(result, verdicts=None)
+    assert not quick.failed and str(table(quick).renderables[-1]).startswith("no verdict")
     assert len(table(result).renderables) == 3
     write_figures(figures(result), tmp_path)
     drawn = {path.name for path in tmp_path.glob("localization_*")}

@@ -14,6 +14,7 @@ from agent.commands.experimenting import app
 from agent.experiments.choices import WATERS, Sensor
 from agent.experiments.perform import perform
 from agent.experiments.result import ExperimentResult
+from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from hw.twin.optics.lens import PRESETS
 from hw.twin.optics.water import KD_PER_M
@@ -48,12 +49,25 @@ def test_result_and_figures_are_in_the_folder_and_the_table_is_shown(tmp_path: P
     assert "parts" in said and "beside" in said and f"written to {tmp_path / 'new'}" in said.replace("\n", "")
 
 
+class Missed(Found, frozen=True, kw_only=True):
+    @property
+    def failed(self):
+        return True
+
+
+def test_the_answer_no_is_said_when_all_is_written_and_is_exit_code_1(tmp_path: Path) -> None:
+    console = Console(file=io.StringIO())
+    with pytest.raises(Failed, match=r"a target is missed; the tables say which, and .*result\.json"):
+        perform(lambda *_: Missed(value=1, shown="x"), 1, lambda result: "table", tmp_path, console, "parts", drawn)
+    assert len(list(tmp_path.iterdir())) == 3 and "table" in console.file.getvalue()
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_folder_with_a_result_is_left_alone(verb: str, tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("{}")
     done = CliRunner().invoke(app, [verb, "--out", str(tmp_path)])
     assert isinstance(done.exception, ConfigError)
-    assert "not empty; give --out a new folder" in str(done.exception)
+    assert "not empty, and nothing is overwritten; give --out a new folder" in str(done.exception)
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     assert (tmp_path / "result.json").read_text() == "{}"
 

@@ -77,6 +77,8 @@ def _made(shape: inspect.Type, rng: Random, wild: float) -> Any:
     if wild and rng.random() < 0.1 * wild:
         return anything(rng)
     match shape:
+        case inspect.Metadata():  # a type with a description
+            return _made(shape.type, rng, wild)
         case inspect.IntType():
             return integer(rng) if rng.random() < wild else (shape.ge or 0) + rng.randrange(50)
         case inspect.FloatType():

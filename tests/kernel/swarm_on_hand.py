@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import State

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
 from agent.kernel.step_io import Inputs

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.core import Agent
 from agent.kernel.logbook import SELDOM_NS
 from agent.kernel.messages import State

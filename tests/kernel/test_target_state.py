@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.target_state import TargetState
 
 FLEET = demo_fleet(3, "evidence", 0.0, 0, False, Path("/nowhere"))

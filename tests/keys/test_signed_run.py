@@ -16,7 +16,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.agent_process import run_facts
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.codec import decode, encode
 from agent.kernel.config import Access, Fleet
 from agent.kernel.core import Agent

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
 from tests.network.relay import Relay

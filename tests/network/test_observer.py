@@ -5,11 +5,13 @@ import threading
 import time
 from collections.abc import Callable
 
+import pytest
 import zenoh
 
+import replay.roll_call
 from agent.kernel import topics
 from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
+from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import Estimate, LogLine, State
 from agent.kernel.topics import STATE
 from agent.router import run_router
@@ -97,10 +99,13 @@ def test_a_console_at_a_robot_sees_it_and_its_neighbours_and_nobody_else(
         assert links == {("r1", "r2"), ("r2", "r1"), ("r2", "r3"), ("r3", "r2"), ("r3", "r4")}
 
 
-def test_a_router_shows_all_and_joins_nobody(make_fleet: Fleets, estimate: Says, state: Shows, free_port: int) -> None:
+def test_a_router_shows_all_and_joins_nobody(
+    make_fleet: Fleets, estimate: Says, state: Shows, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 0.0)
     fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
-    stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port}"
-    router = threading.Thread(target=run_router, args=(fleet, stop, endpoint))
+    stop, endpoint, said = threading.Event(), f"tcp/127.0.0.1:{free_port}", []
+    router = threading.Thread(target=run_router, args=(fleet, stop, endpoint, said.append))
     client = console_config(endpoint)
     with contextlib.ExitStack() as stack:
         r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))
@@ -121,8 +126,12 @@ def test_a_router_shows_all_and_joins_nobody(make_fleet: Fleets, estimate: Says,
             return len(keys) == 2
 
         until(both)
+        until(lambda: any("heard yet: r2 at tcp/" in line or "not heard: r2 at tcp/" in line for line in said))
+        with pytest.raises(ConfigError, match=f"--listen {endpoint}: the address is in use"):
+            run_router(fleet, stop, endpoint)
         heard = foreign.try_recv()
         while heard is not None:
             assert "r1" not in str(heard.key_expr)  # r2 hears itself, and the router brought nothing from r1
             heard = foreign.try_recv()
     assert not router.is_alive()
+    assert said[-1].startswith("never heard: r2 at tcp/"), "it has a session, and no agent"

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 import zenoh
 
-import replay.recorder
+import replay.roll_call
 from agent.kernel import topics
 from agent.kernel.codec import encode, encoding
 from agent.kernel.config import ConfigError, Fleet
@@ -39,7 +39,9 @@ def test_every_row_is_recorded_as_it_was_sent(
     state: Callable[..., State],
     start_recorder: StartRecorder,
     tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 60.0)  # both will be there, however busy this machine is
     fleet = make_fleet(PAIR)
     out = tmp_path / "fleet.mcap"
     recorder = start_recorder(fleet, out)
@@ -167,19 +169,20 @@ def test_a_recording_that_cannot_be_finished_is_no_success(
         recorder.end()
 
 
-def test_silence_is_told_once(
+def test_silence_is_told_once_and_leaves_no_file(
     make_fleet: Callable[..., Fleet],
     start_recorder: StartRecorder,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.1)
+    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 0.1)
     recorder = start_recorder(make_fleet(PAIR), tmp_path / "fleet.mcap")
     until(lambda: recorder.warnings)
     time.sleep(0.4)  # for a second one, which does not come
     assert not any(recorder.end().values())
     assert len(recorder.warnings) == 1
-    assert "fleet 'test'" in recorder.warnings[0]
+    assert "nobody of fleet 'test' is heard yet: r1 at tcp/127.0.0.1:" in recorder.warnings[0]
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_existing_file_is_one_line(
@@ -201,9 +204,12 @@ def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
         log.put(Entry("/zenoh/x", 1, 1, 1, b"x", "msgpack", {}))
     (tmp_path / "fleet.mcap.active").write_bytes(out.read_bytes()[:-100])
     out.unlink()
-    recorder = start_recorder(make_fleet({"r1": ()}), out)
-    until((tmp_path / "fleet.recovered.mcap").exists, MENDED_S)
-    until(lambda: any("1 messages kept" in line for line in recorder.warnings), MENDED_S)
+    fleet = make_fleet({"r1": ()})
+    recorder = start_recorder(fleet, out)
+    with Transport(fleet, "r1", time.time_ns):
+        until((tmp_path / "fleet.recovered.mcap").exists, MENDED_S)
+        until(lambda: any("1 messages kept" in line for line in recorder.warnings), MENDED_S)
+        until(lambda: any("/alive/" in item.channel for item in read(tmp_path / "fleet.2.mcap.active")))
     recorder.end()
     assert f"this one is {tmp_path / 'fleet.2.mcap'}" in recorder.warnings[0]
     assert info(tmp_path / "fleet.2.mcap").complete

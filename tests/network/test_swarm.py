@@ -18,7 +18,7 @@ import msgspec
 import pytest
 import zenoh
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel import topics
 from agent.kernel.codec import decode, encode, encoding
 from agent.kernel.messages import Estimate, LogLine, State

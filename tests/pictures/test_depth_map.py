@@ -1,15 +1,18 @@
 """`aucamp depth-map`: its map and its files, of a stack with known depths; what it refuses."""
 
 import csv
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.kernel.ranging.focus import h
 from agent.kernel.toml_files import dump
+from agent.perception.tracking.appearance import Box
 from agent.pictures.depth_map import depth_map, run
 from hw.camera.camera import CameraError
 from tests.pictures.planes import CALIBRATION, FOCUS, quiet
@@ -43,8 +46,7 @@ def test_files(planes, tmp_path):
 
 def test_ranges_in_the_files(planes, tmp_path):
     focus = replace(FOCUS, b_m=0.1, rho0=0.0)
-    calibration = replace(CALIBRATION, focus=focus)
-    depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, calibration, quiet)
+    depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, focus, quiet)
     rows = read_rows(tmp_path / "map.csv")
     assert float(rows[0]["range_m"]) == pytest.approx(0.05 + 0.1 / 0.21, rel=0.05)
     assert rows[-1]["range_m"] == ""
@@ -72,9 +74,26 @@ def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
 
 
 def test_a_place_that_cannot_be_written_is_one_line(planes, tmp_path):
-    (tmp_path / "map.csv").mkdir()
     with pytest.raises(ConfigError, match=r"map\.png: cannot be written"):
-        depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, quiet)
+        depth_map(str(planes), Path("/proc/map.png"), 40, tmp_path, None, quiet)
+
+
+@pytest.mark.parametrize("there", ["map.png", "map.csv", "map.json"])
+def test_nothing_is_overwritten(planes, tmp_path, there):
+    (tmp_path / there).write_text("mine")
+    with pytest.raises(ConfigError, match=f"{there}: is there already, and nothing is overwritten"):
+        depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, quiet, box=Box(140, 20, 80, 60))
+    assert [file.name for file in tmp_path.iterdir() if file.is_file()] == [there]
+
+
+def test_ranges_need_the_table_of_the_focus_alone(planes, tmp_path):
+    known = dump(CALIBRATION)
+    (tmp_path / "focus.toml").write_text(known[: known.index("[camera]")])
+    assert run(str(planes), tmp_path / "map.png", 40, tmp_path / "focus.toml").startswith("18 of 24")
+    assert read_rows(tmp_path / "map.csv")[0]["range_m"]
+    (tmp_path / "camera.toml").write_text(known[: known.index("[focus]")] + known[known.index("[camera]") :])
+    with pytest.raises(ConfigError, match=r"camera\.toml: has no table \[focus\]; add it by `aucamp calibrate focus`"):
+        run(str(planes), tmp_path / "other.png", 40, tmp_path / "camera.toml")
 
 
 def test_a_scene_without_texture_gives_a_map_without_distances(tmp_path):
@@ -86,6 +105,8 @@ def test_a_scene_without_texture_gives_a_map_without_distances(tmp_path):
     result = depth_map(str(tmp_path), tmp_path / "map.png", 16, tmp_path, None, quiet)
     assert not result.accepted.any()
     assert (tmp_path / "map.png").stat().st_size > 0
+    with pytest.raises(Failed, match=r"no block has a clear peak: .*; the map, which is empty, is in .*again\.png"):
+        run(str(tmp_path), tmp_path / "again.png", 16, None)
 
 
 @pytest.mark.parametrize(("block", "out"), [(4, "m.png"), (500, "m.png"), (40, "m.jpg"), (40, "none/m.png")])

@@ -8,7 +8,7 @@ from agent.kernel.config import ConfigError
 from agent.perception.clarity.breathing import measure_growth
 from agent.pictures.depth_sweep import measure, sweep
 from hw.camera.files import open_stack
-from tests.pictures.planes import CALIBRATION, Breathing, Lens, quiet, two_planes
+from tests.pictures.planes import FOCUS, Breathing, Lens, quiet, two_planes
 
 
 def test_the_picture_is_sharp_everywhere(planes):
@@ -23,7 +23,7 @@ def test_a_camera_is_swept_upwards_and_its_own_report_counts(tmp_path):
     taken = sweep(lens, 40, quiet)
     home, *visited = lens.visited
     assert home == 0 and visited == sorted(visited) and len(visited) == 30 and visited[-1] == 1022
-    result = measure(taken, 40, CALIBRATION)
+    result = measure(taken, 40, FOCUS)
     step = 1023 / 29
     assert np.abs(result.lens_position[:3, :3] - 400.4).max() < 0.1 * step
     assert np.abs(result.lens_position[:3, 3:] - 640.7).max() < 0.1 * step

@@ -80,7 +80,7 @@ def test_16_bits_are_scaled_by_their_largest_value(tmp_path):
     (["text.avi"], "text.avi: not a video"),
     (["usb:1"], "no such kind of camera"),
     (["stack:empty"], "positions.csv"),
-    (["a.png", "--out", "text.png"], "--out text.png"),
+    (["a.png", "--out", "text.png"], "text.png: is there already, and is no folder; give --out a new folder"),
     (["a.png", "--out", "/proc/enhanced"], "--out /proc/enhanced"),
     (["a.png", "--variant", "best"], "'--variant': 'best' is not one of 'plain', 'folded', 'fast'"),
     (["a.png", "--variant", "classic", "--evaluate", "empty", "empty"], "either a SOURCE or --evaluate"),
@@ -130,12 +130,14 @@ def command(arguments, folder, monkeypatch):
     return ended.value.code
 
 
-def test_sources_are_never_overwritten(tmp_path):
+def test_nothing_is_overwritten(tmp_path):
     source = write(tmp_path / "a.png")
     for given in (source, tmp_path):
-        with pytest.raises(ConfigError, match="another"):
+        with pytest.raises(ConfigError, match="not empty, and nothing is overwritten; give --out a new folder"):
             enhance(given, tmp_path)
     assert np.array_equal(cv2.imread(str(source)), PICTURE)
+    (tmp_path / "empty").mkdir()
+    assert enhance(source, tmp_path / "empty") == 0
 
 
 def test_a_video_keeps_its_frames_and_a_camera_gives_as_many_as_asked(tmp_path):

@@ -7,8 +7,12 @@ import pytest
 
 from agent.__main__ import main
 from agent.kernel.config import ConfigError
+from agent.perception.tracking.box_trackers import model_files
 from agent.pictures.follow_box import HEADER, parse_box, run
 from tests.perception.tracking.swimming import clip, overlap
+from tests.places import DATA
+
+NANO = DATA / "models" / "nanotrack_v2"
 
 
 @pytest.fixture
@@ -61,7 +65,14 @@ MISTAKES = [
     (["twin:r1", "--box", "1,1,50,50"], "--frames"),
     (["empty", "--box", "1,1,50,50"], "no pictures"),
     (["pictures", "--box", "1,1,9999,50"], "480x360"),
-    (["pictures", "--box", "1,1,50,50", "--out", "empty"], "nothing is overwritten"),
+    (
+        ["pictures", "--box", "1,1,50,50", "--out", "pictures"],
+        "not empty, and nothing is overwritten; give --out a new",
+    ),
+    (["pictures", "--box", "1,1,50,50", "--out", "mine.avi"], "mine.avi: is there already, and nothing is overwritten"),
+    (["pictures", "--box", "1,1,50,50", "--out", "mine.txt"], "give --out a folder, or a video that ends in .mp4 or"),
+    (["pictures", "--box", "0,0,0,0", "--out", "new"], "draw it inside the 480x360 picture"),
+    (["pictures", "--box", "-5,0,50,50", "--out", "new"], "draw it inside the 480x360 picture"),
     (["pictures", "--box", "1,1,50,50", "--backbone", "x.onnx"], "both"),
 ]
 
@@ -69,9 +80,23 @@ MISTAKES = [
 @pytest.mark.parametrize(("arguments", "expected"), MISTAKES)
 def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
     (tmp_path / "empty").mkdir()
+    (tmp_path / "mine.avi").write_text("mine")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["aucamp", "track", *arguments])
     with pytest.raises(SystemExit) as ended:
         main()
-    said = capsys.readouterr().err.strip().splitlines()
-    assert ended.value.code == 2 and said[-1].startswith("aucamp: ") and expected in said[-1]
+    said = capsys.readouterr()
+    (line,) = said.err.strip().splitlines()
+    assert ended.value.code == 2 and line.startswith("aucamp: ") and expected in line and said.out == ""
+    assert not (tmp_path / "new").exists() and (tmp_path / "mine.avi").read_text() == "mine"
+
+
+@pytest.mark.parametrize("models", [
+    pytest.param((None, None), id="mil"),
+    pytest.param(model_files(NANO), id="nano", marks=pytest.mark.skipif(not NANO.is_dir(), reason="no NanoTrack here")),
+])  # fmt: skip
+@pytest.mark.parametrize("box", ["0,0,480,360", "4,4,472,352", "0,0,480,40", "0,0,8,8"])
+def test_a_box_may_be_as_large_as_the_picture_or_at_its_border(folder, models, box):
+    lines = []
+    assert run(str(folder[0]), box, *models, 3, None, lines.append) in (True, False)
+    assert len(lines) == 4 and lines[1] == f"000.png,,{','.join(f'{float(n):.1f}' for n in box.split(','))},1.00,0"

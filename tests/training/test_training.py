@@ -9,6 +9,7 @@ from agent.kernel.config import ConfigError
 from agent.training import degrade, scene_pairs
 from agent.training.dataset import Pairs
 from agent.training.landscapes import landscape
+from agent.training.request import check
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
@@ -45,8 +46,14 @@ def test_a_checkpoint_of_another_plan_or_none_is_one_line(tmp_path):
     with pytest.raises(ConfigError, match="no checkpoint"):
         Run.resume(file, TINY)
     Run(TINY).save(file)
-    with pytest.raises(ConfigError, match="was started with"):
-        Run.resume(file, TINY._replace(steps=6))
+    for other, words in (
+        (TINY._replace(steps=6), "with --steps 5; give the same"),
+        (TINY._replace(steps=6, seed=4), "with --steps 5, --seed 3; give the same"),
+        (TINY._replace(rate=3e-4), "with no --start; give the same"),
+        (TINY._replace(validate_every=3), "by another version of aucamp; give the same"),
+    ):
+        with pytest.raises(ConfigError, match=rf"run\.checkpoint: was started {words}, or start anew elsewhere"):
+            Run.resume(file, other)
     file.write_bytes(b"not a checkpoint")
     with pytest.raises(ConfigError, match="no checkpoint"):
         Run.resume(file, TINY)
@@ -147,6 +154,7 @@ def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
         (["--resume"], "--resume needs --out"),
         (["--resume", "--out", "w.safetensors"], "w.checkpoint: no such checkpoint"),
         (["--start", "nowhere"], "nowhere: no such file"),
+        (["--out", "weights.bin"], "weights.bin: give --out a name that ends in .safetensors"),
         (["--cross-validate", "3"], "needs --pairs RAW REFERENCE and --start WEIGHTS"),
     ],
 )
@@ -158,3 +166,22 @@ def test_a_mistake_is_one_line_and_leaves_nothing_behind(arguments, expected, tm
     assert done.returncode == 2 and len(said) == 1 and expected in said[0] and not done.stdout, said
     assert not any(line.split("|")[-1].strip() == "torch" for line in imported), "torch takes seconds"
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("there", "resume", "expected"), [
+    ("w.safetensors", False, "w.safetensors: is there already, and nothing is overwritten; give --out another name"),
+    ("w.csv", False, "w.csv: is there already, and nothing is overwritten"),
+    ("w.checkpoint", False, "w.checkpoint: is there already, of a training that was cut off; go on with --resume"),
+    ("w.checkpoint w.safetensors w.safetensors.sha256", True, "this training has ended; train on with --start"),
+])  # fmt: skip
+def test_what_a_training_wrote_is_not_overwritten(there, resume, expected, tmp_path):
+    for name in there.split():
+        (tmp_path / name).write_text("mine")
+    with pytest.raises(ConfigError, match=expected):
+        check(None, None, tmp_path / "w.safetensors", resume, None)
+
+
+def test_a_training_that_was_cut_off_may_go_on(tmp_path):
+    (tmp_path / "w.checkpoint").write_text("mine")
+    (tmp_path / "w.csv").write_text("its curves so far")
+    check(None, None, tmp_path / "w.safetensors", True, None)

@@ -8,7 +8,7 @@ import msgspec
 
 from agent.calibration.bench import twin_bench
 from agent.calibration.fit import FocusRow, LeftOut, fit_focus, leave_one_out
-from agent.calibration.focus_table import paper_gauge
+from agent.calibration.focus_table import badly_foretold, paper_gauge
 from agent.calibration.procedure import focus_rows
 from agent.experiments.result import ExperimentResult, Row
 from agent.fleet_files import shipped_fleet
@@ -45,6 +45,10 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     leave_one_out: list[Row]
     measured: list[Row]
     shown: Fitted
+
+    @property
+    def failed(self) -> bool:
+        return bool(badly_foretold(self.shown.left_out))
 
 
 def run(settings: Settings, progress: Progress) -> Result:

@@ -19,6 +19,7 @@ from agent.progress import Progress, step_by_step
 
 PLACES = 25  # measurements of one robot; the next has another lens, calibration and ball
 RANGES_M = (RANGE_M[0], 0.40, 0.60, 0.90, RANGE_M[1])
+ENOUGH = 1000  # measurements: of 40 robots, whose errors of calibration stay
 EXPECTED = (2.5, 3.5)  # of the mean, for three degrees of freedom
 
 
@@ -26,7 +27,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
     seed: int = 0  # the first world; the others follow it
-    count: int = 1000  # measurements
+    count: int = ENOUGH  # measurements
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):
@@ -41,10 +42,16 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     measurements: list[Row]
 
     @property
-    def honest(self) -> bool:
-        """Whether the mean with both cues over all ranges lies where it should."""
+    def honest(self) -> bool | None:
+        """Whether the mean with both cues over all ranges lies where it should; None: too few to tell."""
+        if self.count < ENOUGH:
+            return None
         whole = next(case for case in reversed(self.cases) if case["cues"] == "both")
         return whole["nees"] is not None and self.expected[0] <= whole["nees"] <= self.expected[1]
+
+    @property
+    def failed(self) -> bool:
+        return self.honest is False
 
 
 def run(settings: Settings, progress: Progress) -> Result:

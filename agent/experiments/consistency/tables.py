@@ -7,7 +7,7 @@ from collections import Counter
 from rich.console import Group
 from rich.table import Table
 
-from agent.experiments.consistency.run import Result
+from agent.experiments.consistency.run import ENOUGH, Result
 from agent.experiments.result import Row
 
 
@@ -18,7 +18,8 @@ def table(result: Result) -> Group:
     return Group(
         cases_table(result.cases),
         *(f"no measurement, {times} times: {reason}" for reason, times in reasons),
-        *([] if result.honest else [f"missed: the mean with both cues is not within {low:g} to {high:g}"]),
+        *([f"missed: the mean with both cues is not within {low:g} to {high:g}"] if result.failed else []),
+        *([f"no verdict: the target is for {ENOUGH} measurements"] if result.honest is None else []),
     )
 
 

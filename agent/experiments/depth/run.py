@@ -64,6 +64,10 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     missed: list[str]
     shown: list[MeasuredView]
 
+    @property
+    def failed(self) -> bool:
+        return bool(self.missed)
+
 
 class Findings(NamedTuple):
     """What one sensor gave, in the parts of the result."""
@@ -126,9 +130,8 @@ def nominal_pinhole(camera: StillCamera) -> CameraFit:
 def map_of(swept: SweptView, known: Calibration, method: Method) -> DepthMap:
     """The depth of every block, with this way to take the peak."""
     tilt = math.radians(swept.view.tilt_deg)  # a robot knows it from gimbal and pressure
-    known = msgspec.structs.replace(known, focus=at_tilt(known.focus, tilt))
     clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth)
-    return measure(clarity, BLOCK_PX, known, method, QUALITY)
+    return measure(clarity, BLOCK_PX, at_tilt(known.focus, tilt), method, QUALITY)
 
 
 def error_rows(

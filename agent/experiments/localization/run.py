@@ -56,7 +56,11 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     world: int = WORLD
     cases: list[Row]
     liars: list[Row]
-    verdicts: list[Row]
+    verdicts: list[Row] | None  # None: too few draws to tell
+
+    @property
+    def failed(self) -> bool:
+        return any(not verdict["met"] for verdict in self.verdicts or [])
 
 
 def run(settings: Settings, progress: Progress) -> Result:
@@ -73,7 +77,8 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
     rows = [row for case, scores in zip(chosen, found, strict=False) for row in rows_of(case, scores)]
     told = [liar_row(case, outcomes) for case, outcomes in zip(lies, found[len(chosen) :], strict=True)]
-    return Result(seed=seed, cases=rows, liars=told, verdicts=[*verdicts(rows), *liar_verdicts(told)])
+    judged = None if quick else [*verdicts(rows), *liar_verdicts(told)]
+    return Result(seed=seed, cases=rows, liars=told, verdicts=judged)
 
 
 def cost(case: Case) -> int:

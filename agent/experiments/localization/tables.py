@@ -14,6 +14,8 @@ def table(result: Result) -> Group:
     """A table for each kind of case that was run, and the verdicts."""
     shown = [cases_table(result.cases)] if result.cases else []
     shown += [liars_table(result.liars)] if result.liars else []
+    if result.verdicts is None:
+        return Group(*shown, "no verdict: --quick makes too few draws to hold anything against its target")
     return Group(*shown, verdicts_table(result.verdicts))
 
 

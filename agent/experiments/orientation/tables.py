@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Group
 from rich.table import Table
 
-from agent.experiments.orientation.run import DEFAULT_LAW, Result
+from agent.experiments.orientation.run import DEFAULT_LAW, ENOUGH, Result
 from agent.experiments.orientation.settling import number_or_never
 from agent.experiments.result import Row
 
@@ -28,7 +28,8 @@ def table(result: Result) -> Group:
     return Group(
         controllers_table(result),
         stability_table(result),
-        *(f"{DEFAULT_LAW} misses: {text}" for text in result.missed),
+        *(f"{DEFAULT_LAW} misses: {text}" for text in result.missed or []),
+        *([f"no verdict: the targets are for {ENOUGH} robots a case"] if result.missed is None else []),
         f"twin, firmware under {result.firmware}, {result.seeds} seeds",
     )
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from msgspec.structs import replace
 
-from agent.kernel.config import Positive, Struct
+from agent.kernel.config import ConfigError, Positive, Struct
 from agent.kernel.messages import Symmetric
 from agent.kernel.toml_files import convert, read_toml
 
@@ -76,4 +77,32 @@ def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFi
 
 def load_calibration(path: Path) -> Calibration:
     """Read a calibration file. Raises ConfigError with one line."""
-    return convert(read_toml(path), Calibration, path)
+    data = read_toml(path)
+    for table in ("focus", "camera"):
+        _refuse_without(table, data, path)
+    return convert(data, Calibration, path)
+
+
+def load_focus(path: Path) -> FocusFit:
+    """The lens of a calibration file, which is all that ranges of a whole view need: [camera] may be missing. Raises
+    ConfigError with one line."""
+    data = read_toml(path)
+    _refuse_without("focus", data, path)
+    return load_calibration(path).focus if "camera" in data else convert(data, _Lens, path).focus
+
+
+class _Lens(Struct, frozen=True, kw_only=True):
+    """A calibration file to which [camera] is still to be added."""
+
+    robot: str
+    made: str
+    source: str
+    focus: FocusFit
+
+
+def _refuse_without(table: str, data: dict[str, Any], path: Path) -> None:
+    if table not in data:
+        raise ConfigError(
+            f"{path}: has no table [{table}]; add it by `aucamp calibrate {table}`, "
+            "or measure all of it by `aucamp calibrate run`"
+        )

@@ -89,9 +89,10 @@ def load_detectors(fleet: Fleet, camera: CameraFit) -> Mapping[str, Detector]:
     }
 
 
-def _box_detector(name: str, target: Target, size: tuple[int, int]) -> BoxDetector:
-    assert target.picture is not None and target.box is not None  # load_fleet has seen to it
-    path = Path(target.picture)
+def target_picture(name: str, target: Target, size: tuple[int, int]) -> Image:
+    """The picture in which the box of a target was drawn. Raises ConfigError if there is none of this width and height,
+    in pixels."""
+    path = Path(target.picture or "")
     try:
         image = read_picture(path)
     except ConfigError:
@@ -100,6 +101,12 @@ def _box_detector(name: str, target: Target, size: tuple[int, int]) -> BoxDetect
     if (image.shape[1], image.shape[0]) != size:
         its, wanted = f"{image.shape[1]}x{image.shape[0]}", f"{size[0]}x{size[1]}"
         raise ConfigError(f"{path}: {its} pixels, the camera has {wanted}; take another picture for target '{name}'")
+    return image
+
+
+def _box_detector(name: str, target: Target, size: tuple[int, int]) -> BoxDetector:
+    assert target.box is not None  # load_fleet has seen to it
+    image = target_picture(name, target, size)
     follower = Follower(
         load_box_tracker(*((None, None) if target.models is None else model_files(Path(target.models))))
     )

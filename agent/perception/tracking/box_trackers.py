@@ -61,11 +61,18 @@ class Mil:
     def __init__(self) -> None:
         self._tracker: cv2.TrackerMIL | None = None
         self._box, self._shrink = Box(0, 0, 0, 0), 1.0
+        self._margin = 0  # pixels by which the small picture is widened on every side
         self._first: Image | None = None  # what the box showed at the start
 
     def start(self, image: Image, box: Box) -> None:
-        self._box, self._shrink = box, min(1.0, MIL_SIDE_PX / max(box.width, box.height))
+        least = 2 / min(image.shape[:2])  # of a picture that is one long strip two lines are left
+        self._box, self._shrink = box, min(1.0, max(MIL_SIDE_PX / max(box.width, box.height), least))
+        self._margin = 0
         small = self._small(image)
+        room = small.shape[1] - self._size()[0], small.shape[0] - self._size()[1]
+        if min(room) < 2 * MIL_REACH_PX:  # it learns from what lies around the box, and asserts that there is some
+            self._margin = MIL_REACH_PX
+            small = self._small(image)
         self._first = _part(small, *self._corner(box), *self._size())
         self._begin(small, box)
 
@@ -73,7 +80,7 @@ class Mil:
         assert self._tracker is not None  # start() comes first
         small = self._small(image)
         _, (x, y, _, _) = self._tracker.update(small)
-        box = self._box._replace(x=x / self._shrink, y=y / self._shrink)
+        box = self._box._replace(x=(x - self._margin) / self._shrink, y=(y - self._margin) / self._shrink)
         if (plain := self._plainly(small, box)) is None:
             return box, 1.0
         if max(abs(plain.x - box.x), abs(plain.y - box.y)) * self._shrink > CREPT_PX:
@@ -84,7 +91,8 @@ class Mil:
         parameters = cv2.TrackerMIL.Params()
         parameters.samplerSearchWinSize = MIL_REACH_PX
         self._tracker = cv2.TrackerMIL.create(parameters)
-        self._tracker.init(small, whole_pixels(small, Box(*(side * self._shrink for side in box))))
+        x, y, width, height = (side * self._shrink for side in box)
+        self._tracker.init(small, whole_pixels(small, Box(x + self._margin, y + self._margin, width, height)))
 
     def _plainly(self, small: Image, near: Box) -> Box | None:
         """Where the thing looks as it did at the start; None if nowhere near this box, or not much like it."""
@@ -102,16 +110,16 @@ class Mil:
         return self._box._replace(x=self._box.x + right / self._shrink, y=self._box.y + down / self._shrink)
 
     def _corner(self, box: Box) -> tuple[int, int]:
-        return round(box.x * self._shrink), round(box.y * self._shrink)
+        return round(box.x * self._shrink) + self._margin, round(box.y * self._shrink) + self._margin
 
     def _size(self) -> tuple[int, int]:
         return max(2, round(self._box.width * self._shrink)), max(2, round(self._box.height * self._shrink))
 
     def _small(self, image: Image) -> Image:
-        if self._shrink == 1.0:
-            return image
-        resized = cv2.resize(image, None, fx=self._shrink, fy=self._shrink, interpolation=cv2.INTER_AREA)
-        return np.asarray(resized, np.uint8)
+        if self._shrink < 1.0:
+            resized = cv2.resize(image, None, fx=self._shrink, fy=self._shrink, interpolation=cv2.INTER_AREA)
+            image = np.asarray(resized, np.uint8)
+        return np.pad(image, [(self._margin,) * 2] * 2 + [(0, 0)], "edge") if self._margin else image
 
 
 def _part(image: Image, x: int, y: int, width: int, height: int) -> Image:

@@ -7,13 +7,13 @@ import pytest
 from msgspec.structs import replace
 
 from agent.fleet_files import fleet_file
-from agent.kernel.config import ConfigError
+from agent.kernel.config import ConfigError, Target
 from agent.kernel.fleet_reader import load_fleet
-from hw.twin.__main__ import _targets_m, scene_of
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.view import Eye
-from hw.twin.scene import generator, load_scene
+from hw.twin.scene import generator, load_scene, scene_of
+from hw.twin.targets import target_solids
 
 FLEET = load_fleet(fleet_file("two_balls"))
 SCENE = load_scene("two_balls")
@@ -21,14 +21,27 @@ FILE = Path("fleet.toml")
 
 
 def test_targets_are_found_by_their_colours() -> None:
-    assert _targets_m(FLEET, SCENE, FILE) == {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}
+    found = target_solids(FLEET, SCENE, FILE)
+    assert {name: solid.position_m for name, solid in found.items()} == {
+        "ball": (0.55, 0.66, 0.07),
+        "buoy": (0.92, 0.45, 0.05),
+    }
+
+
+def test_a_thing_in_a_box_is_known_by_its_name() -> None:
+    fleet = replace(FLEET, target={"rock": Target(detector="box", picture="rock.png", box=(0, 0, 9, 9))})
+    named = replace(SCENE.solid[2], name="rock")
+    assert target_solids(fleet, SCENE, FILE) == {}
+    assert target_solids(fleet, replace(SCENE, solid=(named, SCENE.solid[3])), FILE) == {"rock": named}
+    with pytest.raises(ConfigError, match="has 2 times a solid called rock; give each a name of its own"):
+        target_solids(fleet, replace(SCENE, solid=(named, named)), FILE)
 
 
 @pytest.mark.parametrize(("name", "copies", "count"), [("tank", 1, 0), ("two_balls", 2, 2)])
 def test_none_or_two_of_a_colour_is_a_mistake(name: str, copies: int, count: int) -> None:
     scene = load_scene(name)
     with pytest.raises(ConfigError, match=f"has {count} times a (red|green) ball; take another colour"):
-        _targets_m(FLEET, replace(scene, solid=scene.solid * copies), FILE)
+        target_solids(FLEET, replace(scene, solid=scene.solid * copies), FILE)
 
 
 def test_each_ball_has_its_colour_in_the_frame() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from agent.clock.run_clock import RunClock
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE

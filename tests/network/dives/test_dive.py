@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -23,18 +24,19 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate
 from agent.kernel.step_io import Inputs, Sighting
 from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
+from agent.kernel.topics import STATE, TOPICS
 from agent.kernel.trust.signed import entry_bytes, verify
 from agent.launch import crew, wait_for
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
-from replay.files.channels import STEP_IN, VISION
+from replay.files.channels import STEP_IN, VISION, network_topic
 from replay.files.frames import Frames, pixels
 from replay.files.log import info, read
 from tests.dive_timing import nothing_came_late
 from tests.network.dives.dive_of_two import ENDS_S
 from tests.network.dives.shown_states import ShownStates
+from tests.schema_check import wrong
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 AUCAMP = [sys.executable, "-m", "agent"]
@@ -224,3 +226,15 @@ def processes_with(text: str) -> list[str]:
             if text in line:
                 found.append(line)
     return found
+
+
+def test_what_was_said_is_what_the_schemas_say(run: Path) -> None:
+    seen = Counter[str]()
+    for record in read(run / "fleet.mcap"):
+        found = network_topic(record.channel)
+        if found is not None:
+            kind = found[0].message.__name__
+            seen[kind] += 1
+            if kind in ("Image", "LogLine") or seen[kind] % 20 == 0:  # of the others there are hundreds
+                assert not wrong(kind, record.data)
+    assert set(seen) == {row.message.__name__ for row in TOPICS}

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.demo import demo_fleet
+from agent.demo.fleet import demo_fleet
 from agent.experiments.localization.liar import told
 from agent.experiments.localization.lie_search import Lies, best_lies
 from agent.experiments.localization.many_lies import conclusions

@@ -4,9 +4,9 @@ import io
 
 from rich.console import Console
 
-from agent.demo import progress_table, result_table
+from agent.demo.display import progress_table, result_table
+from agent.demo.summary import History
 from agent.kernel.messages import NeighbourState, State
-from agent.summary import History
 
 NEIGHBOURS = tuple(NeighbourState(robot=f"r{k}", age_s=0.1, valid=True) for k in (2, 3, 4, 5))
 STATE = State(
@@ -54,10 +54,22 @@ def test_the_result_says_never_only_of_who_never_saw() -> None:
     summary = {
         "protocol": "evidence",
         "seed": 1,
-        "targets": {"ball": {"truth_m": [0.76, 0.56, 0.07], "agents": agents}},
+        "targets": {"ball": {"truth_m": [0.76, 0.56, 0.07], "radii_m": None, "agents": agents}},
     }
     text = shown(result_table(summary, "ball"))
     assert max(map(len, text.splitlines())) <= 80 and "…" not in text
     assert "ball at (0.76, 0.56, 0.07) m" in text
-    r1, r2 = (line for line in text.splitlines() if line.lstrip().startswith("r") and "robot" not in line)
+    r1, r2 = (line for line in text.splitlines() if line.split()[:1] in (["r1"], ["r2"]))
     assert "never" in r2 and "never" not in r1 and "-10.7 +12.5 -0.4" in r1
+
+
+def test_a_thing_in_a_box_has_columns_of_its_own() -> None:
+    row = {"iterations": 50, "acquired_iteration": 9, "error_axis_mm": [-24.0, 1.5, 0.4]}
+    row |= {"outside_mm": 1.26, "allowed_mm": 8.0}
+    never = dict.fromkeys(row) | {"iterations": 50}
+    about = {"truth_m": [0.76, 0.56, 0.07], "radii_m": [0.03, 0.09, 0.06], "agents": {"r1": row, "r2": never}}
+    text = shown(result_table({"protocol": "evidence", "seed": 1, "targets": {"rock": about}}, "rock"))
+    assert max(map(len, text.splitlines())) <= 80 and "…" not in text
+    r1, r2 = (line.split() for line in text.splitlines() if line.split()[:1] in (["r1"], ["r2"]))
+    assert r1 == ["r1", "9", "50", "-24.0", "+1.5", "+0.4", "1.3", "8.0"]
+    assert r2 == ["r2", "never", "50", "-", "-"]

@@ -3,11 +3,14 @@
 import math
 
 import pytest
+from msgspec.structs import replace
 
+from agent.demo.display import verdict
+from agent.demo.summary import History, first_below, outside_m, reasons, score, settled, summarize
 from agent.fleet_files import fleet_file
+from agent.kernel.config import Target
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import State
-from agent.summary import History, first_below, reasons, score, settled, summarize
 
 TRUTH = (0.76, 0.56, 0.07)
 
@@ -71,3 +74,54 @@ def test_the_verdict_is_over_all_targets() -> None:
     summary = summarize(fleet, {"ball": good, "buoy": bad}, truth, 1.0)
     assert summary["verdict"] == "fail"
     assert summary["reasons"][0].startswith("buoy: r1: relative error 2.1")
+
+
+RADII = (0.03, 0.09, 0.06)  # of a thing in a box around TRUTH
+
+
+@pytest.mark.parametrize(
+    ("place", "outside"),
+    [
+        (TRUTH, 0.0),
+        ((0.76, 0.645, 0.07), 0.0),  # on its long axis, in it
+        ((0.76, 0.67, 0.07), 0.02),
+        ((0.70, 0.56, 0.07), 0.03),  # as far from the middle as the surface at the other axis
+        ((0.76, 0.56, 0.16), 0.03),
+    ],
+)
+def test_how_far_outside_of_a_thing_a_place_lies(place: tuple[float, ...], outside: float) -> None:
+    assert outside_m(place, TRUTH, RADII) == pytest.approx(outside)
+
+
+def test_a_thing_in_a_box_is_judged_by_its_surface_and_the_robots_own_sigma() -> None:
+    def row(error_m: float | None, sigma_m: float | None) -> dict:
+        return score(History([state(5, error_m, posterior_sigma_m=sigma_m)]), TRUTH, RADII)
+
+    on_it, beside = row(0.031, 0.001), row(0.036, 0.001)
+    assert (on_it["outside_mm"], on_it["allowed_mm"]) == (pytest.approx(1.0), pytest.approx(3.0))
+    assert on_it["relative_error_percent"] is None and on_it["below_0_4_percent_from"] is None
+    assert reasons({"r1": on_it}) == [], "nor need it be seen by all"
+    assert reasons({"r1": on_it, "r2": beside}) == ["r2: 6.0 mm outside of it > 3.0 mm"]
+    assert reasons({"r1": row(0.5, 100.0)}) == ["r1: 470.0 mm outside of it > 90.0 mm"], "it knows nothing"
+    assert reasons({"r1": row(None, None)}) == ["r1 has no estimate"]
+
+
+def test_a_thing_in_a_box_in_the_summary_beside_a_ball() -> None:
+    fleet = load_fleet(fleet_file("two_balls"))
+    rock = Target(detector="box", picture="rock.png", box=(0, 0, 9, 9))
+    fleet = replace(fleet, target={"ball": fleet.target["ball"], "rock": rock})
+    good = {"r1": History([state(5, 0.001, acquired_t=1, posterior_sigma_m=0.001)])}
+    truth = {"target_m": {"ball": TRUTH, "rock": TRUTH}, "target_radii_m": {"ball": (0.07,) * 3, "rock": RADII}}
+    summary = summarize(fleet, {"ball": good, "rock": good}, truth, 1.0)
+    assert summary["verdict"] == "pass"
+    assert (summary["targets"]["ball"]["radii_m"], summary["targets"]["rock"]["radii_m"]) == (None, RADII)
+    assert "outside_mm" not in summary["agents"]["r1"]
+    words = "pass: every robot's error is below 0.4 %; every robot's estimate lies on the thing, to within 3 sigma"
+    assert verdict(summary) == words
+
+
+def test_who_is_told_of_a_thing_in_a_box_has_settled_too() -> None:
+    told = History([state(t, 0.001 if t > 5 else None) for t in range(40)])
+    assert settled([told], after_views=30, window=10, within_m=0.0015, all_see=False)
+    assert not settled([told], after_views=30, window=10, within_m=0.0015)
+    assert not settled([told], after_views=35, window=10, within_m=0.0015, all_see=False)

@@ -1,0 +1,177 @@
+"""`aucamp demo`: the paper's localization experiment on the twin, through real processes.
+
+Calibrate each camera on the twin's bench, start the twin, a recorder and one agent per robot, watch what they say
+until they have settled, stop everything, and only then look at the truth.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.live import Live
+
+from agent.clock import machine
+from agent.demo.display import how_to_look, progress_table, result_table
+from agent.demo.endpoints import reserved
+from agent.demo.fleet import demo_fleet, listening
+from agent.demo.summary import Histories, History, is_box, settled, summarize
+from agent.failure import Failed
+from agent.fleet_clock import fleet_clock
+from agent.fleet_files import fleet_file, with_pictures
+from agent.kernel.codec import Refusal, decode
+from agent.kernel.config import Access, Fleet, Protocol
+from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.messages import State
+from agent.kernel.toml_files import dump
+from agent.kernel.topics import STATE
+from agent.keys.make import FOLDER, make_keys
+from agent.keys.robot_keys import VARIABLE
+from agent.launch import Crew, crew, wait_for
+from agent.progress import with_spinner
+from agent.run_folder import run_folder, temporary_folder
+from agent.transport import Observer
+from hw.twin.devices.twin_folder import twin_dir
+
+CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work
+READY_S = 300.0  # of the wall; the first start compiles the twin's kernels
+SETTLE_ITERATIONS = 30  # after the last robot's first view
+SETTLE_WINDOW = 10
+SETTLE_M = 0.0015
+
+
+def demo(
+    robots: int | None,
+    protocol: Protocol,
+    loss: float,
+    seed: int,
+    duration_s: float,
+    enhance: bool,
+    out: Path | None,
+    console: Console,
+    fleet_name: str = "tank",
+    speed: float = 1.0,
+) -> tuple[Path, dict[str, Any]]:
+    """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
+
+    `robots`: the first so many of the file; None: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
+    comes with the package. `speed`: of the dive's clock against the wall's, at most.
+
+    The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's
+    folder is given to others, and may lie where files have no modes. The fleet file as used names the folder `keys`
+    beside it, where whoever wants to run it again puts new ones.
+    """
+    started_s = machine.monotonic_s()
+    file = fleet_file(fleet_name)
+    with ExitStack() as stack:
+        folder = stack.enter_context(temporary_folder())
+        fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, file)
+        own = load_fleet(file).robot
+        fleet = listening(fleet, stack.enter_context(reserved([own[name].listen for name in fleet.robot])))
+        fleet = msgspec.structs.replace(fleet, access=Access(keys=FOLDER))
+        make_keys(fleet.robot, folder / FOLDER)
+        run = run_folder(out)
+        path = run / "fleet.toml"
+        path.write_text(dump(with_pictures(fleet, run)), encoding="utf-8")
+        stack.enter_context(keeping(run, console))
+        processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
+        calibrate(fleet, path, processes, console)
+        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console)
+    summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s)
+    (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    for target in summary["targets"]:
+        console.print(result_table(summary, target))
+    return run, summary
+
+
+def calibrate(fleet: Fleet, path: Path, processes: Crew, console: Console) -> None:
+    """Each robot's camera and gimbal on the twin's bench.
+
+    Bench and procedure wait for each other: a robot keeps one core busy. One robot more than there are cores leaves
+    none idle when the robots are not a multiple of them.
+    """
+    at_once, waiting, robots = (os.cpu_count() or 1) + 1, deque(fleet.robot), len(fleet.robot)
+    what = f"calibrating on the twin's bench: {', '.join(fleet.robot)}"
+    with with_spinner(console, what) as say:
+        for done in range(robots):
+            say(f"{what} ({done} of {robots} done)")
+            while waiting and robots - len(waiting) - done < at_once:
+                name = waiting.popleft()
+                out = path.parent / fleet.robot[name].calibration
+                processes.start(f"calibrate_{name}", "calibrate", "run", str(path), "--robot", name, "--out", str(out))
+            processes.finish_one(CALIBRATE_S)
+
+
+@contextmanager
+def keeping(run: Path, console: Console) -> Iterator[None]:
+    """Who ends a run before its time, or meets a failure, is told where its files are."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        console.print(f"interrupted; what there is of this run is in {run}")
+        raise
+    except Failed as error:
+        raise Failed(f"{error}; what there is of this run is in {run}") from None
+
+
+def dive(
+    fleet: Fleet, path: Path, run: Path, duration_s: float, speed: float, processes: Crew, console: Console
+) -> tuple[Histories, dict[str, Any]]:
+    """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
+    folder = twin_dir(fleet)
+    with with_spinner(console, "starting the twin"):
+        processes.start("twin", "twin", str(path), "--speed", "max" if speed == math.inf else str(speed))
+        wait_for("the twin", (folder / "ready").exists, processes, READY_S)
+    twin_log = run / "logs" / "twin.log"
+    console.print(twin_log.read_text(encoding="utf-8").strip())
+    truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    processes.start("recorder", "record", str(path), "--out", str(run / "fleet.mcap"))
+    for name in fleet.robot:
+        processes.start(name, "agent", str(path), "--robot", name, "--out", str(run), "--arm")
+    histories: Histories = {target: {name: History([]) for name in fleet.robot} for target in fleet.target}
+    clock = fleet_clock(fleet)
+    start_ns = clock.now_ns()
+    until_ns = start_ns + round(duration_s * 1e9)
+    for line in how_to_look(fleet, path):
+        console.print(line, highlight=False)
+    console.print(
+        f"diving until all robots know where it is and have settled, at most {duration_s:.0f} s; Ctrl-C ends it; "
+        f"logs are in {run / 'logs'}"
+    )
+    live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
+    with Observer(fleet, clock.now_ns, (STATE,)) as observer, live or nullcontext():
+        while (now_ns := clock.now_ns()) < until_ns:
+            for seen in observer.drain():
+                try:
+                    state = decode(seen.payload, State)
+                    histories[state.target][seen.chunks["robot"]].states.append(state)
+                except (Refusal, KeyError):
+                    continue  # a stranger's sample: the recorder has it
+            if live is not None:
+                live.update(progress_table(histories, (now_ns - start_ns) * 1e-9, duration_s, clock.rate()))
+            if all(settled_on(fleet, target, of_target) for target, of_target in histories.items()):
+                break
+            processes.check()
+            machine.sleep(0.1)
+    if not console.is_terminal:
+        console.print()  # a table that was drawn once, into a pipe, has no end of line
+    processes.stop(*fleet.robot)
+    for complaint in processes.stop("recorder"):
+        console.print(complaint, style="red")
+    processes.stop("twin")
+    for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:
+        console.print(complaint)
+    return histories, truth
+
+
+def settled_on(fleet: Fleet, target: str, of_target: Mapping[str, History]) -> bool:
+    """Whether nothing more is to be expected about this target. A thing in a box need not be seen by all."""
+    return settled(of_target.values(), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M, all_see=not is_box(fleet, target))

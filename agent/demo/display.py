@@ -1,0 +1,130 @@
+"""What a person sees of a demo, in 80 columns: how to look at it, how it goes, and what came of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import shlex
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from agent.console_log import hears
+from agent.demo.summary import PASS_PERCENT, SIGMAS, Histories
+from agent.kernel.config import Fleet
+from agent.kernel.messages import State, fault_kind
+from agent.kernel.topics import EVERY_FLEET
+
+FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
+
+
+def how_to_look(fleet: Fleet, path: Path) -> list[str]:
+    """Commands that attach to a running fleet, each ready to paste into another terminal in this folder.
+
+    What has to be installed first stands above them: not every shell passes over a comment behind a command.
+    """
+    asked = next(iter(fleet.robot.values())).listen
+    file = shlex.quote(str(path))
+    missing = [] if shutil.which(program("zenoh")) else ["zenoh-cli"]
+    missing += [] if importlib.util.find_spec("foxglove") else ["foxglove-sdk"]
+    first = f" (first: {program('pip')} install {' '.join(missing)})" if missing else ""
+    console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k '{EVERY_FLEET}' --decoder aucamp"
+    return [
+        "look at it from a second terminal in this folder: every message; all in Foxglove; a router for consoles"
+        + first,
+        f"  {console} --line '{{key}} {{value}}'",
+        f"  {program('aucamp')} view {file}",
+        f"  {program('aucamp')} router {file}",
+    ]
+
+
+def program(name: str) -> str:
+    """A program of our environment as a shell finds it, whether or not the environment is activated."""
+    ours = Path(sys.executable).with_name(name)
+    found = shutil.which(name)
+    if not ours.exists() or (found and Path(found).resolve() == ours.resolve()):
+        return name
+    return shlex.quote(str(ours.relative_to(Path.cwd()) if ours.is_relative_to(Path.cwd()) else ours))
+
+
+def progress_table(histories: Histories, dive_s: float, duration_s: float, rate: float) -> Table:
+    """What each robot says of itself and of each target now, in 80 columns."""
+    table = Table(
+        title=f"{dive_s:.0f} s into the dive, at {rate:.2f} times real time; at most {duration_s - dive_s:.0f} s to go",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
+    for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", "faults"):
+        least = FAULT_WIDTH if column == "faults" else len(column)
+        table.add_column(column, no_wrap=column not in ("hears", "faults"), min_width=least)
+    for target, of_target in histories.items():
+        for name, history in of_target.items():
+            table.add_row(target, name, *progress_row(history.newest))
+    return table
+
+
+def progress_row(state: State | None) -> tuple[str, ...]:
+    """The cells behind target and robot."""
+    if state is None:
+        return ("…",)
+    return (
+        state.knows,
+        str(state.t),
+        "-" if state.acquired_t is None else str(state.acquired_t),
+        " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) if state.posterior_m else "-",
+        f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
+        " ".join(hears(state)) or "-",
+        ", ".join(map(fault_kind, state.faults)) or ("motors off" if state.armed is False else ""),
+    )
+
+
+BALL_SAYS = "rms: of its own measurements, in x y z. error: of its last estimate, in x y z and in all."
+BOX_SAYS = """estimate: from the middle of the thing, in x y z. outside: how far it lies outside of the thing;
+allowed: 3 of the standard deviations that the robot states, at most the thing's largest radius."""
+
+
+def result_table(summary: dict[str, Any], target: str) -> Table:
+    """What each robot measured of one target, and what it held at the end, against the truth; mm in x, y and z."""
+    about = summary["targets"][target]
+    is_ball = about["radii_m"] is None
+    place = ", ".join(f"{x:g}" for x in about["truth_m"])
+    table = Table(
+        title=f"{target} at ({place}) m, protocol {summary['protocol']}, twin seed {summary['seed']}",
+        title_justify="left",
+        caption=BALL_SAYS if is_ball else BOX_SAYS,
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    own = ("rms mm", "error mm", "in all", "%") if is_ball else ("estimate mm", "outside mm", "allowed mm")
+    for column in ("robot", "saw at", "iterations", *own):
+        table.add_column(column, justify="right", no_wrap=True)
+    for name, row in about["agents"].items():
+        acquired = row["acquired_iteration"]
+        cells: tuple[str, ...] = name, "never" if acquired is None else str(acquired), str(row["iterations"])
+        error = " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or [])
+        if is_ball:
+            rms = " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or [])
+            cells += (rms, error, number(row["error_mm"], 2), number(row["relative_error_percent"], 2))
+        else:
+            cells += (error, number(row["outside_mm"], 1), number(row["allowed_mm"], 1))
+        table.add_row(*cells)
+    return table
+
+
+def number(value: float | None, digits: int) -> str:
+    """A cell; a dash for what there is not."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """Whether all estimates are good enough, and for what that counts."""
+    is_ball = {about["radii_m"] is None for about in summary["targets"].values()}
+    balls = [f"every robot's error is below {PASS_PERCENT} %"] if True in is_ball else []
+    boxes = [f"every robot's estimate lies on the thing, to within {SIGMAS:.0f} sigma"] if False in is_ball else []
+    return f"{summary['verdict']}: {'; '.join(summary['reasons'] or balls + boxes)}"

@@ -1,0 +1,88 @@
+"""Where robots listen: which of them belong to this computer, and whether their ports are free."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+from agent.fleet_setup.finding import Finding
+from agent.kernel.config import Fleet
+
+Address = tuple[socket.AddressFamily, tuple[str | int | bytes, ...]]
+
+
+def is_here(listen: str) -> bool | None:
+    """Whether an endpoint of a fleet file is an address of this computer; None: there is no such host."""
+    found = resolved(listen)
+    if found is None:
+        return None
+    family, (host, _, *rest) = found
+    return _bind(family, (host, 0, *rest)) is None  # port 0: any that is free
+
+
+def address_finding(fleet: Fleet, name: str, path: Path, asked: bool) -> Finding:
+    """About one robot's endpoint. `asked`: for this robot alone, so that it should be here."""
+    listen = fleet.robot[name].listen
+    here = is_here(listen)
+    if here is None:
+        return Finding("wrong", name, f"{listen}: no such host; write the computer's address as a number")
+    if not here and asked:
+        text = f"{listen} is no address of this computer; check {name} on its own, or write one of this computer's"
+        return Finding("wrong", name, text)
+    if not here:
+        return Finding("ok", name, f"{listen} is another computer's; see there: aucamp check {path} --robot {name}")
+    return port_finding(name, listen)
+
+
+def port_finding(name: str, listen: str) -> Finding:
+    """Whether a port of this computer is free. Nothing listens there meanwhile, so that nobody dials us."""
+    found = resolved(listen)
+    refused = None if found is None else _bind(*found)
+    if refused is None:
+        return Finding("ok", name, f"{listen} is this computer's, and free")
+    if refused == errno.EADDRINUSE:
+        text = f"{listen} is in use: {name}'s agent runs already, or another program; end it, or take another port"
+        return Finding("warning", name, text)
+    return Finding("wrong", name, f"{listen}: {os.strerror(refused)}; take another port")
+
+
+def links(fleet: Fleet) -> Iterator[Finding]:
+    """Whether a word of any robot can come to all others."""
+    names = list(fleet.robot)
+    reached, new = {names[0]}, {names[0]}
+    while new:
+        new = {other for name in new for other in fleet.robot[name].neighbours} - reached
+        reached |= new
+    apart = [name for name in names if name not in reached]
+    if apart:
+        text = f"no word comes from {names[0]} to {', '.join(apart)}; give somebody a neighbour there"
+        yield Finding("warning", "fleet", text)
+    else:
+        count = sum(len(robot.neighbours) for robot in fleet.robot.values()) // 2
+        links_ = "one link" if count == 1 else f"{count} links"
+        text = f"{links_}, and a word of any robot comes to all others" if count else "one robot, on its own"
+        yield Finding("ok", "fleet", text)
+
+
+def resolved(listen: str) -> Address | None:
+    """Family and address of an endpoint tcp/HOST:PORT; None: there is no such host."""
+    host, _, port = listen.partition("/")[2].rpartition(":")
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError):  # the latter of what is no name of any host
+        return None
+    return family, address
+
+
+def _bind(family: socket.AddressFamily, address: tuple[str | int | bytes, ...]) -> int | None:
+    """The number of the error with which binding is refused."""
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port of a program that has ended is free
+        try:
+            probe.bind(address)
+        except OSError as error:
+            return error.errno
+    return None

@@ -1,0 +1,121 @@
+"""The files that a robot needs beside the fleet file: calibration, keys, pictures of its targets, room to record."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+from agent.agent_process import own_calibration
+from agent.fleet_setup.addresses import is_here
+from agent.fleet_setup.finding import Finding, tried
+from agent.kernel.config import ConfigError, Fleet, Target
+from agent.keys.key_files import private_file
+from agent.keys.key_folder import read_keys
+from agent.keys.robot_keys import keys_folder, robot_keys
+from agent.perception.detection.detectors import target_picture
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box_trackers import load_box_tracker, model_files
+from agent.perception.tracking.follow import check_box
+from hw.twin.scene import scene_of
+from hw.twin.targets import target_solids
+from replay.files.log import Limits
+
+HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
+
+
+def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
+    """The camera's calibration. One of the twin is made by each demo for itself."""
+
+    def read() -> str:
+        made = own_calibration(fleet, name, path)
+        return f"{fleet.robot[name].calibration}, made {made.made}"
+
+    in_twin = fleet.robot[name].camera.startswith("twin:")
+    absent = not (path.parent / fleet.robot[name].calibration).exists()
+    found = tried(name, read, otherwise="warning" if in_twin and absent else "wrong")
+    return found._replace(text=f"{found.text} (a demo makes its own)") if found.level == "warning" else found
+
+
+def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """The robot's own keys, and those of the others."""
+    folder = keys_folder(fleet, path)
+    if folder is None:
+        return
+
+    def read() -> str:
+        robot_keys(fleet, name, path)
+        return f"keys in {folder}"
+
+    yield tried(name, read)
+    foreign = [other for other in fleet.robot if other != name and private_file(folder, other).exists()]
+    if foreign and any(not is_here(fleet.robot[other].listen) for other in foreign):
+        text = f"{folder}: holds private keys of {', '.join(foreign)}, for whom this computer can speak; remove them"
+        yield Finding("warning", name, text)
+    missing = [other for other in read_keys(folder, fleet.robot).missing if other != name]
+    if missing:
+        text = f"{folder}: no public key of {', '.join(missing)}, of whom nothing is believed; copy NAME.sign.pub there"
+        yield Finding("warning", name, text)
+
+
+def target_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Pictures and models of targets that are no balls."""
+    size = fleet.camera.width_px, fleet.camera.height_px
+    for name, target in fleet.target.items():
+        if target.detector == "box":
+            yield tried(f"target {name}", partial(box_target, name, target, size))
+
+
+def box_target(name: str, target: Target, size: tuple[int, int]) -> str:
+    """Raises ConfigError, as the agent does at its start."""
+    target_picture(name, target, size)
+    check_box(Box(*(target.box or (0, 0, 0, 0))), size)
+    load_box_tracker(*((None, None) if target.models is None else model_files(Path(target.models))))
+    return f"its picture is {target.picture}"
+
+
+def twin_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
+    """The scene of a fleet that is in the twin, and whether all targets are in it."""
+    if not any(robot.serial.startswith("twin:") for robot in fleet.robot.values()):
+        return
+
+    def read() -> str:
+        scene = scene_of(fleet)
+        lacking = set(fleet.target) - set(target_solids(fleet, scene, path))
+        if lacking:
+            name = min(lacking)
+            raise ConfigError(
+                f"nothing in scene '{scene.name}' is called {name}, so that a demo could not judge it; write "
+                f'name = "{name}" under a [[solid]] of the scene'
+            )
+        return f"scene '{scene.name}', in which all targets are"
+
+    yield tried("twin", read)
+
+
+def enhancement_findings(fleet: Fleet) -> Iterator[Finding]:
+    """What `[camera] enhance = true` wants installed."""
+    if not fleet.camera.enhance:
+        return
+    if all(find_spec(package) for package in ("torch", "safetensors")):
+        yield Finding("ok", "fleet", "[camera] enhance: the network can be used")
+    else:
+        text = "[camera] enhance: torch is not there, so colours alone are mended; pip install 'aucamp[enhance]'"
+        yield Finding("warning", "fleet", text)
+
+
+def disk_finding(folder: Path) -> Finding:
+    """Whether an agent that is started here can record."""
+    if not os.access(folder, os.W_OK):
+        text = f"{folder}: you may not write here, where recordings go; give aucamp agent --out another folder"
+        return Finding("wrong", "disk", text)
+    total, _, free = shutil.disk_usage(folder)
+    limits = Limits()
+    room = free - min(limits.floor_bytes, limits.floor_share * total)  # an agent leaves so much to others
+    hours = f"{free / 1e9:.1f} GB free in {folder}: {room / HOUR_BYTES:.0f} hours of one robot's recording"
+    if room <= 0:
+        return Finding("wrong", "disk", f"{free / 1e9:.1f} GB free in {folder}: nothing would be recorded; make room")
+    return Finding("ok" if room > HOUR_BYTES else "warning", "disk", hours)

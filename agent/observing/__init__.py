@@ -1,0 +1,1 @@
+"""For whoever looks at a running fleet: one picture of a robot, and what its messages look like."""

@@ -1,0 +1,32 @@
+"""Which solid of the scene each target of a fleet is: known to the twin and to who judges a dive, never to an agent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agent.kernel.config import ConfigError, Fleet
+from hw.twin.scene import Scene, Solid
+
+
+def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Solid]:
+    """A ball is known by its colour, a thing in a box by its name, where the scene has one of the target's name.
+
+    Raises ConfigError when the scene has no ball, or two, of the colour, or two solids of the name.
+    """
+    found = {}
+    for name, target in fleet.target.items():
+        if target.detector == "ball":
+            what = f"{target.ball_colour} {target.detector}"
+            like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
+            remedy = "take another colour, or another scene in [twin]"
+        else:
+            what, like = f"solid called {name}", [s for s in scene.solid if s.name == name]
+            remedy = "give each a name of its own"
+            if not like:
+                continue
+        if len(like) != 1:
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; {remedy}"
+            )
+        found[name] = like[0]
+    return found
