@@ -106,6 +106,7 @@ def one_percent_clearer(*args):
     [
         ("agent.perception.detection.detectors.find_ball", one_px_right, "centre, px", True),
         ("agent.perception.vision.disc_clarity", one_percent_clearer, "clarity, relative", False),
+        ("agent.perception.clarity.region.INNER_DISC", 0.95, "clarity, relative", False),  # looks elsewhere
     ],
 )
 def test_vision_that_has_changed_is_noticed_on_the_frames_that_are_lossless(
