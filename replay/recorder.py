@@ -54,9 +54,8 @@ def record(
     """Record into `out` until `stop` is set; returns messages per topic, and what was not recorded by reason.
 
     Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap. Where nothing at all
-    was heard, no file is left.
-    Log times are the clock's. `warn` takes one line for a person,
-    `views` adds channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
+    was heard, no file is left. Log times are the clock's. `warn` takes lines for a person, one at a time, `views` adds
+    channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
     has become full, and if no session can be opened. What no message of a fleet may do is counted, and recorded.
     """
     arrivals, rate, roll = Arrivals(clock.now_ns), RateNotes(clock), RollCall(fleet, warn)

@@ -14,6 +14,7 @@ from agent import stop_signal
 from agent.__main__ import app, command_line
 from agent.demo.fleet import demo_fleet
 from agent.failure import Failed
+from agent.fleet_files import shipped_names
 from agent.kernel.config import ConfigError
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import dump
@@ -61,6 +62,12 @@ def test_a_recording_that_would_not_be_found_again_is_refused(name: str, tmp_pat
     with pytest.raises(ConfigError, match="is there already"):
         new_recording(tmp_path / "x.mcap")
     assert new_recording(tmp_path / "y.mcap") == tmp_path / "y.mcap"
+
+
+def test_what_ships_is_listed_from_the_folder() -> None:
+    shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["demo", "--help"]).output
+    assert f"A fleet that ships ({', '.join(shipped_names())}), or a fleet file." in shown
+    assert {"tank", "two_balls"} <= set(shipped_names())
 
 
 def test_the_version_is_said() -> None:

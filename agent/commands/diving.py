@@ -33,9 +33,7 @@ def demo(
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds of the dive.")] = 120.0,
     enhance: Annotated[bool, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
-    fleet: Annotated[
-        str, typer.Option(help=f"A fleet that ships ({', '.join(shipped_names())}), or a fleet file.")
-    ] = "tank",
+    fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
 ) -> None:
     """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report."""

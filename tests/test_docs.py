@@ -1,0 +1,92 @@
+"""What documents say can be typed: every verb and option is there, every link leads somewhere, no verb is left out."""
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from agent.__main__ import app
+from tests.places import ROOT
+
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/*.md"),
+        *(ROOT / name / "README.md" for name in ("hw", "replay", "router_config")),
+    ]
+)
+CODE = re.compile(r"```[^\n]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def typed(text: str) -> list[list[str]]:
+    """The words after each `aucamp` in code, one list a command; where a line goes on with \\, so does the command."""
+    lines = [
+        line for block, inline in CODE.findall(text) for line in (block or inline).replace("\\\n", " ").splitlines()
+    ]
+    lines = [re.sub(r"^\s*\$ ", "", line).strip() for line in lines]
+    return [re.sub(r"\s#.*|[|&;].*|[\[\]]", "", line).split()[1:] for line in lines if line.startswith("aucamp ")]
+
+
+def commands():
+    """Every verb by its words: ("replay", "check") -> command."""
+    found = {}
+
+    def walk(command, words):
+        found[words] = command
+        for name, sub in getattr(command, "commands", {}).items():
+            walk(sub, (*words, name))
+
+    walk(get_command(app), ())
+    return found
+
+
+COMMANDS = commands()
+
+
+def command_of(words: list[str]):
+    """The verb that these words begin with, and its name."""
+    name: tuple[str, ...] = ()
+    for word in words:
+        if (*name, word) not in COMMANDS:
+            break
+        name = (*name, word)
+    return name, COMMANDS[name]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_a_page_has_typed_can_be_typed(page: Path) -> None:
+    wrong = []
+    for words in typed(page.read_text(encoding="utf-8")):
+        name, command = command_of(words)
+        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)} | {"--help"}
+        unknown = [word.split("=")[0] for word in words if word.startswith("--") and word.split("=")[0] not in known]
+        is_group = hasattr(command, "commands")
+        if unknown or (is_group and words[len(name) :] and not words[len(name)].startswith("-")):
+            wrong.append(f"aucamp {' '.join(words)}")
+    assert not wrong
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    broken = []
+    for link in LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" in link:
+            continue
+        path, _, anchor = link.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        if not there.exists() or (anchor and anchor not in anchors(there)):
+            broken.append(link)
+    assert not broken
+
+
+def anchors(page: Path) -> set[str]:
+    """Of each heading, as sites that show Markdown make them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_verb_is_in_a_document() -> None:
+    told = {command_of(words)[0] for page in PAGES for words in typed(page.read_text(encoding="utf-8"))}
+    assert not {name for name, command in COMMANDS.items() if not hasattr(command, "commands")} - told
