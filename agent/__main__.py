@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from agent.commands import boards, calibrating, diving, experimenting, looking, operating, replaying, seeing
+from agent.commands import boards, calibrating, diving, experimenting, exporting, looking, operating, replaying, seeing
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -34,6 +34,7 @@ app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(boards.app, name="board")
 app.add_typer(experimenting.app, name="experiment")
 app.add_typer(replaying.app, name="replay")
+app.add_typer(exporting.app)
 
 
 def say_version(wanted: bool) -> None:

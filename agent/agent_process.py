@@ -110,7 +110,7 @@ class AgentProcess:
                 black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
             )
             self._stack.push(links.pop_all())
-        self._box = BlackBoxWriter(self.log, self._clock.now_ns, lossless, RateNotes(self._clock))
+        self._box = BlackBoxWriter(self.log, name, self._clock.now_ns, lossless, RateNotes(self._clock))
         self._network = self._stack.enter_context(ConsoleLog(self._link, tell))
         self._stack.push(self._say_goodbye)
 

@@ -17,7 +17,7 @@ from agent.kernel.toml_files import dump
 from replay.files import channels
 from replay.files.channels import entry_on
 from replay.files.clock_rate import RateNotes
-from replay.files.frames import picture
+from replay.files.frames import frame_entries
 from replay.files.log import LogWriter
 from replay.files.names import unused
 from replay.viewers.viewer_channels import ViewerChannels
@@ -50,13 +50,18 @@ class BlackBoxWriter:
     """Gives each channel of the black box its name, number and times."""
 
     def __init__(
-        self, log: LogWriter, clock: Callable[[], int], lossless: bool = False, rate: RateNotes | None = None
+        self,
+        log: LogWriter,
+        robot: str,
+        clock: Callable[[], int],
+        lossless: bool = False,
+        rate: RateNotes | None = None,
     ) -> None:
-        """`clock` gives Unix nanoseconds that never step back; `lossless`: frames as PNG, nine times as large.
+        """`clock` gives Unix nanoseconds that never step back; `lossless`: every frame as PNG, nine times as large.
 
         `rate`: notes of how fast that clock goes, to be written as well.
         """
-        self._log, self._clock, self._lossless, self._rate = log, clock, lossless, rate
+        self._log, self._robot, self._clock, self._lossless, self._rate = log, robot, clock, lossless, rate
         self._frames, self._chunks = count(), {channels.FROM_BOARD: count(), channels.TO_BOARD: count()}
 
     def step(self, step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
@@ -70,8 +75,8 @@ class BlackBoxWriter:
     def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
         """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""
         number, now_ns = next(self._frames), self._clock()
-        data = picture(image, roi, sightings[0], self._lossless)
-        self._log.put(entry_on(channels.FRAME, now_ns, sightings[0].t_ns, number, data, expendable=True))
+        for entry in frame_entries(self._robot, number, now_ns, image, roi, sightings[0], self._lossless):
+            self._log.put(entry)
         for sighting in sightings:
             self._log.put(entry_on(channels.VISION, now_ns, sighting.t_ns, number, encode(sighting)))
 

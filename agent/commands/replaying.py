@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import count
 from pathlib import Path
 from typing import Annotated
 
@@ -11,16 +12,15 @@ import typer
 from agent.commands.options import FleetFile, Recordings, Runs, complain, terminal
 from agent.kernel.fleet_reader import load_fleet
 from agent.plain_console import plain_console
+from agent.run_folder import new_file
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 
 
 @app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")
-def replay_info(
-    files: Recordings, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False
-) -> None:
-    """What is in a recording, and whether it is whole."""
-    from replay.files.info import info_all
+def replay_info(files: Runs, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False) -> None:
+    """What happened in a dive, what is in its recording, and whether that is whole."""
+    from replay.story.told import info_all
 
     info_all(files, as_json, typer.echo)
 
@@ -82,14 +82,22 @@ def replay_explain(
 
 
 @app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
-def replay_report(run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")]) -> None:
+def replay_report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; report.html in the folder, or report.2.html and so on.")
+    ] = None,
+) -> None:
     """One page with the run's figures: report.html in its folder."""
     from agent.pictures.recorded_depth import sweep_depth
     from replay.files.auto_recover import auto_recovered
-    from replay.report.report import report
+    from replay.report.report import page_of, report
 
+    if out is not None:
+        new_file(out)
     (there,) = auto_recovered([run], complain)
-    terminal().print(f"written to {report(there, depth=sweep_depth)}")
+    page = report(there, unused_page(page_of(there)) if out is None else out, sweep_depth)
+    terminal().print(f"written to {page}", markup=False)
 
 
 @app.command("layout", epilog="Example: aucamp replay layout fleet.toml --out layout.json")
@@ -99,5 +107,11 @@ def replay_layout(
     """How Foxglove shows a fleet's recordings, and the fleet live: its robots, its targets, its tank."""
     from replay.viewers.layout import write
 
-    write(load_fleet(fleet), out)
-    terminal().print(f"written to {out}")
+    write(load_fleet(fleet), new_file(out))
+    terminal().print(f"written to {out}", markup=False)
+
+
+def unused_page(path: Path) -> Path:
+    """report.html, or report.2.html and so on where a report is there already."""
+    numbers = (path.with_name(f"{path.stem}.{n}{path.suffix}") for n in count(2))
+    return path if not path.exists() else next(page for page in numbers if not page.exists())

@@ -27,6 +27,7 @@ from replay.files.suspect import suspecting
 
 T = TypeVar("T")
 
+NEEDED = "give the black box of a robot: the <robot>.mcap that its agent wrote"
 DIGITS = 20  # of a number in a header that is repeated in a line for people
 STEP_BYTES = 4 * 1024 * 1024  # limit of one step: this is the robot's own file, not a stranger's message
 
@@ -83,7 +84,8 @@ def open_boxes(paths: Iterable[Path]) -> list[BlackBox]:
     for path in paths:
         files = black_boxes(path) if path.is_dir() else [path]
         if not files:
-            raise ConfigError(f"{path}: no black box; give a <robot>.mcap of an agent, or the folder of a run")
+            has = "only the recording of a fleet" if recordings(path, "fleet") else "no recording (.mcap)"
+            raise ConfigError(f"{path}: has {has} in it; {NEEDED}, or the folder of a run with some")
         found += [open_box(file) for file in files]
     return sorted(found, key=lambda box: (str(box.path.parent), box.robot, box.incarnation))
 
@@ -119,7 +121,8 @@ def _open_box(path: Path) -> BlackBox:
     heads = [head(file) for file in parts(path)]
     run, attachments = heads[0].run, heads[0].attachments
     if run.get("kind") != "black box":
-        raise ConfigError(f"{path}: is no black box; give a <robot>.mcap of an agent")
+        kinds = {"fleet": "is the recording of a fleet, which holds no inputs of a robot"}
+        raise ConfigError(f"{path}: {kinds.get(run.get('kind', ''), 'is no black box')}; {NEEDED}")
     schema = schema_of(path, run)
     needs = [name for name in ("robot", "incarnation") if name not in run]
     needs += [name for name in ("fleet.toml", "calibration.toml") if name not in attachments]

@@ -103,7 +103,8 @@ def _reexecute_all(
     name, unit = (TextColumn(text, markup=False) for text in ("{task.description}", "steps"))
     columns = (name, BarColumn(), MofNCompleteColumn(), unit)
     found = []
-    with Progress(*columns, TimeElapsedColumn(), console=console, disable=console is None, transient=True) as bar:
+    shown = console is not None and console.is_terminal  # else it leaves an empty line behind
+    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not shown, transient=True) as bar:
         task = bar.add_task("", total=sum(box.recorded for box in boxes))
         for box in boxes:
             bar.update(task, description=box.path.name)

@@ -20,7 +20,16 @@ RULES = {
     "mix": "mixed its own measurement with what its neighbours said",
     "told": "did not measure, and took what its neighbours said",
     "alone": "measured, and heard no neighbour that sees the target",
+    "fuse": "joined all that it knows of what robots have measured",
     "hold": "neither measured nor heard a neighbour that sees the target, and kept what it had",
+}
+
+OUTCOMES = {  # Explain.status of the protocol `evidence`
+    "none": "nobody's measurements are known yet",
+    "single": "only one robot's measurements are known, so nobody can contradict it",
+    "ok": "all agree",
+    "ambiguous": "robots contradict each other, and it cannot be told who is wrong",
+    "outlier": "one contradicts the others and is left out",
 }
 
 
@@ -145,7 +154,7 @@ def sentences(moment: Moment) -> list[str]:
     lines = [
         f"iteration {state.t}, shown at step {moment.step}, {moment.seconds:.2f} s after the first step",
         f"It {RULES.get(state.rule, f'followed the rule {state.rule!r}')}."
-        + (f" The protocol calls the outcome {why.status}." if why.status else ""),
+        + (f" The outcome is '{why.status}': {OUTCOMES.get(why.status, 'see the protocol')}." if why.status else ""),
         f"It {_knows(state)}.",
     ]
     lines += [_sweep(outcome) for outcome in moment.sweeps]
@@ -190,14 +199,29 @@ def _knows(state: State) -> str:
 
 
 def _neighbours(state: State, why: Explain) -> list[str]:
+    """Whom it heard, and whose word counts how much.
+
+    With `evidence` these are two things: what a robot has measured counts by whatever way it came, and also while its
+    robot is not heard.
+    """
     used = [neighbour.robot for neighbour in state.neighbours if neighbour.used]
-    lines = [f"Neighbours in S that counted: {', '.join(used) or 'none'}."]
+    by_origin = bool(why.status)
+    lines = ["What it heard:" if by_origin else f"Neighbours in S that counted: {', '.join(used) or 'none'}."]
     for n in state.neighbours:
         age_s = why.ages_s.get(n.robot, n.age_s)
         heard = "never heard" if age_s is None else f"{1e3 * age_s:.0f} ms old, {n.heard} heard, {n.gaps} lost"
         said = "sees the target" if n.valid else "does not see it"
-        lines.append(f"  {n.robot}: {heard}" + ("" if age_s is None else f"; {said}") + _share(n.robot, why))
-    lines += [f"  {name}{_share(name, why)}" for name in why.weights if name not in {n.robot for n in state.neighbours}]
+        shared = "" if by_origin else _share(n.robot, why)
+        lines.append(f"  {n.robot}: {heard}" + ("" if age_s is None else f"; {said}") + shared)
+    known = sorted({*why.weights, *why.votes, *why.doubted})
+    if by_origin:
+        lines.append("Whose measurements are in the estimate:" + ("" if known else " nobody's."))
+        for name in known:
+            itself = " (itself)" if name == state.robot else ""
+            lines.append(f"  {name}{itself}: {_share(name, why).removeprefix('; ')}")
+    else:
+        others = {n.robot for n in state.neighbours}
+        lines += [f"  {name}{_share(name, why)}" for name in why.weights if name not in others]
     return lines
 
 

@@ -1,20 +1,19 @@
 """`aucamp replay check --vision`: vision again on the recorded frames, against what it said at the time.
 
-Vision is not promised bit by bit (other versions of OpenCV round differently), and a JPEG has lost some of what vision
-saw; so the verdict is by tolerances, which differ for lossless frames and for JPEG. The function that sees is handed
-in: replay does not know perception.
+Judged is what the kernel decides by vision, and what vision itself says of the frames that are kept losslessly; the
+limits and their reasons are in vision_limits.py. A target that is followed from frame to frame is not judged where
+frames are compressed: its tracker builds on all frames before. The function that sees is handed in: replay does not
+know perception.
 """
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec import UNSET
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -22,11 +21,24 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.focus import Peak, fit_peak
-from agent.kernel.step_io import Outputs, Sighting, SweepOutcome
-from replay.check.black_box import STEP_BYTES, BlackBox, open_boxes
-from replay.files.channels import FRAME, VISION
-from replay.files.frames import MAX_FRAME, Picture, pixels
+from agent.kernel.step_io import Sighting
+from replay.check.black_box import BlackBox, open_boxes
+from replay.check.sweeps_again import SweepPair, by_sweep, sweep_pairs
+from replay.check.vision_limits import (
+    EXACT_CLARITY,
+    EXACT_PX,
+    EXACT_SHARE,
+    ODD,
+    OUTLINE_PX,
+    SHARE_RMS,
+    SHARE_WORST,
+    Quantity,
+    mean_shift,
+    rms,
+    worst,
+)
+from replay.files.channels import VISION
+from replay.files.frames import Frames, pixels
 from replay.files.log import info, parts, read
 from replay.files.suspect import suspecting
 
@@ -34,91 +46,58 @@ See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, Sighting
 MakeSee = Callable[[Fleet, CameraFit], See]
 
 
-class Limit(NamedTuple):
-    """Differences of one quantity that pass."""
-
-    most: float  # of all frames but the odd ones
-    median: float  # half of the frames are off only if vision has changed
-
-
-class Tolerance(NamedTuple):
-    """What passes, by what is compared."""
-
-    odd: float  # share of frames that may be far off, or show a target that is only just there, or just not
-    centre_px: Limit
-    radius_px: Limit
-    clarity: Limit  # relative
-    peak: Limit  # lens positions, of the peak of a whole sweep
-
-
-LOSSLESS = Tolerance(  # versions of OpenCV; else bit by bit
-    odd=0.0,
-    centre_px=Limit(0.01, 0.01),
-    radius_px=Limit(0.01, 0.01),
-    clarity=Limit(1e-4, 1e-4),
-    peak=Limit(0.05, 0.05),
-)
-# Beside each limit what compression does at most to 99 % of the frames, and to half of them, in any of six recordings
-# of the twin with one ball and with two: 3083 frames, 230 sweeps. Odd were two frames, of a ball half behind another at
-# the edge of the picture, with a score below 0.5.
-JPEG = Tolerance(
-    odd=0.01,
-    centre_px=Limit(0.5, 0.25),  # 0.35, 0.09
-    radius_px=Limit(0.4, 0.15),  # 0.19, 0.05
-    clarity=Limit(0.12, 0.02),  # 0.07, 0.009
-    peak=Limit(1.0, 0.4),  # 0.49, 0.15 against the kernel's own peaks: nine recordings, 278 sweeps
-)
-
-
-class Quantity(NamedTuple):
-    """One compared quantity over a recording."""
-
-    worst: float
-    most: float  # all but the odd ones are below
-    median: float
-    compared: int
-    limit: Limit
-
-    @property
-    def passed(self) -> bool:
-        return self.most <= self.limit.most and self.median <= self.limit.median
-
-
 class VisionCheck(NamedTuple):
     """What came of one recording."""
 
     box: BlackBox
     frames: int  # compared
+    exact: int  # of them judged to the last bit
     lost: int  # sightings whose frame is not in the file
-    missing: int  # found then, not now
+    missing: int  # found then, not now; of targets that are judged
     extra: int  # found now, not then
+    sweeps: int  # compared
+    flipped: int  # of them give a measurement now and gave none then, or the other way round
     quantities: dict[str, Quantity]
-    odd: float  # share of frames that may be
+    odd: float  # share of frames and sweeps that may be missing or extra
+    followed: dict[str, float]  # targets that are not judged, and how far at most they are elsewhere, px
 
     @property
     def passed(self) -> bool:
         within = all(quantity.passed for quantity in self.quantities.values())
-        return self.frames > 0 and self.missing + self.extra <= self.odd * self.frames and within
+        few = self.missing + self.extra <= self.odd * self.frames and self.flipped <= math.ceil(self.odd * self.sweeps)
+        return self.frames > 0 and within and few
 
     def __str__(self) -> str:
-        verdict = "within tolerance" if self.passed else "differs" if self.frames else "holds no frames"
-        lines = [f"{self.box.path}: vision {verdict}, {self.frames} frames" + (f", {self.lost} lost" * bool(self.lost))]
-        lines += [f"  target {what}: {n}" for what, n in (("missed", self.missing), ("added", self.extra)) if n]
-        for name, q in self.quantities.items():
-            most = f"{1.0 - self.odd:.0%} within {q.most:.2g} ({q.limit.most:g} allowed)"
-            found = f"median {q.median:.2g} ({q.limit.median:g} allowed), {most}, worst {q.worst:.2g}"
-            lines.append(f"  {name}: {found}, {q.compared} compared" + ("" if q.passed else "  <- too large"))
+        if not self.frames:
+            return f"{self.box.path}: holds no frames, so vision cannot be checked; agents record them, scripts do not"
+        verdict = "within tolerance" if self.passed else "differs"
+        head = f"{self.box.path}: vision {verdict}, {self.frames} frames, {self.sweeps} sweeps"
+        lines = [head + (f", {self.lost} frames are not in the file" * bool(self.lost))]
+        lines += [
+            f"  target {what} in {n} frames" for what, n in (("missed", self.missing), ("added", self.extra)) if n
+        ]
+        if self.flipped:
+            lines.append(f"  {self.flipped} sweeps give a measurement then or now, not both")
+        lines += [f"  {name}: {quantity}, {quantity.compared} compared" for name, quantity in self.quantities.items()]
+        if not self.exact and len(self.followed) < len(self.box.fleet.target):
+            lines.append("  no frame is lossless: a change of vision too small to move a measurement does not show")
+        for target, apart_px in self.followed.items():
+            lines.append(
+                f"  {target}: followed from frame to frame, which compressed frames do not repeat: up to "
+                f"{apart_px:.0f} px elsewhere, not judged; `aucamp agent --lossless` records what can be"
+            )
         return "\n".join(lines)
 
     def as_json(self) -> dict[str, Any]:
+        counts = ("frames", "exact", "lost", "missing", "extra", "sweeps", "flipped")
         return {
             "file": str(self.box.path),
             "passed": self.passed,
-            **{name: getattr(self, name) for name in ("frames", "lost", "missing", "extra")},
+            **{name: getattr(self, name) for name in counts},
             "quantities": {
-                name: {**quantity._asdict(), "limit": quantity.limit._asdict()}
-                for name, quantity in self.quantities.items()
+                name: {**quantity._asdict(), "passed": quantity.passed} for name, quantity in self.quantities.items()
             },
+            "not_judged": self.followed,
         }
 
 
@@ -128,8 +107,9 @@ def check_vision(paths: Sequence[Path], make_see: MakeSee, console: Console | No
     Raises ConfigError for input that is no recording or whose frames do not decode.
     """
     boxes, found = open_boxes(paths), []
+    shown = console is not None and console.is_terminal  # else it leaves an empty line behind
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=console, disable=console is None, transient=True) as bar:
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not shown, transient=True) as bar:
         for box in boxes:
             with suspecting(box.path):
                 pairs = sighting_pairs(box, make_see)
@@ -148,41 +128,65 @@ class SightingPair(NamedTuple):
 def sighting_pairs(box: BlackBox, make_see: MakeSee) -> Iterator[SightingPair]:
     """Every frame of a recording in the order in which vision saw them."""
     see = make_see(box.fleet, box.calibration.camera)
-    picture: tuple[int, Picture] | None = None
+    frames = Frames()
     sweep: tuple[str, int] = ("", 0)
     first: Sighting | None = None  # of the sweep, with its target in it
     for record in read(box.path):
-        if record.channel == FRAME.name:
-            picture = record.sequence, decode(record.data, Picture, limit=MAX_FRAME)
-        elif record.channel == VISION.name:
-            then = decode(record.data, Sighting)
-            if (then.target, then.sweep) != sweep:
-                sweep, first = (then.target, then.sweep), None
-            if picture is None or picture[0] != record.sequence:
-                yield SightingPair(then, None, lossless=False)
-            else:
-                now = see(pixels(picture[1]), picture[1].roi, then, first)
-                yield SightingPair(then, now, picture[1].format == "png")
-            if then.sweep and first is None and then.found:
-                first = then  # not that of now: else one difference would spread over its sweep
+        frames.take(record.channel, record.sequence, record.data)
+        if record.channel != VISION.name:
+            continue
+        then, picture = decode(record.data, Sighting), frames.at(record.sequence)
+        if (then.target, then.sweep) != sweep:
+            sweep, first = (then.target, then.sweep), None
+        if picture is None:
+            yield SightingPair(then, None, lossless=False)
+        else:
+            yield SightingPair(then, see(pixels(picture), picture.roi, then, first), picture.format == "png")
+        if then.sweep and first is None and then.found:
+            first = then  # not that of now: else one difference would spread over its sweep
 
 
 def compare(box: BlackBox, seen: Iterable[SightingPair]) -> VisionCheck:
-    """The differences of all frames, and of the peaks of all sweeps in which the kernel found one."""
-    apart: dict[str, list[float]] = {"centre, px": [], "radius, px": [], "clarity, relative": [], "peak, positions": []}
-    frames = lost = missing = extra = 0
-    lossless = True
-    sweeps: defaultdict[tuple[str, int], list[Sighting | None]] = defaultdict(list)  # what the kernel had, seen now
-    for then, now, exact in seen:
-        if then.sweep and then.clarity is not None:
-            sweeps[then.target, then.sweep].append(now)
-        if now is None:
-            lost += 1
-            continue
-        frames, lossless = frames + 1, lossless and exact
-        missing += then.found and not now.found
-        extra += now.found and not then.found
-        if not (then.found and now.found):
+    """The differences of all frames, and of what the kernel makes of them."""
+    pairs = list(seen)
+    there = [pair for pair in pairs if pair.now is not None]
+    lossless = bool(there) and all(pair.lossless for pair in there)
+    followed = (
+        {}
+        if lossless
+        else {t: _farthest_px(there, t) for t, about in box.fleet.target.items() if about.detector == "box"}
+    )
+    judged = [pair for pair in there if pair.then.target not in followed]
+    alone = not box.fleet.camera.enhance  # else what is seen in a frame depends on those before
+    exact = [pair for pair in judged if pair.lossless and (lossless or alone)]
+    sweeps = [
+        sweep
+        for sweep in sweep_pairs(box, *by_sweep([(pair.then, pair.now) for pair in pairs]))
+        if sweep.target not in followed
+    ]
+    return VisionCheck(
+        box=box,
+        frames=len(there),
+        exact=len(exact),
+        lost=len(pairs) - len(there),
+        missing=sum(pair.then.found and not pair.now.found for pair in judged if pair.now),
+        extra=sum(pair.now.found and not pair.then.found for pair in judged if pair.now),
+        sweeps=len(sweeps),
+        flipped=sum(sweep.flipped for sweep in sweeps),
+        quantities={**_exactly(exact), **_on_average(judged, lossless), **_decided(sweeps, lossless)},
+        odd=0.0 if lossless else ODD,
+        followed=followed,
+    )
+
+
+def _exactly(pairs: Sequence[SightingPair]) -> dict[str, Quantity]:
+    """Frames that are kept losslessly."""
+    limits = {"centre, px": EXACT_PX, "radius, px": EXACT_PX, "clarity, relative": EXACT_CLARITY}
+    apart: dict[str, list[float]] = {name: [] for name in limits}
+    alone = 0
+    for then, now, _ in pairs:
+        if now is None or then.found != now.found:
+            alone += 1
             continue
         if then.centre_px and now.centre_px:
             apart["centre, px"].append(math.dist(then.centre_px, now.centre_px))
@@ -190,39 +194,42 @@ def compare(box: BlackBox, seen: Iterable[SightingPair]) -> VisionCheck:
             apart["radius, px"].append(abs(now.radius_px - then.radius_px))
         if then.clarity and now.clarity:
             apart["clarity, relative"].append(abs(now.clarity / then.clarity - 1.0))
-    for outcome in _outcomes(box):
-        now_peak = _peak(sweeps[outcome.target, outcome.sweep], outcome.held_width)
-        if outcome.lens_position is not None and now_peak is not None:
-            apart["peak, positions"].append(abs(now_peak - outcome.lens_position))
-    limits = LOSSLESS if lossless else JPEG
-    quantities = {
-        name: quantity(values, limits.odd, limit)
-        for (name, values), limit in zip(apart.items(), limits[1:], strict=True)
-        if values
+    found = {f"lossless frames, {name}": worst(values, limits[name]) for name, values in apart.items() if values}
+    return {
+        **found,
+        **({"lossless frames, target seen then or now alone": Quantity(alone, 0, len(pairs))} if alone else {}),
     }
-    return VisionCheck(box, frames, lost, missing, extra, quantities, limits.odd)
 
 
-def quantity(values: Sequence[float], odd: float, limit: Limit) -> Quantity:
-    most = float(np.quantile(values, 1.0 - odd, method="higher"))  # of fewer than 1 / odd values: the largest
-    return Quantity(max(values), most, float(np.median(values)), len(values), limit)
+def _on_average(pairs: Sequence[SightingPair], lossless: bool) -> dict[str, Quantity]:
+    shifts = [
+        (now.centre_px[0] - then.centre_px[0], now.centre_px[1] - then.centre_px[1], now.radius_px - then.radius_px)
+        for then, now, _ in pairs
+        if now and then.centre_px and now.centre_px and then.radius_px and now.radius_px
+    ]
+    return {} if lossless or not shifts else {"mean shift of the outlines, px": mean_shift(shifts, OUTLINE_PX)}
 
 
-def _outcomes(box: BlackBox) -> Iterator[SweepOutcome]:
-    """What the kernel made of each sweep, when it was recorded."""
-    for step in box.steps():
-        outputs = decode(step.outputs, Outputs, limit=STEP_BYTES) if step.outputs is not None else None
-        if outputs is not None and outputs.outcome is not UNSET:
-            yield outputs.outcome
+def _decided(sweeps: Sequence[SweepPair], lossless: bool) -> dict[str, Quantity]:
+    found = {}
+    for name in ("peak", "place"):
+        shifts = [shift for sweep in sweeps if (shift := getattr(sweep, name)) is not None]
+        if shifts:
+            what = f"{name} of each sweep, in its own sigma"
+            found[f"{what}, rms"] = rms(shifts, EXACT_SHARE if lossless else SHARE_RMS)
+            found[f"{what}, worst"] = worst(shifts, EXACT_SHARE if lossless else SHARE_WORST)
+    return found
 
 
-def _peak(frames: Sequence[Sighting | None], held_width: float | None) -> float | None:
-    """The peak of frames as they are seen now, found as the kernel found it then: in as many, the same width held."""
-    good = [(float(f.focus), f.clarity) for f in frames if f and f.focus is not None and f.clarity is not None]
-    if len(good) < len(frames):
-        return None
-    peak = fit_peak([rho for rho, _ in good], [clarity for _, clarity in good], held_width)
-    return peak.lens_position if isinstance(peak, Peak) else None
+def _farthest_px(pairs: Sequence[SightingPair], target: str) -> float:
+    return max(
+        (
+            math.dist(then.centre_px, now.centre_px)
+            for then, now, _ in pairs
+            if then.target == target and now and then.centre_px and now.centre_px
+        ),
+        default=0.0,
+    )
 
 
 def _frames(box: BlackBox) -> int:

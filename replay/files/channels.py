@@ -38,9 +38,19 @@ STEP_IN = Channel("/raw/step_in", "arguments of each `Agent.step`", "msgpack", "
 STEP_OUT = Channel(
     "/raw/step_out", "its results: with the arguments all that replay needs", "msgpack", "aucamp.Outputs", AGENT
 )
+CAMERA_IMAGE = Channel(
+    "/{robot}/camera/image",
+    "frames between sweeps, as JPEG; one in 128, and all of `aucamp agent --lossless`, as PNG",
+    PROTOBUF,
+    "foxglove.CompressedImage",
+    AGENT,
+)
+SWEEP_IMAGE = Channel(
+    "/{robot}/sweep/image", "and the part of them that a sweep reads", PROTOBUF, "foxglove.CompressedImage", AGENT
+)
 FRAME = Channel(
     "/raw/frame",
-    "frames as JPEG (`aucamp agent --lossless`: PNG) with lens position and region",
+    "what belongs to each frame: lens position, region, time; its picture has the same sequence",
     "msgpack",
     "aucamp.Picture",
     AGENT,
@@ -72,10 +82,12 @@ LOG = _derived("/{robot}/log", "lines of its log", "foxglove.Log", BOTH)
 PREVIEW = _derived(
     "/{robot}/preview", "what the camera saw, at most twice a second", "foxglove.CompressedImage", RECORDER
 )
-CAMERA_IMAGE = _derived("/{robot}/camera/image", "frames between sweeps", "foxglove.CompressedImage", AGENT)
-CAMERA_MODEL = _derived("/{robot}/camera/calibration", "and their pinhole", "foxglove.CameraCalibration", AGENT)
-SWEEP_IMAGE = _derived("/{robot}/sweep/image", "the part that a sweep reads", "foxglove.CompressedImage", AGENT)
-SWEEP_MODEL = _derived("/{robot}/sweep/calibration", "and its pinhole", "foxglove.CameraCalibration", AGENT)
+CAMERA_MODEL = _derived(
+    "/{robot}/camera/calibration", "the pinhole of frames between sweeps", "foxglove.CameraCalibration", AGENT
+)
+SWEEP_MODEL = _derived(
+    "/{robot}/sweep/calibration", "and that of the part which a sweep reads", "foxglove.CameraCalibration", AGENT
+)
 POINTS = _derived(
     "/{robot}/depth/points",
     "how far each block of a whole sweep is, in the camera's frame",
@@ -92,8 +104,8 @@ FOCUS = _derived("/{robot}/plot/focus[/{target}]", "lens position and clarity", 
 RATE = _derived("/plot/clock", "how fast the clock goes", "aucamp.Clock", BOTH)
 
 CHANNELS = (
-    *(STEP_IN, STEP_OUT, FRAME, VISION, FROM_BOARD, TO_BOARD, CLOCK, DROPS, CUT, PRESENCE, NETWORK),
-    *(TF, PRIOR, ESTIMATE, LOG, PREVIEW, CAMERA_IMAGE, CAMERA_MODEL, SWEEP_IMAGE, SWEEP_MODEL, POINTS),
+    *(STEP_IN, STEP_OUT, CAMERA_IMAGE, SWEEP_IMAGE, FRAME, VISION, FROM_BOARD, TO_BOARD, CLOCK, DROPS, CUT),
+    *(PRESENCE, NETWORK, TF, PRIOR, ESTIMATE, LOG, PREVIEW, CAMERA_MODEL, SWEEP_MODEL, POINTS),
     *(PROTOCOL, NEIGHBOUR, ATTITUDE, THRUSTERS, FOCUS, RATE),
 )
 
@@ -109,6 +121,13 @@ def match(name_text: str) -> tuple[Channel, dict[str, str]] | None:
         if found := _pattern(channel).fullmatch(name_text):
             return channel, {chunk: text for chunk, text in found.groupdict().items() if text is not None}
     return None
+
+
+@cache
+def shows_frame(name_text: str) -> bool:
+    """Whether a channel of a black box holds the pictures of its camera."""
+    found = match(name_text)
+    return found is not None and found[0] in (CAMERA_IMAGE, SWEEP_IMAGE)
 
 
 def network_topic(name_text: str) -> tuple[topics.Topic, dict[str, str]] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,8 +12,6 @@ from replay.files.channels import CLOCK, STEP_IN, STEP_OUT, network_topic
 from replay.files.clock_rate import Moment, Pace, moment, pace
 from replay.files.digests import BEFORE, OWN
 from replay.files.mcap_walk import Attachment, Channel, Damage, Message, Metadata, Schema, Tear, records
-from replay.files.names import parts
-from replay.files.suspect import suspecting
 
 STEP_HZ = 20.0  # of an agent's loop
 SHOWN = ("kind", "fleet", "robot", "protocol", "part", "incarnation", "commit", "dirty", "cpu", "machine", "python")
@@ -116,15 +114,6 @@ def info(path: Path) -> Info:
         damage=tuple(damage),
         verified=verified and any(BEFORE in note for note in notes.values()),
     )
-
-
-def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> None:
-    """`aucamp replay info`: each file of each recording, later parts included. Raises as `info` does."""
-    for path in paths:
-        for file in parts(path):
-            with suspecting(file):
-                text = (as_json if json_ else describe)(file, info(file))
-            say(text)
 
 
 def describe(path: Path, about: Info) -> str:

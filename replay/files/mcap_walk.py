@@ -110,6 +110,8 @@ def _opened(path: Path) -> IO[bytes]:
     try:
         return path.open("rb")
     except OSError as error:
+        if path.is_dir():
+            raise ConfigError(f"{path}: is a folder; give a recording in it, such as {path / 'r1.mcap'}") from None
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the path of a recording") from None
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.messages import Vector
+from agent.kernel.messages import Symmetric, Vector
 from replay.report.figures_belief import VARIANCES
 from replay.report.robot_timeline import Array, RobotTimeline
 
@@ -27,39 +27,44 @@ class ErrorRow(NamedTuple):
     rmse: float
     p95: float  # of the absolute error
     largest: float
-    within_2_sigma: float | None  # share, by the covariance that the robot stated; None: it stated none
+    within_2_sigma: float | None  # share, by what the robot stated of that axis, or of space; None: it stated nothing
 
 
 def error_table(timelines: Sequence[RobotTimeline], truth_m: Vector) -> list[ErrorRow]:
     """Priors over the whole run, posteriors over the last LATE iterations."""
     rows = []
     for timeline in timelines:
-        priors = np.array([x for _, x in timeline.priors]).reshape(-1, 3) - truth_m
-        if len(priors):
-            rows += _rows(timeline.label, "prior", 1e3 * priors, None)
+        if measured := [state for _, state in timeline.measured]:
+            priors = np.array([state.prior_m for state in measured]) - truth_m
+            stated = [[math.nan, math.nan, math.nan, _mm(state.prior_sigma_m)] for state in measured]
+            rows += _rows(timeline.label, "prior", 1e3 * priors, np.array(stated))
         late = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None][-LATE:]
         if late:
             errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
-            covariances = [belief.cov_m2 for belief in late]
-            sigmas = np.array([[math.sqrt(c[k]) for k in VARIANCES] if c else [math.nan] * 3 for c in covariances])
-            rows += _rows(timeline.label, "posterior", 1e3 * errors, 1e3 * sigmas)
+            stated = [[*_axes_mm(belief.cov_m2), _mm(belief.state.posterior_sigma_m)] for belief in late]
+            rows += _rows(timeline.label, "posterior", 1e3 * errors, np.array(stated))
     return rows
 
 
-def _rows(robot: str, what: str, errors: Array, sigmas: Array | None) -> list[ErrorRow]:
-    """errors (n, 3) and their standard deviations (n, 3) or None, mm -> rows for the axes and for the length."""
-    found = []
-    for k, axis in enumerate(AXES):
-        known = None if sigmas is None else np.isfinite(sigmas[:, k])
-        share = None
-        if sigmas is not None and known is not None and known.any():
-            share = float(np.mean(np.abs(errors[known, k]) <= 2.0 * sigmas[known, k]))
-        found.append(_row(robot, what, axis, errors[:, k], float(errors[:, k].mean()), share))
-    return [*found, _row(robot, what, "3-D", np.linalg.norm(errors, axis=1), None, None)]
+def _axes_mm(cov_m2: Symmetric | None) -> list[float]:
+    return [1e3 * math.sqrt(cov_m2[k]) for k in VARIANCES] if cov_m2 else [math.nan] * 3
 
 
-def _row(robot: str, what: str, axis: str, e: Array, bias: float | None, share: float | None) -> ErrorRow:
-    size = np.abs(e)
+def _mm(sigma_m: float | None) -> float:
+    return math.nan if sigma_m is None else 1e3 * sigma_m
+
+
+def _rows(robot: str, what: str, errors: Array, sigmas: Array) -> list[ErrorRow]:
+    """errors (n, 3), mm, and the standard deviations stated of the axes and of the length (n, 4), mm; NaN: of none."""
+    found = [
+        _row(robot, what, axis, errors[:, k], float(errors[:, k].mean()), sigmas[:, k]) for k, axis in enumerate(AXES)
+    ]
+    return [*found, _row(robot, what, "3-D", np.linalg.norm(errors, axis=1), None, sigmas[:, 3])]
+
+
+def _row(robot: str, what: str, axis: str, e: Array, bias: float | None, sigmas: Array) -> ErrorRow:
+    size, known = np.abs(e), np.isfinite(sigmas)
+    share = float(np.mean(size[known] <= 2.0 * sigmas[known])) if known.any() else None
     rmse, p95 = math.sqrt(float((e * e).mean())), float(np.percentile(size, 95))
     return ErrorRow(robot, what, axis, len(e), bias, rmse, p95, float(size.max()), share)
 

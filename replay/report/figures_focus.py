@@ -20,7 +20,8 @@ def clarity_curves(timeline: RobotTimeline) -> Figure:
     for k, sweep in enumerate(spread(timeline.sweeps)):
         order = np.argsort(sweep.lens_positions)
         lens_positions, clarity = np.array(sweep.lens_positions)[order], np.array(sweep.clarity)[order]
-        label = f"{sweep.t_s:.0f} s" + ("" if sweep.peak is not None else ", no peak")
+        ended = "" if sweep.peak is not None else ", no peak" if sweep.outcome is not None else ", not finished"
+        label = f"{sweep.t_s:.0f} s{ended}"
         panel.plot(lens_positions, clarity, ".-", color=f"C{k}", linewidth=0.8, markersize=4, label=label)
         if sweep.outcome is not None and sweep.peak is not None:
             sigma = sweep.outcome.sigma or 0.0

@@ -31,9 +31,10 @@ td:first-child, th:first-child, #valid td:last-child, #valid th:last-child { tex
 <h2>{{ section.title }}</h2>
 <p class="note">{{ section.note }}</p>
 {% for table in section.tables %}
+<p class="note">{{ table.about }}</p>
 <div class="wide"><table>
-<tr>{% for cell in table[0] %}<th>{{ cell }}</th>{% endfor %}</tr>
-{% for row in table[1:] %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+<tr>{% for cell in table.rows[0] %}<th>{{ cell }}</th>{% endfor %}</tr>
+{% for row in table.rows[1:] %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</table></div>
 {% endfor %}
 <div class="figures">

@@ -41,14 +41,14 @@ class Section(NamedTuple):
     id: str
     title: str
     note: str
-    tables: list[list[report_tables.Row]]  # each with its head first
+    tables: list[report_tables.Table]
     figures: list[Markup]
 
 
 def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = None) -> Path:
     """Write the page of a run's folder, or of one recording, and return its path.
 
-    `out` is report.html in the folder, or NAME.html beside the file, if not given. A robot without a recording is left
+    `out` is `page_of` it, if not given. A robot without a recording is left
     out of the figures. `depth` makes the map of a whole sweep; None: there are no maps. Raises ConfigError if there is
     nothing to show.
     """
@@ -56,10 +56,15 @@ def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = Non
         return _report(path, out, depth)
 
 
+def page_of(path: Path) -> Path:
+    """What the page of a run's folder, or of one recording, is called."""
+    return path / "report.html" if path.is_dir() else path.with_name(f"{path.name.split('.mcap')[0]}.html")
+
+
 def _report(path: Path, out: Path | None, depth: MeasureDepth | None) -> Path:
     run = open_run(path)
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
-    out = out or (path / "report.html" if path.is_dir() else path.with_name(f"{path.name.split('.mcap')[0]}.html"))
+    out = out or page_of(path)
     out.write_text(
         page.render(
             title=f"Fleet {run.fleet.fleet}",
@@ -115,29 +120,39 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
         Section(
             "iterations",
             "Prior and posterior",
-            "Dots: the robot's own measurement x̂. Line: its estimate x after hearing its neighbours, with twice the "
-            f"standard deviation it states. Green: its first view of the target.{against}",
+            "Three panels for each robot, one for each axis. Dots: its own measurements x̂ (priors). Line: what it "
+            "believes after hearing the others, x (posterior), in a band of twice the standard deviation that it "
+            "states. Green: its first own view of the target. The line should settle while the dots scatter, and "
+            f"the truth should lie in the band.{against}",
             [],
             [_svg(figures_belief.iterations(each, run.truths_m.get(each.target))) for each in run.timelines],
         ),
         Section(
             "valid",
-            "Valid set",
-            "S is the set of robots that see the target. Nobody knows it; each row is what the observer could know.",
-            [report_tables.events(run)] if run.timelines else [],
+            "Who saw the target, and when",
+            "S, the valid set of the paper, are the robots that see the target. Each figure is S in the eyes of one "
+            "robot, a row for each robot: green is one that sees the target and counts in its estimate, orange "
+            "one that knows the target from others only, grey one that knows nothing. From left to right rows should "
+            "turn green.",
+            [table for table in (report_tables.events(run), report_tables.remarks(run)) if table]
+            if run.timelines
+            else [],
             [_svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
         ),
         Section(
             "agreement",
             "Agreement",
-            f"Black: the largest distance between what two robots believe at a time.{lower}",
+            "Black: the largest distance between what two robots believe at a time; it should fall, on a scale where "
+            f"each line is a tenth of the one above.{lower}",
             [],
             [_svg(figures_belief.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
         ),
         Section(
             "above",
             "From above",
-            "Robots where they were surveyed, and where they place the target; then the surroundings of the target.",
+            "First the tank: robots where they were surveyed, with the direction they look in, and crosses where they "
+            "place the target at the end. Then the surroundings of the target, in millimetres: dots are single "
+            "measurements, an ellipse is where a robot believes the target to be, at twice its standard deviation.",
             [],
             [
                 _svg(figures_map.above(run.fleet, run.timelines, run.truths_m)),
@@ -147,7 +162,9 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
         Section(
             "clarity",
             "Clarity",
-            "Clarity over the lens position in some of the sweeps. Vertical: the peak, ± its standard deviation.",
+            "How sharp the target was at each lens position, in some of the sweeps. Each curve should have one peak, "
+            "and all their peaks (vertical lines, with their standard deviation) should lie together while the "
+            "target rests.",
             [],
             [_svg(figures_focus.clarity_curves(timeline)) for timeline in inside],
         ),
@@ -155,15 +172,17 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "depth",
             "Depth map",
             "Of each robot's first whole sweep of the lens, around the target: the picture with each block from its "
-            "sharpest frame, and how far each block is. Hatched: no clear peak, so no range.",
+            "sharpest frame, and how far each block is. The target should stand out as nearer. Hatched: no clear peak, "
+            "so no range.",
             [],
             [_svg(figure) for figure in _depth_maps(run, depth)] if depth else [],
         ),
         Section(
             "calibration",
             "Calibration",
-            "The range h at which the lens is sharp, as calibrated before the run, and the peaks of this run on it. "
-            "RMSE is that of the range over the calibrated distances, once of the fit and once of distances left out.",
+            "The distance h at which the lens is sharp, for each lens position, as calibrated before the run; red are "
+            "the peaks of this run on that curve. Below: how well the curve is known. RMSE is the calibration's own "
+            "error, once over the distances that it was fitted to and once over distances left out.",
             [],
             [_svg(figures_focus.calibration_fit(timeline)) for timeline in inside],
         ),
@@ -171,7 +190,8 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "posture",
             "Depth and attitude",
             "What the control module reports: its four pressure sensors below their tare, the pulses of the four "
-            "central thrusters from neutral, depth against its set-point, roll and pitch."
+            "central thrusters from neutral, depth against its set-point, roll and pitch. Lines that lie still mean a "
+            "robot that hangs still."
             if inside
             else "Depth, roll and pitch, as the robots show them.",
             [report_tables.hover(run)] if inside else [],
@@ -188,7 +208,8 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "clock",
             "Clock",
             "How fast the dive's clock went, by which all times here are: as fast as the machine kept up, and at most "
-            "as was asked for. Dashed: real time.",
+            "as was asked for. Dashed: real time; below it the machine was slower than the world. That costs time, and "
+            "no accuracy.",
             [],
             [_svg(figures_clock.rate(run.clock, run.start_ns or run.clock[0].now_ns))] if run.clock else [],
         ),

@@ -85,7 +85,12 @@ class RobotTimeline(NamedTuple):
     @property
     def priors(self) -> list[tuple[int, Vector]]:
         """(iteration, x̂) of each measurement that went into an iteration."""
-        found: list[tuple[int, Vector]] = []
+        return [(t, state.prior_m) for t, state in self.measured if state.prior_m is not None]
+
+    @property
+    def measured(self) -> list[tuple[int, State]]:
+        """(iteration, state that shows it) of each measurement that went into an iteration."""
+        found: list[tuple[int, State]] = []
         before: State | None = None
         for _, state in self.states:
             if before is None or state.incarnation != before.incarnation:
@@ -94,7 +99,7 @@ class RobotTimeline(NamedTuple):
                 # What was measured before the iteration counts, not what came between it and this state.
                 measured = before if before.measurements > used else state
                 if state.knows == "sees" and measured.measurements > used and measured.prior_m is not None:
-                    found.append((state.t, measured.prior_m))
+                    found.append((state.t, measured))
                     used = measured.measurements
             before = state
         return found

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from typing import NamedTuple
 
 from replay.report import figures_posture
 from replay.report.errors import LATE, error_table, relative_percent
@@ -10,25 +12,36 @@ from replay.report.robot_timeline import RobotTimeline
 from replay.report.run import Run
 
 Row = list[str]
+
+
+class Table(NamedTuple):
+    about: str  # what to see in it, one sentence
+    rows: list[Row]  # its head first
+
+
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
+EVENTS = ["robot", "s", "event"]
+VIEW = re.compile(r"(^|: )(sees|told|blind) since iteration ")  # agent.kernel.core writes it
+OVER = "over: "  # agent.kernel.status: the end of a fault
+REPEATS = re.compile(r" \((\d+) times more in [\d.]+ s\)$")  # agent.kernel.logbook
+NUMBER = re.compile(r"\d+(\.\d+)?")
 ERRORS = ["error mm", "% of |x*|", "% of range"]  # before all else: a phone shows the first columns
 
 
 def error_note(run: Run) -> str:
     if not run.truths_m:
-        return "Nobody knows the truth of this run: the last estimate of each robot, as it states it."
+        return "Nobody knows the truth of this run, so there is no error to show."
     return (
-        "Relative error: the distance to the target over the target's distance from the tank's corner, as in the "
-        "paper, and over its distance from the robot. Below: priors over the whole run, posteriors over the last "
-        f"{LATE} iterations; the last column is the share of errors within twice the standard deviation that the "
-        "robot stated."
+        "A prior is one measurement by a robot's own camera; a posterior is what the robot believes after it has heard "
+        "the others. The truth comes from the twin; no robot knows it."
     )
 
 
-def error_tables(run: Run) -> list[list[Row]]:
+def error_tables(run: Run) -> list[Table]:
     """What each robot held at the end; and with a truth how far off its priors and posteriors were."""
     if not run.truths_m:
-        return [[HEAD, *(_stated(timeline) for timeline in run.timelines)]]
+        held = "Where each robot placed the target at the end, and the standard deviation that it states itself."
+        return [Table(held, [HEAD, *(_stated(timeline) for timeline in run.timelines)])]
     ends = [[HEAD[0], *ERRORS, *HEAD[1:]], *(_ended(run, timeline) for timeline in run.timelines)]
     ends += [_from_summary(name, row) for name, row in _silent(run).items()]
     rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
@@ -36,7 +49,19 @@ def error_tables(run: Run) -> list[list[Row]]:
         for e in error_table(run.about(target), truth_m):
             shown = [_number(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
             rows.append([e.robot, e.what, e.axis, str(e.n), *shown, _number(e.within_2_sigma, ".0%")])
-    return [ends, rows] if len(rows) > 1 else [ends]
+    last = Table(
+        "How far off each robot was at the end: error is the distance from the truth, |x*| the target's distance from "
+        "the tank's corner (the paper's measure, which should be below 0.4 %), range its distance from the robot, and "
+        "sigma the standard deviation that the robot states itself.",
+        ends,
+    )
+    each = Table(
+        f"Errors of priors over the whole run, and of posteriors in the last {LATE} iterations. Posteriors should be "
+        "off by less, and near all errors should lie within twice the sigma that the robot stated; of a single "
+        "prior it states one sigma for all axes together, so there is none for each axis (-), nor a bias in 3-D.",
+        rows,
+    )
+    return [last, each] if len(rows) > 1 else [last]
 
 
 def _stated(timeline: RobotTimeline) -> Row:
@@ -74,26 +99,59 @@ def _from_summary(name: str, row: dict[str, object]) -> Row:
     return [name, f"{error_mm:.2f}" if isinstance(error_mm, float) else "", "", "", *places]
 
 
-def events(run: Run) -> list[Row]:
-    """What the robots wrote to their logs, without the sweeps: why somebody entered S or left it."""
+def events(run: Run) -> Table:
+    """Why somebody entered S or left it, by the robots' logs."""
     lines = [
-        (t_s, line.robot, line.text)
-        for timeline in run.robots
-        for t_s, line in timeline.log
-        if "sweep" not in line.text
+        (t_s, line.robot, line.text) for timeline in run.robots for t_s, line in timeline.log if _of_view(line.text)
     ]
     starts = [(t_s, timeline.robot, "starts again") for timeline in run.robots for t_s in timeline.starts_s[1:]]
-    return [["robot", "s", "event"], *([robot, f"{t_s:.1f}", text] for t_s, robot, text in sorted([*lines, *starts]))]
+    rows = [[robot, f"{t_s:.1f}", text] for t_s, robot, text in sorted([*lines, *starts])]
+    return Table("When each robot came to know of the target (told) and when it saw it itself (sees).", [EVENTS, *rows])
 
 
-def hover(run: Run) -> list[Row]:
+def remarks(run: Run) -> Table | None:
+    """What else the robots wrote to their logs, the same text once; None where there was nothing. Sweeps are left out:
+    each has its figure."""
+    found: dict[tuple[str, str], _Remark] = {}
+    for timeline in run.robots:
+        for t_s, line in timeline.log:
+            if _of_view(line.text) or "sweep" in line.text or line.text.startswith(OVER):
+                continue
+            again = REPEATS.search(line.text)
+            text = line.text[: again.start()] if again else line.text
+            before = found.setdefault((line.robot, NUMBER.sub("#", text)), _Remark(text, 0, t_s, t_s))
+            times = before.times + (int(again[1]) if again else 1)
+            found[line.robot, NUMBER.sub("#", text)] = before._replace(times=times, last_s=t_s)
+    if not found:
+        return None
+    rows = [[robot, str(r.times), f"{r.first_s:.1f}", f"{r.last_s:.1f}", r.text] for (robot, _), r in found.items()]
+    head = ["robot", "times", "first, s", "last, s", "what"]
+    return Table(
+        "Faults and remarks in the robots' logs. Lines that differ in numbers alone stand here once, and how often.",
+        [head, *rows],
+    )
+
+
+class _Remark(NamedTuple):
+    text: str
+    times: int
+    first_s: float
+    last_s: float
+
+
+def _of_view(text: str) -> bool:
+    """Whether a line of the log is about who knows and sees the target, alone or of several: "stone: sees since"."""
+    return VIEW.search(text) is not None
+
+
+def hover(run: Run) -> Table:
     rows = [["robot", "depth error, rms mm", "tilt, rms deg"]]
     for timeline in run.robots:
         if timeline.boxes:  # the set-point is not on the network
             found = figures_posture.hover(timeline)
             shown = [f"{value:.2f}" for value in found.values()] if found else ["never at depth", ""]
             rows.append([timeline.robot, *shown])
-    return rows
+    return Table("How still each robot hung: a few millimetres and a fraction of a degree are good.", rows)
 
 
 def link_note(run: Run) -> str:
@@ -106,11 +164,12 @@ def link_note(run: Run) -> str:
     return note + "All that was heard was said, byte for byte."
 
 
-def matrix(run: Run) -> list[Row]:
+def matrix(run: Run) -> Table:
     """A dash: not neighbours, or one of them left no recording."""
     cells = {(link.src, link.dst): f"{link.heard} / {'?' if link.said is None else link.said}" for link in run.links}
     names = list(run.fleet.robot)
-    return [["says", *names], *([src, *(cells.get((src, dst), "-") for dst in names)] for src in names)]
+    rows = [["says", *names], *([src, *(cells.get((src, dst), "-") for dst in names)] for src in names)]
+    return Table("Messages heard / said: both numbers nearly the same means that nothing was lost.", rows)
 
 
 def _mm(x_m: float | None) -> str:
@@ -118,4 +177,4 @@ def _mm(x_m: float | None) -> str:
 
 
 def _number(value: float | None, form: str) -> str:
-    return "" if value is None else format(value, form)
+    return "-" if value is None else format(value, form)

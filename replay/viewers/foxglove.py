@@ -8,12 +8,10 @@ stamps in nanoseconds since the Unix epoch.
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -24,14 +22,13 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
-from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
 from agent.kernel.config import Body
 from agent.kernel.config import Pose as Place
 from agent.kernel.messages import Level, LogLine, State, Vector
 from agent.kernel.ranging.calibration import CameraFit
-from replay.files.backlog import Schema
+from replay.files.protobuf import stamp
 
 WORLD = "world"
 LEVELS: dict[Level, Any] = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
@@ -45,29 +42,24 @@ GIMBAL_CAMERA: Turn = (-0.5, 0.5, -0.5, 0.5)
 def position(x_m: Vector, t_ns: int) -> Any:
     """foxglove.PoseInFrame: a point of the world. The quaternion is set, for one of zeros is no rotation at all."""
     pose = Pose(position=_vector(x_m), orientation=Quaternion(w=1.0))
-    return PoseInFrame(timestamp=_stamp(t_ns), frame_id=WORLD, pose=pose)
+    return PoseInFrame(timestamp=stamp(t_ns), frame_id=WORLD, pose=pose)
 
 
 def transforms(state: State, place: Place, body: Body, surface_m: float) -> Any | None:
     """foxglove.FrameTransforms: world to body, gimbal and camera. None while depth and tilt are not known."""
     if state.depth_m is None or state.roll_deg is None or state.pitch_deg is None:
         return None
-    robot, stamp = state.robot, _stamp(state.sent_ns)
+    robot, at = state.robot, stamp(state.sent_ns)
     centre = (place.x_m, place.y_m, surface_m - state.depth_m)
     level = turn(place.yaw_deg, state.pitch_deg, state.roll_deg)
     aim = turn(state.pan_deg, -state.tilt_deg, 0.0)  # tilt is positive upwards, a turn about y downwards
     return FrameTransforms(
         transforms=[
-            _transform(stamp, WORLD, f"{robot}/body", centre, level),
-            _transform(stamp, f"{robot}/body", f"{robot}/gimbal", body.camera_m, aim),
-            _transform(stamp, f"{robot}/gimbal", f"{robot}/camera", (0.0, 0.0, 0.0), GIMBAL_CAMERA),
+            _transform(at, WORLD, f"{robot}/body", centre, level),
+            _transform(at, f"{robot}/body", f"{robot}/gimbal", body.camera_m, aim),
+            _transform(at, f"{robot}/gimbal", f"{robot}/camera", (0.0, 0.0, 0.0), GIMBAL_CAMERA),
         ]
     )
-
-
-def image(robot: str, data: bytes, format_: str, t_ns: int) -> Any:
-    """foxglove.CompressedImage; `format_` is jpeg or png."""
-    return CompressedImage(timestamp=_stamp(t_ns), frame_id=f"{robot}/camera", data=data, format=format_)
 
 
 def calibration(robot: str, fit: CameraFit, roi: tuple[int, int, int, int], t_ns: int) -> Any:
@@ -77,7 +69,7 @@ def calibration(robot: str, fit: CameraFit, roi: tuple[int, int, int, int], t_ns
     p = [fit.f_px, 0.0, cx, 0.0, 0.0, fit.f_px, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     return CameraCalibration(
-        timestamp=_stamp(t_ns), frame_id=f"{robot}/camera", width=roi[2], height=roi[3], K=k, R=r, P=p
+        timestamp=stamp(t_ns), frame_id=f"{robot}/camera", width=roi[2], height=roi[3], K=k, R=r, P=p
     )
 
 
@@ -93,7 +85,7 @@ def cloud(robot: str, places_m: NDArray[np.float32], colours: NDArray[np.uint8],
     for name, column in zip(POINT, [*places_m.T, *colours.T, 255], strict=True):
         packed[name] = column
     return PointCloud(
-        timestamp=_stamp(t_ns),
+        timestamp=stamp(t_ns),
         frame_id=f"{robot}/camera",
         pose=Pose(position=_vector((0.0, 0.0, 0.0)), orientation=Quaternion(w=1.0)),  # Rerun refuses a missing one
         point_stride=POINT_DTYPE.itemsize,
@@ -107,13 +99,7 @@ def cloud(robot: str, places_m: NDArray[np.float32], colours: NDArray[np.uint8],
 
 def log_line(line: LogLine) -> Any:
     """foxglove.Log."""
-    return Log(timestamp=_stamp(line.sent_ns), level=LEVELS[line.level], name=line.robot, message=line.text)
-
-
-@cache
-def schema(kind: Any) -> Schema:
-    """What the file says about a protobuf class: its full name, and its descriptor with all that it imports."""
-    return Schema(kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString())
+    return Log(timestamp=stamp(line.sent_ns), level=LEVELS[line.level], name=line.robot, message=line.text)
 
 
 def turn(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Turn:
@@ -128,10 +114,10 @@ def turn(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Turn:
     )
 
 
-def _transform(stamp: Timestamp, parent: str, child: str, at_m: Vector, turned: Turn) -> Any:
+def _transform(at: Timestamp, parent: str, child: str, at_m: Vector, turned: Turn) -> Any:
     x, y, z, w = turned
     return FrameTransform(
-        timestamp=stamp,
+        timestamp=at,
         parent_frame_id=parent,
         child_frame_id=child,
         translation=_vector(at_m),
@@ -141,7 +127,3 @@ def _transform(stamp: Timestamp, parent: str, child: str, at_m: Vector, turned: 
 
 def _vector(v: Vector) -> Vector3:
     return Vector3(x=v[0], y=v[1], z=v[2])
-
-
-def _stamp(t_ns: int) -> Timestamp:
-    return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)

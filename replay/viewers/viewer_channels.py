@@ -18,7 +18,9 @@ from replay.files import channels
 from replay.files.backlog import Entry
 from replay.files.channels import name, network_topic
 from replay.files.clock_rate import ClockRate
-from replay.files.frames import MAX_FRAME, Picture
+from replay.files.frames import MAX_FRAME, Frames, Picture
+from replay.files.images import image
+from replay.files.protobuf import schema
 from replay.viewers import foxglove
 from replay.viewers.plots import plot
 from replay.viewers.whole_sweeps import MeasureDepth, SweepAssembler, points
@@ -44,10 +46,12 @@ class ViewerChannels:
         `depth` makes a map of each whole sweep of the lens; None: there are no maps.
         """
         self._fleet, self._robot, self._calibration, self._depth = fleet, robot, calibration, depth
-        self._sweeps = SweepAssembler(fleet.camera.sweep_steps)
+        self._frames, self._sweeps = Frames(), SweepAssembler(fleet.camera.sweep_steps)
         self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
             channels.STEP_IN.name: self._inputs,
             channels.STEP_OUT.name: self._outputs,
+            name(channels.CAMERA_IMAGE, robot=robot): self._image,
+            name(channels.SWEEP_IMAGE, robot=robot): self._image,
             channels.FRAME.name: self._frame,
             channels.VISION.name: self._vision,
             channels.CLOCK.name: self._clock,
@@ -66,7 +70,7 @@ class ViewerChannels:
                     data=message.SerializeToString(),
                     encoding=channels.PROTOBUF,
                     metadata={},
-                    schema=foxglove.schema(message.__class__),
+                    schema=schema(message.__class__),
                 )
         except Refusal:
             return
@@ -87,24 +91,24 @@ class ViewerChannels:
         for line in outputs.log:
             yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
 
+    def _image(self, entry: Entry) -> Iterator[Made]:
+        """Nothing: viewers draw it as it is."""
+        self._frames.take(entry.channel, entry.sequence, entry.data)
+        return iter(())
+
     def _frame(self, entry: Entry) -> Iterator[Made]:
-        picture = _own(entry, Picture)
-        # Those of a sweep show a part only, each another one: a channel of their own keeps the picture still.
-        image, model = channels.CAMERA_IMAGE, channels.CAMERA_MODEL
-        if picture.sweep:
-            image, model = channels.SWEEP_IMAGE, channels.SWEEP_MODEL
-        shown = foxglove.image(self._robot, picture.data, picture.format, picture.t_ns)
-        yield name(image, robot=self._robot), picture.t_ns, shown
+        self._frames.take(entry.channel, entry.sequence, entry.data)
         if self._calibration is not None:
+            picture = _own(entry, Picture)
+            model = channels.SWEEP_MODEL if picture.sweep else channels.CAMERA_MODEL
             about = foxglove.calibration(self._robot, self._calibration.camera, picture.roi, picture.t_ns)
             yield name(model, robot=self._robot), picture.t_ns, about
-        self._sweeps.picture(entry.sequence, picture)
 
     def _vision(self, entry: Entry) -> Iterator[Made]:
         """The depth map of a whole sweep, once its last frame is there."""
         if self._depth is None or self._calibration is None:
             return
-        frames = self._sweeps.sighting(entry.sequence, _own(entry, Sighting))
+        frames = self._sweeps.take(self._frames.at(entry.sequence), _own(entry, Sighting))
         if not frames:
             return
         found = self._depth(frames, self._calibration)
@@ -129,7 +133,7 @@ class ViewerChannels:
         elif topic is topics.LOG and (line := decode(entry.data, LogLine)).robot == chunks["robot"]:
             yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
         elif topic is topics.IMAGE and (seen := decode(entry.data, Image, topic.limit)).robot == chunks["robot"]:
-            shown = foxglove.image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
+            shown = image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
             yield name(channels.PREVIEW, robot=seen.robot), seen.t_ns, shown
 
     def _state(self, state: State) -> Iterator[Made]:

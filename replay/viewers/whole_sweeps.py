@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from agent.kernel.codec import decode
 from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.step_io import Sighting
-from replay.files.channels import FRAME, VISION
-from replay.files.frames import MAX_FRAME, Picture, pixels
+from replay.files.channels import VISION
+from replay.files.frames import Frames, Picture, pixels
 from replay.files.log import Record
 
 
@@ -48,22 +48,17 @@ class SweepAssembler:
 
     def __init__(self, steps: int) -> None:
         self._steps = steps
-        self._picture: tuple[int, Picture] | None = None
         self._frames: list[tuple[Picture, Sighting]] = []
 
-    def picture(self, sequence: int, picture: Picture) -> None:
-        """A frame; what vision says of it comes next, with the same sequence number."""
-        self._picture = sequence, picture
-
-    def sighting(self, sequence: int, sighting: Sighting) -> list[SweepFrame]:
-        """The frames of the sweep that this sighting completes, or none; one that lost a frame is passed over.
+    def take(self, picture: Picture | None, sighting: Sighting) -> list[SweepFrame]:
+        """The frames of the sweep that this one completes, or none; a sweep that lost a frame is passed over.
 
         Raises ConfigError for a frame that does not decode.
         """
         if not sighting.sweep or (self._frames and self._frames[-1][1].sweep != sighting.sweep):
             self._frames = []
-        if sighting.sweep and self._picture is not None and self._picture[0] == sequence:
-            self._frames.append((self._picture[1], sighting))
+        if sighting.sweep and picture is not None:
+            self._frames.append((picture, sighting))
         if len(self._frames) < self._steps:
             return []
         whole, self._frames = self._frames, []
@@ -72,14 +67,13 @@ class SweepAssembler:
 
 def whole_sweeps(records: Iterable[Record], steps: int) -> Iterator[list[SweepFrame]]:
     """Every sweep of `steps` positions in a recording whose frames are all there."""
-    gathered = SweepAssembler(steps)
+    frames, gathered = Frames(), SweepAssembler(steps)
     for record in records:
-        if record.channel == FRAME.name:
-            gathered.picture(record.sequence, decode(record.data, Picture, MAX_FRAME))
-        elif record.channel == VISION.name:
-            frames = gathered.sighting(record.sequence, decode(record.data, Sighting))
-            if frames:
-                yield frames
+        frames.take(record.channel, record.sequence, record.data)
+        if record.channel == VISION.name:
+            sweep = gathered.take(frames.at(record.sequence), decode(record.data, Sighting))
+            if sweep:
+                yield sweep
 
 
 def points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -32,8 +32,8 @@ from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting
 from agent.kernel.toml_files import dump
 from agent.launch import free_ports
 from replay.files.backlog import Backlog, Entry
-from replay.files.channels import FRAME, FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION
-from replay.files.frames import picture
+from replay.files.channels import FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION
+from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read
 from replay.files.recover import recover
 from replay.viewers.viewer_channels import ViewerChannels
@@ -61,8 +61,8 @@ def run() -> dict[str, dict]:
         rows[name] = row(100 * ours_s / SECONDS, "% of a core", "mcap alone, unsafe", ours_s / plain_s)
     step = [entry for entry in agent if entry.channel == STEP_IN.name][-1]
     image = frame(0)
-    jpeg_s = median_s(lambda: picture(image, (0, 0, 640, 480), sighting(0, 0), lossless=False))
-    png_s = median_s(lambda: picture(image, (0, 0, 640, 480), sighting(0, 0), lossless=True))
+    jpeg_s = median_s(lambda: recorded(image, 1, sighting(0, 0)))
+    png_s = median_s(lambda: recorded(image, 1, sighting(0, 0), lossless=True))
     queue_s = median_s(lambda: queue(step))
     rows["recording_queue_one_message"] = row(1e3 * queue_s, "us", "list.append", queue_s / median_s(append))
     rows["recording_frame_640x480_jpeg"] = row(1e3 * jpeg_s, "ms", "png, --lossless", jpeg_s / png_s)
@@ -80,14 +80,17 @@ def black_box() -> Iterator[Entry]:
             yield entry(FROM_BOARD.name, now_ns, n, random.Random(n).randbytes(90), "application/octet-stream")
         yield entry(TO_BOARD.name, now_ns, n, random.Random(n).randbytes(40), "application/octet-stream")
         for seen in sightings:
-            data = picture(frame(n % 20), (0, 0, 640, 480), seen, lossless=False)
-            yield entry(FRAME.name, now_ns, n, data)._replace(expendable=True)
+            yield from recorded(frame(n % 20), n, seen)
             yield entry(VISION.name, now_ns, n, encode(seen))
         yield entry(STEP_IN.name, now_ns, n, encode(Inputs(telemetry=readings, sightings=sightings)))
         shown = state("r1", n, now_ns) if n % 4 == 0 else None
         letters = (says("r1", "r2", n, now_ns), says("r1", "r3", n, now_ns)) if n % 2 == 0 else ()
         outputs = Outputs(set_point=SetPoint(depth_m=0.4), state=shown, says=letters)
         yield entry(STEP_OUT.name, now_ns, n, encode(outputs))
+
+
+def recorded(image: np.ndarray, number: int, seen: Sighting, lossless: bool = False) -> tuple[Entry, Entry]:
+    return frame_entries("r1", number, seen.t_ns, image, (0, 0, 640, 480), seen, lossless)
 
 
 def traffic(robots: int, cameras: int) -> Iterator[Entry]:
@@ -103,7 +106,7 @@ def traffic(robots: int, cameras: int) -> Iterator[Entry]:
                 key = topics.key(topics.STATE, fleet="tank", robot=name)
                 yield entry(f"/zenoh/{key}", now_ns, n, encode(state(name, n, now_ns)))
         for k in range(cameras):
-            data = picture(frame((n + k) % 20), (0, 0, 640, 480), sighting(n, now_ns), lossless=False)
+            data = recorded(frame((n + k) % 20), 1, sighting(n, now_ns))[0].data
             yield entry(f"/zenoh/aucamp/tank/camera/{names[k]}", now_ns, n, data)._replace(expendable=True)
 
 

@@ -97,7 +97,7 @@ def _frames(folder: Path) -> Path:
     clock = PacedClock(START_NS, 1.0)
     run = {"kind": "black box", "robot": "r1", "incarnation": 1}
     with black_box_log(folder, FLEET, "r1", CALIBRATION, run, True) as log:
-        box = BlackBoxWriter(log, clock.now_ns)
+        box = BlackBoxWriter(log, "r1", clock.now_ns)
         for step in range(11):
             clock.go_on(STEP_NS * 1e-9)
             small = cv2.resize(disc(step), (SMALL[2], SMALL[3]))

@@ -29,12 +29,13 @@ from replay.check.explain import explain
 from replay.check.update import update_recordings
 from replay.check.vision_check import check_vision
 from replay.files.auto_recover import auto_recovered
-from replay.files.info import info, info_all
+from replay.files.info import info
 from replay.files.log import read
 from replay.files.recover import recover_all
 from replay.files.suspect import suspecting
 from replay.report.report import report
 from replay.report.run import open_run
+from replay.story.told import info_all
 from tests.fuzz.recording_bases import bases
 from tests.fuzz.recording_mutants import BYTES, rewritten
 from tests.replay.small_box import flat

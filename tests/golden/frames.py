@@ -21,8 +21,8 @@ from agent.kernel.step_io import Inputs, Sighting, SweepPlan
 from agent.kernel.toml_files import dump
 from agent.perception.rerun_vision import rerun_vision
 from replay.files.backlog import Entry
-from replay.files.channels import FRAME, STEP_IN, STEP_OUT, VISION
-from replay.files.frames import picture
+from replay.files.channels import STEP_IN, STEP_OUT, VISION
+from replay.files.frames import frame_entries
 from replay.files.mcap_file import Part
 from tests.known_lens import FITTED
 from tests.network.scripted_agent import CALIBRATION
@@ -64,8 +64,9 @@ class PaintedCamera:
         then = self._see(image, PART, then, self._first)
         if sweep and then.found:
             self._first = self._first or then
-        for channel, data in ((FRAME.name, picture(image, PART, then, False)), (VISION.name, encode(then))):
-            self._box.add(Entry(channel, now_ns, now_ns, self._frames, data, "msgpack", {}))
+        for entry in frame_entries("r1", self._frames, now_ns, image, PART, then, False):
+            self._box.add(entry)
+        self._box.add(Entry(VISION.name, now_ns, now_ns, self._frames, encode(then), "msgpack", {}))
         self._frames += 1
         return (then,)
 

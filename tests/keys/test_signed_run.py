@@ -116,7 +116,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
                 script,
                 Motors(script),
                 ends[name],
-                BlackBoxWriter(log, clock).step,
+                BlackBoxWriter(log, name, clock).step,
                 Now(clock),
                 sign=keys.sign,
                 keys=keys.changed,

@@ -139,7 +139,7 @@ def main(fleet_path: Path, name: str, out: Path, ahead_s: float | None = None) -
         log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, incarnation), attachments))
         network = stack.enter_context(Transport(fleet, name, clock.now_ns))
         stack.callback(say_goodbye, agent, network, clock)
-        box = BlackBoxWriter(log, clock.now_ns)
+        box = BlackBoxWriter(log, name, clock.now_ns)
         loop = Runtime(
             name,
             agent,

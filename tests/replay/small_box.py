@@ -52,7 +52,7 @@ def flat(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth:
 
 
 def fill(log: LogWriter, clock: PacedClock, lossless: bool = False) -> None:
-    box = BlackBoxWriter(log, clock.now_ns, lossless, RateNotes(clock, clock.unix_ns))
+    box = BlackBoxWriter(log, "r1", clock.now_ns, lossless, RateNotes(clock, clock.unix_ns))
     for step in range(STEPS):
         clock.go_on(STEP_NS * 1e-9)
         now_ns = clock.now_ns()

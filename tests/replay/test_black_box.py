@@ -50,7 +50,7 @@ def test_the_inputs_that_broke_a_step_are_recorded(tmp_path: Path) -> None:
     log = black_box_log(tmp_path, FLEET, "r1", CALIBRATION, {"kind": "black box"}, views=True)
     still = Still()
     with pytest.raises(ZeroDivisionError), log:
-        box = BlackBoxWriter(log, lambda: START_NS)
+        box = BlackBoxWriter(log, "r1", lambda: START_NS)
         Runtime("r1", Breaks(), StillCamera(), still, still, box.step, SystemClock()).run(threading.Event())
     records = [record for record in read(log.path) if record.channel in (STEP_IN.name, STEP_OUT.name)]
     assert [(record.channel, record.sequence) for record in records] == [

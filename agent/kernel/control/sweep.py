@@ -152,31 +152,43 @@ class Sweep:
             self._last, self._failures, self._halvings = None, 0, int(too_long)
 
     def _result(self, number: int) -> Measurement | Rejected:
-        good = [f for f in self._frames if f.found and f.focus is not None and f.clarity is not None]
-        if len(good) < FOUND_SHARE * len(self._frames):
-            return Rejected(number, f"target seen in {len(good)} of {len(self._frames)} frames")
-        moved = how_moved(good, self._tilts)
-        if moved is not None:
-            return Rejected(number, moved, too_long=True)
+        good = usable(number, self._frames, self._tilts)
+        if isinstance(good, Rejected):
+            return good
         if self._last is None and not self._remarked:
             self._remark = short_of_infinity(self._fit, [f.focus for f in self._frames if f.focus is not None])
             self._remarked = True
-        held_width = None if self._last is None else self._last.width
-        peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], held_width)
-        if not isinstance(peak, Peak):
-            return Rejected(number, peak.reason, held_width=held_width)
-        sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
-        assert sharpest.centre_px is not None
-        return Measurement(
-            sweep=number,
-            t_ns=sharpest.t_ns,
-            lens_position=peak.lens_position,
-            sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
-            width=peak.width,
-            held_width=held_width,
-            outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
-            quality=peak.quality,
-        )
+        return peak_of(number, good, None if self._last is None else self._last.width)
+
+
+def usable(
+    number: int, frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]
+) -> list[Sighting] | Rejected:
+    """The frames of a sweep that show the target, where they are enough and belong together."""
+    good = [f for f in frames if f.found and f.focus is not None and f.clarity is not None]
+    if len(good) < FOUND_SHARE * len(frames):
+        return Rejected(number, f"target seen in {len(good)} of {len(frames)} frames")
+    moved = how_moved(good, tilts_deg)
+    return good if moved is None else Rejected(number, moved, too_long=True)
+
+
+def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> Measurement | Rejected:
+    """What usable frames measure; `held_width`: of the peak that a tracking sweep follows, None: it is free."""
+    peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], held_width)
+    if not isinstance(peak, Peak):
+        return Rejected(number, peak.reason, held_width=held_width)
+    sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
+    assert sharpest.centre_px is not None
+    return Measurement(
+        sweep=number,
+        t_ns=sharpest.t_ns,
+        lens_position=peak.lens_position,
+        sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
+        width=peak.width,
+        held_width=held_width,
+        outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
+        quality=peak.quality,
+    )
 
 
 def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]) -> str | None:

@@ -30,8 +30,8 @@ from agent.launch import crew, wait_for
 from agent.run_folder import temporary_folder
 from agent.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
-from replay.files.channels import FRAME, STEP_IN, VISION, network_topic
-from replay.files.frames import MAX_FRAME, Picture, pixels
+from replay.files.channels import STEP_IN, VISION, network_topic
+from replay.files.frames import Frames, pixels
 from replay.files.log import info, read
 from tests.dive_timing import nothing_came_late
 from tests.network.dives.dive_of_two import ENDS_S
@@ -202,13 +202,12 @@ def test_a_thing_in_a_box_is_found_measured_and_told(run: Path, tmp_path) -> Non
 
 def first_view(file: Path) -> tuple[np.ndarray, tuple[float, float, float, float]]:
     """The first whole frame of a recording that shows the ball, and a box around it, drawn as a person would."""
-    picture = None
+    frames = Frames()
     for record in read(file):
-        if record.channel == FRAME.name:
-            picture = decode(record.data, Picture, limit=MAX_FRAME)
-        elif record.channel == VISION.name and picture is not None and not picture.sweep:
-            seen = decode(record.data, Sighting)
-            if seen.found and seen.centre_px and seen.radius_px:
+        frames.take(record.channel, record.sequence, record.data)
+        if record.channel == VISION.name:
+            seen, picture = decode(record.data, Sighting), frames.at(record.sequence)
+            if picture is not None and not picture.sweep and seen.found and seen.centre_px and seen.radius_px:
                 (u, v), side = seen.centre_px, 2.0 * seen.radius_px
                 x, y = max(0.0, u - side / 2), max(0.0, v - side / 2)
                 return pixels(picture), (x, y, min(side, 640 - x), min(side, 480 - y))

@@ -202,7 +202,7 @@ def test_a_file_without_a_step_cannot_be_checked(tmp_path: Path) -> None:
     ("changes", "match"),
     [
         ({"run": {"schema": "99"}}, "message schema 99, ours is"),
-        ({"run": {"kind": "fleet"}}, "no black box|is not the black box"),
+        ({"run": {"kind": "fleet"}}, "recording of a fleet, which holds no inputs|is not the black box"),
         ({"run": {"part": "2"}}, "build on those before"),
         ({"without": ("incarnation",)}, "has no incarnation"),
         ({"without": ("calibration.toml",)}, r"has no calibration\.toml"),
@@ -216,7 +216,7 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(tmp_path: Path, changes:
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no black box"):
+    with pytest.raises(ConfigError, match="has no recording"):
         check([tmp_path])
 
 

@@ -81,8 +81,24 @@ def test_being_told_and_holding_are_told_apart() -> None:
 
 def test_a_robot_that_was_left_out_is_named() -> None:
     shown = explain(GOLDEN / "liar" / "r1.mcap")
-    assert "The protocol calls the outcome outlier." in shown
-    assert "left out" in next(line for line in shown.splitlines() if line.startswith("  r3:"))
+    assert "The outcome is 'outlier': one contradicts the others and is left out." in shown
+    counts = shown.split("Whose measurements are in the estimate:\n")[1]
+    assert "left out" in next(line for line in counts.splitlines() if line.startswith("  r3:"))
+
+
+def test_what_is_heard_and_whose_measurements_count_are_told_apart() -> None:
+    """With `evidence` a robot counts whether or not it is heard now, so nobody is said not to count who does."""
+    file = GOLDEN / "three_evidence" / "r1.mcap"
+    _, _, state = first(file, lambda state: state.explain is not None and len(state.explain.weights) == 3)
+    shown = explain(file, str(state.t))
+    assert "that counted" not in shown
+    assert "It joined all that it knows of what robots have measured" in shown
+    heard, counts = shown.split("What it heard:\n")[1].split("Whose measurements are in the estimate:\n")
+    assert "weight" not in heard
+    assert counts.count("weight") == 3
+    assert "  r1 (itself): weight " in counts
+    alone = explain(file, str(first(file, lambda state: state.t == 1)[2].t))
+    assert "Whose measurements are in the estimate: nobody's." in alone
 
 
 @pytest.mark.parametrize("at", ["soon", "-1", "1.5", "step:x", "0"])

@@ -8,8 +8,9 @@ from mcap.writer import Writer
 
 from agent.kernel.config import ConfigError
 from replay.files.backlog import Entry
-from replay.files.info import describe, info, info_all
+from replay.files.info import describe, info
 from replay.files.log import LogWriter
+from replay.story.told import info_all
 from tests.replay.small_box import STEPS, write_box
 
 

@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 from agent.kernel.config import ConfigError
+from agent.kernel.messages import LogLine
 from agent.kernel.toml_files import dump
 from replay.check.black_box import open_boxes
 from replay.report.errors import error_table, relative_percent
 from replay.report.figures_posture import hover, thin
 from replay.report.report import report
 from replay.report.robot_timeline import timelines
+from replay.report.run import open_run
+from replay.report.tables import events, remarks
 from tests.places import GOLDEN
 from tests.replay.page_tables import table
 from tests.replay.rewritten import rewritten
@@ -111,6 +114,11 @@ def test_errors_are_those_of_priors_and_late_posteriors(run: Path) -> None:
     assert x.rmse == pytest.approx(1e3 * np.sqrt((priors[:, 0] ** 2).mean()))
     assert rows["r1", "prior", "3-D"].largest == pytest.approx(1e3 * np.linalg.norm(priors, axis=1).max())
     assert rows["r1", "posterior", "x"].within_2_sigma is not None
+    # Of its measurements a robot states one sigma, of their distance in space.
+    assert [rows["r1", "prior", axis].within_2_sigma for axis in "xyz"] == [None] * 3
+    shown = [(np.linalg.norm(np.subtract(s.prior_m, TRUTH_M)), s.prior_sigma_m) for _, s in found[0].measured]
+    inside = np.mean([error_m <= 2 * sigma_m for error_m, sigma_m in shown])
+    assert rows["r1", "prior", "3-D"].within_2_sigma == pytest.approx(inside)
     assert rows["r1", "posterior", "3-D"].rmse < rows["r1", "prior", "3-D"].rmse
     assert relative_percent((1.0, 0.0, 0.01), (1.0, 0.0, 0.0)) == pytest.approx(1.0)
 
@@ -128,6 +136,25 @@ def test_a_robot_that_started_again_has_one_timeline(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(GOLDEN / "outage", tmp_path / "outage"))
     events = table(report(folder).read_text(), "valid")
     assert ["r3", "starts again"] in [[row[0], row[2]] for row in events]
+
+
+def test_what_came_again_and_again_is_one_row_and_hides_nobody_s_view(run: Path) -> None:
+    texts = ["no frames for 1.0 s", "over: no frames", "stone: sees since iteration 9", "no frames for 1.5 s"]
+    texts[3:] = [texts[3], f"{texts[3]} (3 times more in 1.0 s)"]
+    lines = tuple((float(k), LogLine(robot="r1", sent_ns=k, level="info", text=text)) for k, text in enumerate(texts))
+    about = open_run(run)
+    about = about._replace(timelines=[about.timelines[0]._replace(log=lines)])
+    assert events(about).rows[1:] == [["r1", "2.0", "stone: sees since iteration 9"]]
+    found = remarks(about)
+    assert found is not None and found.rows[1:] == [["r1", "5", "0.0", "4.0", "no frames for 1.0 s"]]
+    assert remarks(about._replace(timelines=[about.timelines[0]._replace(log=lines[2:3])])) is None
+
+
+def test_every_table_and_figure_says_what_to_see(page: str) -> None:
+    for section in re.findall(r"<section.*?</section>", page, re.DOTALL):
+        notes = [len(note) for note in re.findall(r'<p class="note">(.*?)</p>', section, re.DOTALL)]
+        assert len(notes) == 1 + section.count("<table>")
+        assert min(notes) > 40
 
 
 def test_without_a_truth_nothing_is_compared_with_one(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from agent.kernel.codec import encode
 from agent.kernel.ranging.focus import lens_position
 from agent.kernel.step_io import Sighting
 from agent.pictures.recorded_depth import BLOCK_PX, growth, sweep_depth
-from replay.files.channels import FRAME, VISION, entry_on
-from replay.files.frames import picture
+from replay.files.channels import VISION, entry_on
+from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read
 from replay.report.report import report
 from replay.viewers.whole_sweeps import SweepFrame, points, whole_sweeps
@@ -94,8 +94,8 @@ def test_growth_is_a_line_through_the_radii() -> None:
 def write_sweep(log: LogWriter, sweep: list[SweepFrame], lost: int | None = None) -> None:
     for n, frame in enumerate(sweep):
         if n != lost:
-            data = picture(frame.image, frame.roi, frame.sighting, False)
-            log.put(entry_on(FRAME, n, n, n, data, expendable=True))
+            for entry in frame_entries("r1", n, n, frame.image, frame.roi, frame.sighting, False):
+                log.put(entry)
         log.put(entry_on(VISION, n, n, n, encode(frame.sighting)))
 
 

@@ -23,7 +23,7 @@ from agent.kernel.ranging.camera_model import camera_pose
 from agent.kernel.step_io import Sighting
 from replay.files.backlog import Entry
 from replay.files.channels import FRAME, VISION
-from replay.files.frames import MAX_FRAME, Picture, pixels
+from replay.files.frames import EXACT_EVERY, Frames, pixels
 from replay.files.info import info
 from replay.files.log import read
 from replay.viewers import rerun_blueprint
@@ -50,10 +50,11 @@ SCHEMAS = {  # channel -> what Foxglove decodes it as, what Rerun shows it as
     "/r1/target/prior": ("foxglove.PoseInFrame", "InstancePoses3D"),
     "/r1/tf": ("foxglove.FrameTransforms", "Transform3D"),
 }
-RAW = {
+RAW = {  # bytes to a viewer
     *("/raw/clock", "/raw/frame", "/raw/serial/from_board", "/raw/serial/to_board"),
     *("/raw/step_in", "/raw/step_out", "/raw/vision"),
 }
+PICTURES = {"/r1/camera/image", "/r1/sweep/image"}  # viewers draw what replay reads
 
 
 @pytest.fixture(scope="module")
@@ -111,21 +112,23 @@ def test_viewer_channels_can_be_derived_again(box: Path) -> None:
     """The recording's own, message for message, from its raw channels."""
     derive, made, recorded = ViewerChannels(FLEET, "r1", CALIBRATION, flat), [], []
     for record in read(box):
-        if record.channel in SCHEMAS:
+        if record.channel in SCHEMAS.keys() - PICTURES:
             recorded.append(record)
         else:
             made += [entry[:5] for entry in derive(Entry(*record, "msgpack", {}))]
     assert made == recorded
 
 
-def test_they_can_be_left_out(tmp_path: Path, box: Path) -> None:
+def test_they_can_be_left_out_but_for_the_pictures(tmp_path: Path, box: Path) -> None:
+    """Which are what vision is replayed with; so both recordings hold each frame, and hold it once."""
     bare = write_box(tmp_path, views=False)
-    assert info(bare).channels.keys() == RAW
-    raw = [(record.channel, record.data) for record in read(box) if record.channel in RAW]
-    assert [(record.channel, record.data) for record in read(bare)] == raw
-    # A copy of a frame costs next to nothing in the frame's own chunk; where a chunk ends between the two it costs as
-    # much as the frame. Of the small frames here one chunk holds some eight, and 13 to 15 % were measured.
-    assert bare.stat().st_size > 0.8 * box.stat().st_size
+    assert info(bare).channels.keys() == RAW | PICTURES
+    kept = [(record.channel, record.data) for record in read(box) if record.channel in RAW | PICTURES]
+    assert [(record.channel, record.data) for record in read(bare)] == kept
+    abouts = [data for channel, data in kept if channel == FRAME.name]
+    pictures = [data for channel, data in kept if channel in PICTURES]
+    assert len(pictures) == len(abouts) == STEPS
+    assert max(map(len, abouts)) < 200 < 10_000 < min(map(len, pictures))
 
 
 def test_what_does_not_decode_has_no_viewer_channel() -> None:
@@ -135,20 +138,37 @@ def test_what_does_not_decode_has_no_viewer_channel() -> None:
 
 
 def test_frames_come_back(tmp_path: Path) -> None:
-    """Bit by bit where they are lossless, otherwise nearly; with what vision knew and what it said."""
+    """Bit by bit where they are lossless, as one in EXACT_EVERY always is, otherwise nearly; with what vision knew."""
     for lossless in (True, False):
         folder = tmp_path / str(lossless)
         folder.mkdir()
-        records = list(read(write_box(folder, lossless=lossless)))
-        pictures = [decode(record.data, Picture, MAX_FRAME) for record in records if record.channel == FRAME.name]
-        sightings = [decode(record.data, Sighting) for record in records if record.channel == VISION.name]
-        assert len(pictures) == len(sightings) == STEPS
-        for picture, sighting in zip(pictures, sightings, strict=True):
+        frames, found = Frames(), 0
+        for record in read(write_box(folder, lossless=lossless)):
+            frames.take(record.channel, record.sequence, record.data)
+            if record.channel != VISION.name:
+                continue
+            picture, sighting = frames.at(record.sequence), decode(record.data, Sighting)
+            assert picture is not None
             for name in ("t_ns", "frame", "sweep", "index", "focus"):
                 assert getattr(picture, name) == getattr(sighting, name)
             x, y, width, height = picture.roi
             error = np.abs(pixels(picture).astype(int) - disc(picture.frame)[y : y + height, x : x + width])
-            assert error.max() == 0 if lossless else error.mean() < 6.0
+            exact = lossless or record.sequence % EXACT_EVERY == 0
+            assert (picture.format, error.max() == 0) == (("png", True) if exact else ("jpeg", False))
+            assert error.mean() < 6.0
+            found += 1
+        assert found == STEPS
+
+
+@pytest.mark.parametrize("gone", ["/r1/sweep/image", FRAME.name])
+def test_a_frame_that_lost_its_picture_or_what_belongs_to_it_is_no_other_frame(box: Path, gone: str) -> None:
+    frames, missing = Frames(), []
+    for record in read(box):
+        if record.channel != gone or record.sequence != 5:
+            frames.take(record.channel, record.sequence, record.data)
+        if record.channel == VISION.name and frames.at(record.sequence) is None:
+            missing.append(record.sequence)
+    assert missing == [5]
 
 
 def rotate(turn: Turn, v: tuple[float, float, float]) -> np.ndarray:
@@ -218,7 +238,9 @@ def run(command: list[str], home: Path) -> str:
 
 
 def test_pymcap_cli_finds_no_error(box: Path, tmp_path: Path) -> None:
-    assert "passed MCAP doctor checks" in run([tool("pymcap-cli"), "doctor", str(box)], tmp_path)
+    said = run([tool("pymcap-cli"), "doctor", str(box)], tmp_path)
+    assert "passed MCAP doctor checks" in said or ": 0 errors," in said
+    assert set(re.findall(r"\b[A-Z]+(?:_[A-Z]+)+\b", said)) <= {"CHUNK_COMPRESSION_INEFFICIENT"}  # one PNG is a chunk
 
 
 def test_rerun_accepts_the_file_and_shows_each_channel_as_what_it_is(box: Path, tmp_path: Path) -> None:

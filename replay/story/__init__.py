@@ -1,0 +1,1 @@
+"""A dive told in words, from one recording."""

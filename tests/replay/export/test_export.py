@@ -1,0 +1,161 @@
+"""Tables, films and lines of JSON hold what the recordings do, of every kind of recording."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+from typer.testing import CliRunner
+
+from agent.__main__ import app
+from agent.kernel.codec import decode
+from agent.kernel.config import ConfigError
+from agent.kernel.step_io import Inputs, Outputs, Sighting
+from replay.check.black_box import open_box
+from replay.export.film import FPS, write_film
+from replay.export.json_lines import lines, write_lines
+from replay.export.source import recordings_of
+from replay.export.tables import write_tables
+from replay.files.channels import VISION
+from replay.files.info import info
+from replay.files.log import read
+from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
+from tests.replay.small_box import STEPS, write_box
+
+SEEN = GOLDEN / "seen" / "r1.mcap"
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    with file.open(encoding="utf-8", newline="") as text:
+        return list(csv.DictReader(text))
+
+
+def test_the_tables_of_a_black_box_hold_what_its_steps_do(tmp_path: Path) -> None:
+    files = write_tables(SEEN, tmp_path / "out")
+    assert [file.name for file in files] == ["r1_state.csv", "r1_telemetry.csv", "r1_sightings.csv", "r1_sweeps.csv"]
+    steps = list(open_box(SEEN).steps())
+    taken = [decode(step.inputs, Inputs, limit=10**6) for step in steps]
+    telemetry, sightings = (rows(tmp_path / "out" / f"r1_{kind}.csv") for kind in ("telemetry", "sightings"))
+    assert len(telemetry) == sum(len(inputs.telemetry) for inputs in taken)
+    first = taken[0].telemetry[0]
+    assert float(telemetry[0]["sensor4_depth_m"]) == first.sensor_depth_m[3]
+    assert float(telemetry[0]["time_s"]) == pytest.approx((first.t_ns - steps[0].now_ns) * 1e-9, abs=1e-6)
+    seen = [sighting for inputs in taken for sighting in inputs.sightings]
+    assert [float(row["clarity"]) for row in sightings] == [sighting.clarity for sighting in seen]
+    assert [row["sweep"] for row in sightings] == [str(each.sweep) if each.sweep else "" for each in seen]
+    outcomes = [made for step in steps if (made := decode(step.outputs or b"", Outputs, limit=10**6).outcome)]
+    sweeps = rows(tmp_path / "out" / "r1_sweeps.csv")
+    assert [float(row["peak_lens_position"]) for row in sweeps] == [made.lens_position for made in outcomes]
+    last = rows(tmp_path / "out" / "r1_state.csv")[-1]
+    assert (last["target"], last["knows"]) == ("ball", "sees")
+
+
+def test_of_a_fleet_file_there_is_what_robots_show_and_no_text_is_a_formula(tmp_path: Path) -> None:
+    fleet = overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap")
+    files = write_tables(fleet, tmp_path / "out")
+    assert {file.name for file in files} == {f"{r}_{kind}.csv" for r in ("r1", "r2", "r3") for kind in ("state", "log")}
+    boxes = write_tables(GOLDEN / "outage", tmp_path / "boxes", "r1")
+    assert {file.name.split("_")[0] for file in boxes} == {"r1"}
+    shown, known = rows(tmp_path / "out" / "r1_state.csv"), rows(tmp_path / "boxes" / "r1_state.csv")
+    assert [row["posterior_x_m"] for row in shown] == [row["posterior_x_m"] for row in known]
+    assert all(not row["text"].startswith(("=", "+", "-", "@")) for row in rows(tmp_path / "out" / "r1_log.csv"))
+
+
+def test_every_message_is_a_line_and_decoded(tmp_path: Path) -> None:
+    box = write_box(tmp_path)
+    count = write_lines(box, tmp_path / "all.jsonl")
+    said = [json.loads(line) for line in (tmp_path / "all.jsonl").read_text().splitlines()]
+    assert count == len(said) == sum(channel.messages for channel in info(box).channels.values())
+    of = {line["channel"]: line["message"] for line in reversed(said)}  # the first of each
+    assert of["/raw/step_out"]["state"]["posterior_m"] == [0.76, 0.56, 0.07]
+    assert of["/raw/serial/from_board"] == {"base64": "AXRlbGVtZXRyeQA="}
+    assert of["/r1/plot/attitude"]["sensor4_depth_m"] == 0.41
+    assert of["/r1/target/estimate"]["pose"]["position"]["x"] == 0.76
+    assert of["/r1/camera/image"]["format"] == "png"
+    recorded = [record for record in read(box) if record.channel == VISION.name]
+    (only,) = {line["channel"] for line in map(json.loads, lines([box], [VISION.name]))}
+    assert only == VISION.name
+    again = [json.loads(line)["message"]["clarity"] for line in lines([box], [VISION.name])]
+    assert again == [decode(record.data, Sighting).clarity for record in recorded]
+
+
+def test_what_neighbours_said_is_decoded_and_a_robot_can_be_picked(tmp_path: Path) -> None:
+    heard = [
+        each
+        for line in lines([GOLDEN / "outage" / "r2.mcap"], ["/raw/step_in"])
+        for each in json.loads(line)["message"]["heard"]
+    ]
+    assert {each["payload"]["src"] for each in heard} == {"r1", "r3"}
+    fleet = overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap")
+    channels = {json.loads(line)["channel"] for line in lines([fleet], robot="r3")}
+    assert channels
+    assert all("r3" in channel.split("/") for channel in channels)
+    with pytest.raises(ConfigError, match="no channel /raw/opinion in"):
+        list(lines([fleet], ["/raw/opinion"]))
+
+
+@pytest.mark.parametrize("today", [True, False])
+def test_a_film_lasts_as_long_as_the_dive_and_shows_the_outline(tmp_path: Path, today: bool) -> None:
+    """Of a recording of today, and of one from when frames stood elsewhere in the file."""
+    box = write_box(tmp_path) if today else SEEN
+    count = write_film(box, tmp_path / "r1.mp4")
+    stamps = [record.publish_time_ns for record in read(box) if record.channel == VISION.name]
+    assert count == round((stamps[-1] - stamps[0]) * 1e-9 * FPS) + 1
+    film = cv2.VideoCapture(str(tmp_path / "r1.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == FPS
+    frames = [image for got, image in iter(film.read, (False, None)) if got]
+    assert len(frames) == count
+    assert frames[0].shape == (480, 640, 3)
+    if today:
+        blue, green, red = frames[count // 2][240, 410].astype(int)  # on the disc's rim
+        assert green > max(blue, red) + 30
+
+
+def test_a_torn_recording_is_mended_first_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    torn = tmp_path / "r1.mcap.active"
+    torn.write_bytes((GOLDEN / "torn" / "r1.mcap.active").read_bytes())
+    out = tmp_path / "r1.jsonl"
+    command = ["export", str(torn), "--json", "--out", str(out)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    assert "was torn, mended as" in done.output
+    assert "lines written to" in done.output
+    before = out.read_bytes()
+    with pytest.raises(ConfigError, match="is there already, and nothing is overwritten"):
+        CliRunner().invoke(app, command, catch_exceptions=False)
+    assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--out", "x"], "say what to write: one of --csv, --mp4 and --json"),
+        (["--csv", "--json", "--out", "x"], "say what to write"),
+        (["--csv", "--channel", "/raw/vision", "--out", "x"], "--channel is for --json"),
+        (["--mp4", "--out", "x.avi"], "a film's name ends in .mp4"),
+        (["--mp4", "--robot", "r1", "--out", "x.mp4"], "has no pictures of r1; agents record them"),
+        (["--mp4", "--out", "x.mp4"], "has pictures of r1, r2, r3; say with --robot"),
+        (["--csv", "--robot", "r9", "--out", "x"], "has nothing of a robot 'r9'; there is r1, r2, r3"),
+        (["--json", "--robot", "r9", "--out", "x"], "has no message of a robot 'r9'"),
+    ],
+)
+def test_what_cannot_be_had_is_one_line_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=says) as error:
+        CliRunner().invoke(app, ["export", str(GOLDEN / "three"), *options], catch_exceptions=False)
+    assert "\n" not in str(error.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="has no recording"):
+        recordings_of(tmp_path)
+    assert len(recordings_of(GOLDEN / "outage")) == 4
+
+
+def test_a_robot_that_recorded_steps_alone_has_steps() -> None:
+    assert sum(1 for _ in lines([GOLDEN / "two" / "r1.mcap"], ["/raw/step_in"])) > STEPS

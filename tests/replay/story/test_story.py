@@ -1,0 +1,87 @@
+"""The story of a dive: what happened is in it, and what did not is not."""
+
+import json
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from typer.testing import CliRunner
+
+from agent.__main__ import app
+from agent.kernel.config import ConfigError
+from agent.kernel.messages import Message, State
+from replay.files.info import info
+from replay.story.facts import story_facts
+from replay.story.told import info_all
+from replay.story.words import listed, story
+from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
+
+
+def told(path: Path) -> str:
+    facts = story_facts(path)
+    assert facts is not None
+    return story(facts, info(path))
+
+
+def test_who_told_whom_and_what_came_of_it() -> None:
+    text = told(GOLDEN / "outage" / "r2.mcap")
+    assert text.startswith("Robot r2 of the fleet tank dived for 21.8 s from 2026-01-01 00:00:00 UTC.")
+    assert "r2 was told of the target ball by r1 after 5.0 s and saw it itself after 8.6 s." in text
+    assert "it placed it at (760.0, 560.0, 70.0) ± 0.7 mm, from 14 measurements of its own." in text
+    assert text.endswith("The file is whole: it was finished by its writer.")
+    assert "found the target ball by itself after 4.6 s." in told(GOLDEN / "outage" / "r1.mcap")
+
+
+def test_a_robot_that_never_knew_and_a_torn_file() -> None:
+    assert "The file is not whole" in told(GOLDEN / "torn" / "r1.mcap.active")
+    (robot,) = (story_facts(GOLDEN / "empty" / "r1.mcap") or {})["targets"]["ball"]["robots"].values()
+    assert robot["estimate_m"] is None or robot["knows"] != "blind"
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of r1 to r3, of which r2 loses sight of the ball for a second and r3 has a fault."""
+
+    def change(message: Message) -> Message:
+        if isinstance(message, State) and message.robot == "r2" and 60 <= message.seq < 65:
+            return replace(message, knows="told")
+        if isinstance(message, State) and message.robot == "r3" and 30 <= message.seq < 35:
+            return replace(message, faults=("camera: none",))
+        return message
+
+    return overheard_run(GOLDEN / "outage", tmp_path_factory.mktemp("fleet") / "fleet.mcap", change)
+
+
+def test_of_a_fleet_all_robots_and_what_they_agreed_on(fleet: Path) -> None:
+    text = told(fleet)
+    assert text.startswith("Robots r1, r2 and r3 of the fleet tank dived for")
+    assert "It lost sight of it at 11.8 s for 1.0 s." in text
+    assert "It had a fault (camera: none), first at 5.8 s and last at 20.6 s." in text
+    assert "It started again at 14.0 s." in text  # r3
+    assert "At the end they place the target ball within 0.0" in text
+    assert text.count("It had no faults.") == 2
+
+
+def test_info_tells_it_and_programs_get_the_same_facts(fleet: Path) -> None:
+    plain = CliRunner().invoke(app, ["replay", "info", str(fleet)])
+    assert plain.exit_code == 0
+    assert " ".join(told(fleet).split()) in " ".join(plain.output.split())
+    programs = json.loads(CliRunner().invoke(app, ["replay", "info", "--json", str(fleet)]).output)
+    assert programs["story"] == json.loads(json.dumps(story_facts(fleet)))
+    lost = programs["story"]["targets"]["ball"]["robots"]["r2"]["losses"]
+    assert [round(loss["until_s"] - loss["from_s"], 3) for loss in lost] == [1.0]
+
+
+def test_a_folder_stands_for_its_recordings_and_one_without_is_refused(tmp_path: Path) -> None:
+    lines: list[str] = []
+    info_all([GOLDEN / "outage"], False, lines.append)
+    assert [line.splitlines()[0].rpartition("/")[2] for line in lines] == ["r1.mcap", "r2.mcap", "r3.2.mcap", "r3.mcap"]
+    with pytest.raises(ConfigError, match=r"has no recording \(\.mcap\) in it"):
+        info_all([tmp_path], False, lines.append)
+
+
+def test_words_are_listed_as_people_do() -> None:
+    assert [listed(words) for words in ([], ["r1"], ["r1", "r2"], ["r1", "r2", "r3"])] == [
+        "", "r1", "r1 and r2", "r1, r2 and r3",
+    ]  # fmt: skip

@@ -1,0 +1,64 @@
+"""`aucamp replay ...`: what a newcomer types wrong is one line that says what to give, and nothing is overwritten."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from agent.__main__ import app
+from agent.kernel.config import ConfigError
+from tests.places import GOLDEN, ROOT
+from tests.replay.rewritten import rewritten
+
+TANK = str(ROOT / "agent" / "fleets" / "tank.toml")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A fleet file alone, an empty folder, and a file that is none of ours."""
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "empty").mkdir()
+    rewritten(GOLDEN / "two" / "r1.mcap", tmp_path / "alone" / "fleet.mcap", run={"kind": "fleet"})
+    (tmp_path / "x.txt").write_text("x")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["check", "alone"], "alone: has only the recording of a fleet in it; give the black box of a robot"),
+        (["check", "--vision", "alone"], "alone: has only the recording of a fleet in it"),
+        (
+            ["check", "alone/fleet.mcap"],
+            "is the recording of a fleet, which holds no inputs of a robot; give",
+        ),
+        (["check", "empty"], r"empty: has no recording \(.mcap\) in it; give the black box of a robot"),
+        (["explain", "alone"], "alone: is a folder; give a recording in it, such as alone/r1.mcap"),
+        (["explain", "alone/fleet.mcap"], "is the recording of a fleet, which holds no inputs"),
+        (["recover", "empty"], "empty: is a folder; give a recording in it"),
+        (["report", "empty"], "empty: no recording and no summary.json; give the folder of a run"),
+        (["info", "empty"], r"empty: has no recording \(.mcap\) in it"),
+        (["info", "x.txt"], "x.txt: is no recording; give a file that ends in .mcap"),
+        (["layout", TANK, "--out", "x.txt"], "x.txt: is there already, and nothing is overwritten"),
+        (["report", "alone", "--out", "x.txt"], "x.txt: is there already, and nothing is overwritten"),
+    ],
+)
+def test_what_is_typed_wrong_is_one_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], says: str
+) -> None:
+    monkeypatch.chdir(folder)
+    with pytest.raises(ConfigError, match=says) as error:
+        CliRunner().invoke(app, ["replay", *words], catch_exceptions=False)
+    assert "\n" not in str(error.value)
+    assert (folder / "x.txt").read_text() == "x"
+
+
+def test_a_second_report_stands_beside_the_first(tmp_path: Path) -> None:
+    shutil.copy(GOLDEN / "two" / "r1.mcap", tmp_path)
+    (tmp_path / "report.html").write_text("the first")
+    done = CliRunner().invoke(app, ["replay", "report", str(tmp_path)])
+    assert done.exit_code == 0
+    assert f"written to {tmp_path / 'report.2.html'}" in done.output
+    assert (tmp_path / "report.html").read_text() == "the first"
+    assert "<svg" in (tmp_path / "report.2.html").read_text()
