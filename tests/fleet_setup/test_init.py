@@ -40,7 +40,19 @@ def test_robots_of_the_twin_have_room_and_r1_sees_the_ball(count: int, tmp_path:
         assert abs((bearing + 180.0) % 360.0 - 180.0) < 80.0, "it can turn its camera there"
         away_m = math.dist((x_m, y_m), solid.position_m[:2]) - REACH_M
         assert 0.35 < away_m < 1.0, name
+        for other in scene.solid:
+            if other is not solid:
+                room_m = beside_m((x_m, y_m), solid.position_m[:2], other.position_m[:2]) - max(other.radii_m)
+                assert room_m > max(solid.radii_m), f"a {other.kind} stands between {name} and the ball"
     assert demo_fleet(None, "evidence", 0.0, 0, False, tmp_path, path).robot.keys() == fleet.robot.keys()
+
+
+def beside_m(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, ...]) -> float:
+    """From a point to the way between two others."""
+    way, there = [e - s for e, s in zip(end, start, strict=True)], [p - s for p, s in zip(point, start, strict=True)]
+    share = sum(w * t for w, t in zip(way, there, strict=True)) / sum(w * w for w in way)
+    share = min(max(share, 0.0), 1.0)
+    return math.dist(there, [share * w for w in way])
 
 
 def clear_m(fleet: Fleet, scene: Scene, name: str) -> float:
