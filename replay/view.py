@@ -35,7 +35,7 @@ def view(
     try:
         import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
     except ImportError:
-        raise ConfigError("the live view needs the extra `view`: pip install 'aucamp[view]'") from None
+        raise ConfigError("the live view needs the extra `view`; in your clone: pip install -e '.[view]'") from None
     arrivals, rate, derive = Arrivals(clock.now_ns), RateNotes(clock), ViewerChannels(fleet)
     context = foxglove.Context()
     channels: dict[str, Any] = {}

@@ -27,16 +27,21 @@ def demo(
         int | None,
         typer.Option(help="How many: the first ones of the fleet file; if not given all, of the tank three."),
     ] = None,
-    protocol: Annotated[Protocol, typer.Option(help="How robots agree.")] = "evidence",
-    loss: Annotated[float, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")] = 0,
+    protocol: Annotated[Protocol | None, typer.Option(help="How robots agree.")] = None,
+    loss: Annotated[float | None, typer.Option(min=0.0, max=0.99, help="Share of link messages thrown away.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")
+    ] = None,
     duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds of the dive.")] = 120.0,
-    enhance: Annotated[bool, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = False,
+    enhance: Annotated[bool | None, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
 ) -> None:
-    """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report."""
+    """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report.
+
+    What is not given is as the fleet file has it.
+    """
     from agent.demo.demo import demo as dive
     from agent.demo.demo import keeping
     from agent.demo.display import verdict

@@ -96,7 +96,7 @@ def train_enhance(
         import safetensors  # noqa: F401
         import torch
     except ImportError as error:
-        raise ConfigError("training needs torch: pip install 'aucamp[train]'") from error
+        raise ConfigError("training needs torch: in your clone: pip install -e '.[train]'") from error
     from agent.training.command import cross_validation, plan_of, train
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth

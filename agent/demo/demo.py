@@ -50,11 +50,11 @@ SETTLE_M = 0.0015
 
 def demo(
     robots: int | None,
-    protocol: Protocol,
-    loss: float,
-    seed: int,
+    protocol: Protocol | None,
+    loss: float | None,
+    seed: int | None,
     duration_s: float,
-    enhance: bool,
+    enhance: bool | None,
     out: Path | None,
     console: Console,
     fleet_name: str = "tank",
@@ -62,7 +62,7 @@ def demo(
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
 
-    `robots`: the first so many of the file; None: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
+    `robots`, `protocol`, `loss`, `seed`, `enhance`: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
     comes with the package. `speed`: of the dive's clock against the wall's, at most.
 
     The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's

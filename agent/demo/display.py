@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shlex
 import shutil
 import sys
@@ -42,10 +43,13 @@ def how_to_look(fleet: Fleet, path: Path) -> list[str]:
 
 
 def program(name: str) -> str:
-    """A program of our environment as a shell finds it, whether or not the environment is activated."""
-    ours = Path(sys.executable).with_name(name)
-    found = shutil.which(name)
-    if not ours.exists() or (found and Path(found).resolve() == ours.resolve()):
+    """A program of our environment as a shell finds it, whether or not the environment is activated.
+
+    One that is not there yet is named as it will be when pip has brought it, if no other of that name is found.
+    """
+    ours, found = Path(sys.executable).with_name(name), shutil.which(name)
+    activated = any(Path(folder) == ours.parent for folder in os.get_exec_path())
+    if activated or (found and not ours.exists()):
         return name
     return shlex.quote(str(ours.relative_to(Path.cwd()) if ours.is_relative_to(Path.cwd()) else ours))
 

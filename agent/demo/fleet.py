@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -16,22 +17,24 @@ from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from hw.twin.scene import scene_of
 from hw.twin.targets import target_solids
 
+T = TypeVar("T", bound=msgspec.Struct)
 OF_THE_TANK = 3  # of its five robots, unless more are asked for: two cores render no more cameras at real time
 
 
 def demo_fleet(
     robots: int | None,
-    protocol: Protocol,
-    loss: float,
-    seed: int,
-    enhance: bool,
+    protocol: Protocol | None,
+    loss: float | None,
+    seed: int | None,
+    enhance: bool | None,
     folder: Path,
     path: Path | None = None,
 ) -> Fleet:
     """A fleet file, that of the tank if not given, with its first robots only, on ports that are free now.
 
-    `robots`: None for all of the file, of the tank three. `folder` is the twin's. It signs nothing: the keys that the
-    file names are of other computers. Raises ConfigError for what cannot dive in the twin, or not be judged there.
+    `robots`: None for all of the file, of the tank three; of `protocol`, `loss`, `seed` and `enhance` None is what the
+    file has. `folder` is the twin's. It signs nothing: the keys that the file names are of other computers. Raises
+    ConfigError for what cannot dive in the twin, or not be judged there.
     """
     path = path or shipped_fleet()
     fleet = load_fleet(path)
@@ -49,10 +52,10 @@ def demo_fleet(
         fleet,
         robot=kept,
         access=Access(),
-        estimation=replace(fleet.estimation, protocol=protocol),
-        link=replace(fleet.link, loss=loss, loss_seed=seed),
-        camera=replace(fleet.camera, enhance=enhance),
-        twin=replace(fleet.twin, seed=seed, dir=str(folder)),
+        estimation=_with(fleet.estimation, protocol=protocol),
+        link=_with(fleet.link, loss=loss, loss_seed=seed),
+        camera=_with(fleet.camera, enhance=enhance),
+        twin=_with(fleet.twin, seed=seed, dir=str(folder)),
     )
     return listening(fleet, [f"tcp/127.0.0.1:{port}" for port in free_ports(len(names))])
 
@@ -64,6 +67,11 @@ def listening(fleet: Fleet, endpoints: list[str]) -> Fleet:
         for (name, robot), endpoint in zip(fleet.robot.items(), endpoints, strict=True)
     }
     return msgspec.structs.replace(fleet, robot=robots)
+
+
+def _with(table: T, **asked: object) -> T:
+    """A table of the file, but for what was asked for."""
+    return msgspec.structs.replace(table, **{name: value for name, value in asked.items() if value is not None})
 
 
 def _first(fleet: Fleet, robots: int | None, path: Path) -> list[str]:

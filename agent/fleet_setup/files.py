@@ -103,8 +103,8 @@ def enhancement_findings(fleet: Fleet) -> Iterator[Finding]:
     if all(find_spec(package) for package in ("torch", "safetensors")):
         yield Finding("ok", "fleet", "[camera] enhance: the network can be used")
     else:
-        text = "[camera] enhance: torch is not there, so colours alone are mended; pip install 'aucamp[enhance]'"
-        yield Finding("warning", "fleet", text)
+        text = "[camera] enhance: torch is not there, so colours alone are mended"
+        yield Finding("warning", "fleet", f"{text}; in your clone: pip install -e '.[enhance]'")
 
 
 def disk_finding(folder: Path) -> Finding:

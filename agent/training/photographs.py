@@ -27,7 +27,7 @@ def photograph_files() -> list[Path]:
     places = [folder / "data" for folder in folders] + [folder / "mpl-data" / "sample_data" for folder in folders]
     found = [place / name for name in COLOURED + TEXTURES for place in places if (place / name).is_file()]
     if len(found) < len(COLOURED + TEXTURES):
-        raise ConfigError("the training photographs come with scikit-image: pip install 'aucamp[train]'")
+        raise ConfigError("the training photographs come with scikit-image: in your clone: pip install -e '.[train]'")
     return found
 
 

@@ -88,6 +88,9 @@ def test_a_program_is_named_as_a_shell_here_finds_it(tmp_path: Path, monkeypatch
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     assert program("aucamp") == str(bin_ / "aucamp")
-    assert program("zenoh") == "zenoh", "not installed here"
+    assert program("zenoh") == str(bin_ / "zenoh"), "where pip would put it"
+    (tmp_path / "elsewhere" / "zenoh").symlink_to(bin_ / "aucamp")
+    monkeypatch.setenv("PATH", str(tmp_path / "elsewhere"))
+    assert program("zenoh") == "zenoh", "not ours, but there"
     monkeypatch.setenv("PATH", str(bin_))
     assert program("aucamp") == "aucamp"

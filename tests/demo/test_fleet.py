@@ -39,6 +39,18 @@ def test_all_robots_of_a_file_dive_and_three_of_the_tank(
     assert list(fleet.robot) == list(load_fleet(path).robot)[:robots]
 
 
+def test_what_is_not_asked_for_is_as_the_file_has_it(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(dump(demo_fleet(2, "paper", 0.25, 7, True, tmp_path)))
+    for asked, protocol, loss, seed in (
+        ((None, None, None), "paper", 0.25, 7),
+        (("evidence", 0.0, 0), "evidence", 0.0, 0),
+    ):
+        fleet = demo_fleet(None, *asked, None, tmp_path, path)
+        assert (fleet.estimation.protocol, fleet.link.loss, fleet.link.loss_seed) == (protocol, loss, seed)
+        assert (fleet.twin.seed, fleet.camera.enhance) == (seed, True)
+
+
 @pytest.mark.parametrize(
     ("text", "robots", "message"),
     [

@@ -160,7 +160,7 @@ def test_pictures_scenes_extras_and_worlds(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(files, "find_spec", lambda name: None)
     checked = check(path, "r1", tmp_path)
     assert any("no picture for target 'stone'" in line for line in lines(checked, "wrong"))
-    assert any("pip install 'aucamp[enhance]'" in line for line in lines(checked, "warning"))
+    assert any("pip install -e '.[enhance]'" in line for line in lines(checked, "warning"))
     fleet = with_pictures(load_fleet(shipped_fleet("box_target")), tmp_path)
     path.write_text(dump(fleet))
     assert load_fleet(path).target["stone"].picture == str(tmp_path / "stone.jpg")

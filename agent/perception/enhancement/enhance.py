@@ -129,7 +129,7 @@ def choose(
 def missing(weights: Path | None) -> str | None:
     """What the network lacks on this machine, in words."""
     if find_spec("torch") is None or find_spec("safetensors") is None:
-        return "torch or safetensors is not installed (pip install 'aucamp[enhance]')"
+        return "torch or safetensors is not installed (in your clone: pip install -e '.[enhance]')"
     if weights is None and not shipped_weights().is_file():
         return "no weights are shipped with this version (give some with --weights)"
     return None
