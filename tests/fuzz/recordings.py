@@ -28,6 +28,9 @@ from replay.check.check import check, text
 from replay.check.explain import explain
 from replay.check.update import update_recordings
 from replay.check.vision_check import check_vision
+from replay.export.film import write_film
+from replay.export.json_lines import write_lines
+from replay.export.tables import write_tables
 from replay.files.auto_recover import auto_recovered
 from replay.files.info import info
 from replay.files.log import read
@@ -198,6 +201,22 @@ def in_folder(file: Path, harm: Harm) -> str:
     return f"exit {check(auto_recovered([file.parent], lambda line: None)).exit_code}"
 
 
+def exported(file: Path, harm: Harm) -> str:
+    """Tables, lines and a film: each is written whole or not at all, whatever the others come to."""
+    ended = []
+    for write, name in ((write_tables, "tables"), (write_lines, "lines.jsonl"), (write_film, "film.mp4")):
+        out = file.with_name(f"out_{name}")
+        try:
+            write(file, out)
+            ended.append("written")
+        except (ConfigError, Failed) as error:
+            assert "\n" not in str(error), f"{name}: no line: {error}"
+            assert not out.exists(), f"{name}: half of it was left, and said: {error}"
+            ended.append("refused")
+        shutil.rmtree(out) if out.is_dir() else out.unlink(missing_ok=True)
+    return ", ".join(ended)
+
+
 def command(file: Path, harm: Harm) -> str:
     for verb in (["info"], ["info", "--json"], ["check"], ["check", "--json"], ["explain"], ["recover"]):
         result = CliRunner().invoke(app, ["replay", *verb, str(file)])
@@ -207,7 +226,7 @@ def command(file: Path, harm: Harm) -> str:
 
 
 VERBS: tuple[Callable[[Path, Harm], str], ...] = (
-    *(informed, mended, checked, explained, gathered, page, seen_again, updated, in_folder, command),
+    *(informed, mended, checked, explained, gathered, page, seen_again, updated, in_folder, exported, command),
 )
 
 
