@@ -31,9 +31,15 @@ ERRORS = ["error mm", "% of |x*|", "% of range"]  # before all else: a phone sho
 def error_note(run: Run) -> str:
     if not run.truths_m:
         return "Nobody knows the truth of this run, so there is no error to show."
+    boxes = [name for name in run.truths_m if run.fleet.target[name].detector == "box"]
+    to_a_surface = (
+        f" Of a thing in a box ({', '.join(boxes)}) each robot measures the surface that faces it, and the truth here "
+        "is the thing's middle: errors up to its size are none. The verdict counts how far outside of it an estimate "
+        "lies (outside_mm in summary.json)."
+    )
     return (
         "A prior is one measurement by a robot's own camera; a posterior is what the robot believes after it has heard "
-        "the others. The truth comes from the twin; no robot knows it."
+        "the others. The truth comes from the twin; no robot knows it." + (to_a_surface if boxes else "")
     )
 
 

@@ -8,10 +8,11 @@ import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.kernel.config import ConfigError, Target
 from agent.kernel.messages import LogLine
 from agent.kernel.toml_files import dump
 from replay.check.black_box import open_boxes
@@ -20,7 +21,7 @@ from replay.report.figures_posture import hover, thin
 from replay.report.report import report
 from replay.report.robot_timeline import timelines
 from replay.report.run import open_run
-from replay.report.tables import events, remarks
+from replay.report.tables import error_note, events, remarks
 from tests.places import GOLDEN
 from tests.replay.page_tables import table
 from tests.replay.rewritten import rewritten
@@ -228,3 +229,12 @@ def test_a_browser_shows_it_within_the_width_of_its_screen(page: str, width: int
         assert wide > 300
         assert high > 80
     assert seen["cells"] > 60
+
+
+def test_of_a_thing_in_a_box_the_page_says_what_its_errors_are(run: Path) -> None:
+    of_a_ball = open_run(run)
+    (name,) = of_a_ball.truths_m
+    box = Target(detector="box", picture="stone.jpg", box=(1.0, 2.0, 30.0, 40.0))
+    of_a_box = of_a_ball._replace(fleet=msgspec.structs.replace(of_a_ball.fleet, target={name: box}))
+    assert "the thing's middle" not in error_note(of_a_ball)
+    assert f"Of a thing in a box ({name})" in error_note(of_a_box)
