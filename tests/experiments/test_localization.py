@@ -47,7 +47,7 @@ def test_noise_gain_is_that_of_the_theorem_to_rounding(protocol, weights, topolo
         assert [robot.posterior.x_m[0] for robot in swarm.robots] == pytest.approx(gain.tolist(), abs=1e-12)
 
 
-@pytest.mark.parametrize(("topology", "robots"), [("full", 3), ("ring", 10), ("line", 10)])
+@pytest.mark.parametrize(("topology", "robots"), [("full", 3), ("line", 10)])  # a ring: to rounding, above
 def test_paper_reaches_its_closed_form_within_5_percent(topology, robots) -> None:
     case = Case("paper", topology, robots, 150, (10, 40), noise="iso")
     for row in rows_of(case, score_draws(case, 0, 0, case.draws)):
