@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -14,11 +12,8 @@ from typing import NamedTuple
 
 from agent.clock import machine
 from agent.failure import Failed
-from agent.kernel.fleet_rules import MAX_PORT
 from agent.parent_watch import GRACE_S, ParentWatch, watched_by_us
 
-# Above the ports of the fleet files that ship and of the router, up to 29340: well below the ephemeral range.
-FIRST_PORT, PORTS_APART, PLACES = 17501, 8, 1480
 STOP_S = GRACE_S  # from SIGTERM to SIGKILL
 
 
@@ -126,24 +121,6 @@ def wait_for(what: str, ready: Callable[[], bool], processes: Crew, timeout_s: f
         if machine.monotonic_s() > deadline_s:
             raise Failed(f"{what} was not ready after {timeout_s:.0f} s")
         machine.sleep(0.05)
-
-
-def free_ports(count: int, first: int | None = None) -> list[int]:
-    """Ports on loopback that nobody listens on now, below the ephemeral range.
-
-    Where to begin depends on the process: two runs that choose at the same time do not choose the same. Raises Failed
-    where there are not so many.
-    """
-    first = first or FIRST_PORT + PORTS_APART * (os.getpid() % PLACES)
-    ports: list[int] = []
-    for port in range(first, MAX_PORT):
-        if len(ports) == count:
-            return ports
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(("127.0.0.1", port))
-            ports.append(port)
-    raise Failed(f"fewer than {count} free ports from {first} to {MAX_PORT}")
 
 
 def how_it_ended(child: Child) -> str:

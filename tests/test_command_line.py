@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 import agent
 from agent.__main__ import app
 from agent.failure import Failed
-from agent.launch import Child, Crew, crew, free_ports, wait_for
+from agent.launch import Child, Crew, crew, wait_for
+from agent.ports import free_ports
 from agent.run_folder import temporary_folder
 from tests.waiting import until
 

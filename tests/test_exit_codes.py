@@ -18,7 +18,7 @@ from agent.fleet_files import shipped_names
 from agent.kernel.config import ConfigError
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import dump
-from agent.launch import free_ports
+from agent.ports import free_ports
 from agent.run_folder import new_recording, temporary_folder
 from tests.known_lens import TWIN, TWIN_CAMERA
 

@@ -12,7 +12,7 @@ import socket
 import sys
 from collections.abc import Iterator, Sequence
 
-from agent.launch import free_ports
+from agent.ports import free_ports, is_free
 
 NAMES = sys.platform == "linux"
 
@@ -29,20 +29,6 @@ def reserved(wished: Sequence[str]) -> Iterator[list[str]]:
             if not NAMES:
                 break
         yield endpoints
-
-
-def is_free(endpoint: str) -> bool:
-    """Whether tcp/HOST:PORT is this computer's and nobody listens there. Connections that linger do not count."""
-    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-    try:
-        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)
-        for family, kind, protocol, _, address in found:
-            with socket.socket(family, kind, protocol) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as zenoh binds
-                probe.bind(address)
-    except OSError:
-        return False
-    return True
 
 
 def _hold(endpoints: Sequence[str], held: contextlib.ExitStack) -> bool:

@@ -11,9 +11,9 @@ import msgspec
 from agent.fleet_files import shipped_fleet
 from agent.kernel.config import Access, ConfigError, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
-from agent.launch import free_ports
 from agent.perception.detection.detectors import target_picture
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
+from agent.ports import free_ports
 from hw.twin.scene import scene_of
 from hw.twin.targets import target_solids
 

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import errno
 import os
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
 from agent.fleet_setup.finding import Finding
 from agent.kernel.config import Fleet
-
-Address = tuple[socket.AddressFamily, tuple[str | int | bytes, ...]]
+from agent.ports import addresses_of, bind_error
 
 
 def is_here(listen: str) -> bool | None:
     """Whether an endpoint of a fleet file is an address of this computer; None: there is no such host."""
-    found = resolved(listen)
-    if found is None:
+    found = addresses_of(listen)
+    if not found:
         return None
-    family, (host, _, *rest) = found
-    return _bind(family, (host, 0, *rest)) is None  # port 0: any that is free
+    family, (host, _, *rest) = found[0]
+    return bind_error((family, (host, 0, *rest))) is None  # port 0: any that is free
 
 
 def address_finding(fleet: Fleet, name: str, path: Path, asked: bool) -> Finding:
@@ -39,8 +37,8 @@ def address_finding(fleet: Fleet, name: str, path: Path, asked: bool) -> Finding
 
 def port_finding(name: str, listen: str) -> Finding:
     """Whether a port of this computer is free. Nothing listens there meanwhile, so that nobody dials us."""
-    found = resolved(listen)
-    refused = None if found is None else _bind(*found)
+    found = addresses_of(listen)
+    refused = bind_error(found[0]) if found else None
     if refused is None:
         return Finding("ok", name, f"{listen} is this computer's, and free")
     if refused == errno.EADDRINUSE:
@@ -65,24 +63,3 @@ def links(fleet: Fleet) -> Iterator[Finding]:
         links_ = "one link" if count == 1 else f"{count} links"
         text = f"{links_}, and a word of any robot comes to all others" if count else "one robot, on its own"
         yield Finding("ok", "fleet", text)
-
-
-def resolved(listen: str) -> Address | None:
-    """Family and address of an endpoint tcp/HOST:PORT; None: there is no such host."""
-    host, _, port = listen.partition("/")[2].rpartition(":")
-    try:
-        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError):  # the latter of what is no name of any host
-        return None
-    return family, address
-
-
-def _bind(family: socket.AddressFamily, address: tuple[str | int | bytes, ...]) -> int | None:
-    """The number of the error with which binding is refused."""
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port of a program that has ended is free
-        try:
-            probe.bind(address)
-        except OSError as error:
-            return error.errno
-    return None

@@ -30,7 +30,7 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate, NeighbourState, State
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting
 from agent.kernel.toml_files import dump
-from agent.launch import free_ports
+from agent.ports import free_ports
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION
 from replay.files.frames import frame_entries

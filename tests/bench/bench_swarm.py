@@ -22,7 +22,7 @@ from agent.kernel.config import Fleet, Robot
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
-from agent.launch import free_ports
+from agent.ports import free_ports
 from agent.transport import Observer
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import WATCHER, Swarm

@@ -5,8 +5,8 @@ import socket
 import pytest
 
 import agent.demo.endpoints
-from agent.demo.endpoints import is_free, reserved
-from agent.launch import free_ports
+from agent.demo.endpoints import reserved
+from agent.ports import free_ports, is_free
 
 
 @pytest.fixture

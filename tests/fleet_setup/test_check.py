@@ -19,7 +19,7 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.toml_files import dump
 from agent.keys.make import make_keys
-from agent.launch import free_ports
+from agent.ports import free_ports
 from tests.known_lens import TWIN, TWIN_CAMERA
 
 
