@@ -1,70 +1,74 @@
-"""A depth map as a table and as a picture."""
+"""A depth map as a table; and its squares in a figure of matplotlib."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.kernel.ranging.focus import Array
-from agent.perception.tracking.appearance import Box
+from agent.pictures.depth_peaks import TEXTS, GridPeaks, Reason
 from agent.pictures.depth_sweep import DepthMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+Row = list[object]
+
 
 def write_csv(result: DepthMap, path: Path) -> None:
-    """One line a block; x_px and y_px are its centre. What has no value is left empty."""
+    """One line a block, and one for each part of a block that is split; x_px and y_px are its centre, size_px its side.
+
+    What has no value is left empty. The squares of the lines that are accepted do not overlap, and are the whole map.
+    """
     columns = ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    columns += ([] if result.blocks.range_m is None else ["range_m"]) + ["size_px", "reason"]
+    used = result.used_parts()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(columns + (["range_m"] if result.range_m is not None else []))
-        for row, col in np.ndindex(result.lens_position.shape):
-            cell = (row, col)
-            centre = [(k + 0.5) * result.block_px - 0.5 for k in (col, row)]
-            line: list[object] = [row, col, *centre, f"{result.lens_position[cell]:.6g}", f"{result.sigma[cell]:.3g}"]
-            line += [f"{result.quality[cell]:.4f}", int(result.accepted[cell])]
-            if result.range_m is not None:
-                line.append("" if np.isnan(result.range_m[cell]) else f"{result.range_m[cell]:.5g}")
-            writer.writerow(line)
+        writer.writerow(columns)
+        for row, col in np.ndindex(result.blocks.reason.shape):
+            writer.writerow([row, col, *_square(result.blocks, row, col, result.block_px)])
+            place = tuple(slice(k * result.along, (k + 1) * result.along) for k in (row, col))
+            if result.parts is not None and used[place].any():
+                writer.writerows(
+                    [row, col, *line] for line in _parts(result.parts, place, result.block_px / result.along)
+                )
 
 
-def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
-    """The picture, everywhere sharp, and beside it the map with its colour bar; hatched: no distance."""
-    from matplotlib.figure import Figure  # a second and 30 MB that an agent, which draws nothing, does without
-    from matplotlib.patches import Rectangle
+def _parts(parts: GridPeaks, place: tuple[slice, ...], size_px: float) -> Iterator[Row]:
+    for row in range(place[0].start, place[0].stop):
+        for col in range(place[1].start, place[1].stop):
+            yield _square(parts, row, col, size_px)
 
-    height, width = result.sharp.shape[:2]
-    figure = Figure(figsize=(12.0, 0.6 + 5.4 * height / width), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.imshow(result.sharp[..., ::-1])
-    left.set_title("each block from its sharpest frame")
-    if box is not None:
-        left.add_patch(Rectangle((box.x, box.y), box.width, box.height, fill=False, color="C3"))
-    if result.range_m is not None and np.isfinite(result.range_m).any():
-        values, label = result.range_m, "z-depth in metres"
-    else:
-        values, label = np.where(result.accepted, result.lens_position, np.nan), "lens position of the clarity peak"
-    shown = np.isfinite(values)
-    right.set_title(f"{np.count_nonzero(shown)} of {shown.size} blocks of {result.block_px} px; hatched: no distance")
-    draw_cells(right, values, result.block_px, label)
-    for axes in (left, right):
-        axes.set(xlim=(0, width), ylim=(height, 0), xlabel="x in px", ylabel="y in px")
-    figure.savefig(path, dpi=100)
+
+def _square(grid: GridPeaks, row: int, col: int, size_px: float) -> Row:
+    """The columns from x_px on."""
+    line: Row = [f"{(k + 0.5) * size_px - 0.5:g}" for k in (col, row)]
+    for field, shape in ((grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")):
+        line.append(_number(field[row, col], shape))
+    line.append(int(grid.reason[row, col] == Reason.ACCEPTED))
+    if grid.range_m is not None:
+        line.append(_number(grid.range_m[row, col], ".5g"))
+    return [*line, f"{size_px:g}", TEXTS[grid.reason[row, col]]]
+
+
+def _number(value: float, shape: str) -> str:
+    return "" if np.isnan(value) else format(value, shape)
 
 
 def draw_cells(
     axes: Axes,
     values: Array,
-    block: int,
+    block: float,
     label: str,
     limits: tuple[float, float] | None = None,
     colours: str = "viridis",
 ) -> None:
-    """One colour a block, NaN hatched, with a scale; limits of the colours, by default from the values."""
+    """One colour a square of `block` pixels, NaN hatched, with a scale; limits: values at its ends, if given."""
     axes.patch.set(facecolor="0.88", edgecolor="0.65", hatch="///")  # seen through cells without a value
     axes.set_aspect("equal")
     shown = values[np.isfinite(values)]

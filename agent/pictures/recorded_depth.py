@@ -36,9 +36,9 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
         images.append(frame.image[y - half_y : y + half_y + 1, x - half_x : x + half_x + 1])
     lens_positions = np.array([float(frame.sighting.focus or 0) for frame in seen])
     grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
-    taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
+    taken = clarity_of(images, lens_positions, BLOCK_PX, grown, split=True)
     found = measure(taken, BLOCK_PX, calibration.focus)
-    assert found.range_m is not None  # there is a calibration
+    assert found.blocks.range_m is not None  # there is a calibration
     reference = seen[taken.reference]
     x, y = _centre(reference)
     return SweepDepth(
@@ -46,7 +46,7 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
         block_px=BLOCK_PX,
         left_px=reference.roi[0] + x - half_x,
         top_px=reference.roi[1] + y - half_y,
-        range_m=found.range_m,
+        range_m=found.blocks.range_m,
         sharp=found.sharp,
     )
 

@@ -27,12 +27,12 @@ def simulated(block: int) -> dict[str, dict]:
     ours, parabola = measure(taken, block, None), measure(taken, block, None, "parabola")
     with np.load(stack / "truth.npz") as truth:
         depth, mask = truth["depth"], truth["mask"]
-    rows, cols = ours.lens_position.shape
+    rows, cols = ours.blocks.lens_position.shape
     shape = rows, block, cols, block
     inside = mask[: rows * block, : cols * block].reshape(shape).all(axis=(1, 3))
     true = depth[: rows * block, : cols * block].reshape(shape).mean(axis=(1, 3))
-    kept = inside & ours.accepted
-    e, f = (np.abs(m.lens_position - true)[kept] / STEP for m in (ours, parabola))
+    kept = inside & ours.blocks.accepted
+    e, f = (np.abs(m.blocks.lens_position - true)[kept] / STEP for m in (ours, parabola))
     rmse, theirs = (float(np.sqrt(np.mean(x**2))) for x in (e, f))
     share = float(kept.sum() / inside.sum())
     name = f"stack_simulated_{block}px"
@@ -45,11 +45,11 @@ def simulated(block: int) -> dict[str, dict]:
 
 def real() -> dict[str, dict]:
     found = measure(sweep(open_stack(STACKS / "bracket_real"), 32, lambda done, total: None), 32, None)
-    lens_position = np.where(found.accepted, found.lens_position, np.nan)
+    lens_position = np.where(found.blocks.accepted, found.blocks.lens_position, np.nan)
     rows, cols = lens_position.shape
     around = np.stack([lens_position[r : rows - 2 + r, c : cols - 2 + c] for r in range(3) for c in range(3)])
     rough = np.abs(lens_position[1:-1, 1:-1] - np.nanmedian(around, axis=0))
-    share, smooth = float(found.accepted.mean()), float(np.mean(rough[np.isfinite(rough)] <= REAL_STEP))
+    share, smooth = float(found.blocks.accepted.mean()), float(np.mean(rough[np.isfinite(rough)] <= REAL_STEP))
     return {
         "stack_real_32px_accepted": row(share, "share", "0.95 wanted", share / 0.95),
         "stack_real_32px_smooth": row(smooth, "share", "0.95 wanted", smooth / 0.95),

@@ -25,21 +25,22 @@ def read_rows(path):
 def test_two_planes_of_a_stack(planes, tmp_path):
     seen = []
     result = depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, lambda *now: seen.append(now))
-    assert result.lens_position.shape == (4, 6) and result.range_m is None
-    assert result.accepted[:3].all() and not result.accepted[3].any()  # plain grey has no distance
-    assert np.abs(result.lens_position[:3, :3] - 0.21).max() < 0.1 * 0.05  # a tenth of a step
-    assert np.abs(result.lens_position[:3, 3:] - 0.388).max() < 0.1 * 0.05
+    blocks = result.blocks
+    assert blocks.lens_position.shape == (4, 6) and blocks.range_m is None
+    assert blocks.accepted[:3].all() and not blocks.accepted[3].any()  # plain grey has no distance
+    assert np.abs(blocks.lens_position[:3, :3] - 0.21).max() < 0.1 * 0.05  # a tenth of a step
+    assert np.abs(blocks.lens_position[:3, 3:] - 0.388).max() < 0.1 * 0.05
     assert seen == [(n, 13) for n in range(1, 14)]
 
 
 def test_files(planes, tmp_path):
     result = depth_map(f"stack:{planes}", tmp_path / "map.png", 40, tmp_path, None, quiet)
     rows = read_rows(tmp_path / "map.csv")
-    assert list(rows[0]) == ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    assert list(rows[0]) == ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted", "size_px", "reason"]
     assert len(rows) == 24
     last = rows[11]
     assert (last["row"], last["col"], last["x_px"], last["y_px"], last["accepted"]) == ("1", "5", "219.5", "59.5", "1")
-    assert float(last["focus"]) == pytest.approx(result.lens_position[1, 5], rel=1e-5)
+    assert float(last["focus"]) == pytest.approx(result.blocks.lens_position[1, 5], rel=1e-5)
     picture = cv2.imread(str(tmp_path / "map.png"))
     assert picture.shape[1] == 1200 and picture.std() > 20
 
@@ -103,7 +104,7 @@ def test_a_scene_without_texture_gives_a_map_without_distances(tmp_path):
         rows.append(f"{index}.png,{index}")
     (tmp_path / "positions.csv").write_text("\n".join(rows))
     result = depth_map(str(tmp_path), tmp_path / "map.png", 16, tmp_path, None, quiet)
-    assert not result.accepted.any()
+    assert not result.blocks.accepted.any()
     assert (tmp_path / "map.png").stat().st_size > 0
     with pytest.raises(Failed, match=r"no block has a clear peak: .*; the map, which is empty, is in .*again\.png"):
         run(str(tmp_path), tmp_path / "again.png", 16, None)

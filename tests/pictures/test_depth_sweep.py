@@ -25,17 +25,18 @@ def test_a_camera_is_swept_upwards_and_its_own_report_counts(tmp_path):
     assert home == 0 and visited == sorted(visited) and len(visited) == 30 and visited[-1] == 1022
     result = measure(taken, 40, FOCUS)
     step = 1023 / 29
-    assert np.abs(result.lens_position[:3, :3] - 400.4).max() < 0.1 * step
-    assert np.abs(result.lens_position[:3, 3:] - 640.7).max() < 0.1 * step
-    assert result.range_m[:3, :3] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.01)
-    assert np.isnan(result.range_m[3]).all()
+    blocks = result.blocks
+    assert np.abs(blocks.lens_position[:3, :3] - 400.4).max() < 0.1 * step
+    assert np.abs(blocks.lens_position[:3, 3:] - 640.7).max() < 0.1 * step
+    assert blocks.range_m[:3, :3] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.01)
+    assert np.isnan(blocks.range_m[3]).all()
 
 
 def test_the_grid_grows_with_the_picture():
     grown = sweep(Breathing(), 50, quiet)
     assert grown.growth == pytest.approx(0.05, abs=0.004)
     assert sweep(Breathing(), 50, quiet, 0.0).growth == 0.0
-    spread = [np.std(measure(sweep(Breathing(), 50, quiet, g), 50, None).lens_position) for g in (0.05, 0.0)]
+    spread = [np.std(measure(sweep(Breathing(), 50, quiet, g), 50, None).blocks.lens_position) for g in (0.05, 0.0)]
     assert spread[0] < 0.7 * spread[1]
     with pytest.raises(ConfigError, match=r"growth 0\.5"):
         sweep(Breathing(), 50, quiet, 0.5)
