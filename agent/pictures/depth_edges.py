@@ -9,7 +9,8 @@ peak is good to a tenth of a step of the sweep where it has texture; a median of
   is any surface over 25 pixels, a step is not. What light of a blurred foreground spills over the part beside it, and
   the contour that a part shares, is seen by the cells on the other side.
 * A block holds one depth if none of its parts is on an edge or away from the block's own peak, and texture shows that
-  in three of its quarters at least. A steep slope is away from it as well: its parts are what is told.
+  in three of its quarters at least. Beside a block of another depth its parts are asked about what lies around them,
+  too. A steep slope is away from one peak as well: its parts are what is told.
 
 Limits in peak widths, because how far apart two depths must be is a matter of how blurred one is when the other is
 sharp; never less than a fraction of the sweep's step, which is what sampling can tell.
@@ -45,10 +46,13 @@ def cuts(block: int) -> int:
 
 
 def in_doubt(blocks: GridPeaks, parts: GridPeaks, step: float) -> NDArray[np.bool_]:
-    """(rows, cols): blocks whose parts do not all have its depth, and those around; others need no look at cells."""
+    """(rows, cols): blocks whose parts do not all have its depth, blocks near another, and those around both.
+
+    The others need no look at their cells, which are most of the work.
+    """
     along = len(parts.reason) // len(blocks.reason)
     near = np.abs(parts.lens_position - each_part(blocks.lens_position, along)) <= limit(parts, step)
-    plain = blocks.accepted & by_block(parts.accepted & near, along).all(axis=-1)
+    plain = blocks.accepted & by_block(parts.accepted & near, along).all(axis=-1) & ~near_another(blocks, step)
     doubt: NDArray[np.bool_] = cv2.dilate((~plain).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     return doubt
 
@@ -66,11 +70,21 @@ def with_edges(blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, step: floa
 
     apart = np.maximum(AWAY * each_part(blocks.width, along), STEP_SHARE * step) + parts.sigma
     away = parts.accepted & (np.abs(parts.lens_position - each_part(blocks.lens_position, along)) > apart)
-    two = any_part(edge_inside | away & each_part(blocks.accepted, along), along)
-    shown = quarters(parts.accepted, along) >= min(QUARTERS, along * along)
+    near = near_another(blocks, step)
+    two = any_part(edge_inside | (edge & each_part(near, along)) | (away & each_part(blocks.accepted, along)), along)
+    shown = quarters(parts.accepted, along) >= QUARTERS
     parts = parts.refused(parts.accepted & ~known, Reason.NO_TEXTURE).refused(edge, Reason.TWO_DEPTHS)
     blocks = blocks.refused(blocks.accepted & ~shown, Reason.NO_TEXTURE).refused(two, Reason.TWO_DEPTHS)
     return blocks, parts
+
+
+def near_another(blocks: GridPeaks, step: float) -> NDArray[np.bool_]:
+    """(rows, cols): blocks beside one of another depth, so that there is an edge, or a slope, somewhere near."""
+    depth = np.where(blocks.accepted, blocks.lens_position, np.nan)
+    wide, (rows, cols) = np.pad(depth, 1, constant_values=np.nan), depth.shape
+    around = np.stack([wide[r : r + rows, c : c + cols] for r in range(3) for c in range(3)], axis=-1)
+    apart = np.maximum(AWAY * blocks.width, STEP_SHARE * step)[..., None]
+    return np.asarray((np.abs(around - depth[..., None]) > apart).any(axis=-1), np.bool_)
 
 
 def on_edge(parts: GridPeaks, around: Array, step: float) -> NDArray[np.bool_]:
@@ -138,9 +152,6 @@ def any_part(parts: NDArray[np.bool_], along: int) -> NDArray[np.bool_]:
 
 
 def quarters(parts: NDArray[np.bool_], along: int) -> NDArray[np.int64]:
-    """In how many of its four quarters a block has any such part; of a block that is one part, 1 or 0."""
-    if along == 1:
-        return parts.astype(np.int64)
-    half = along // 2
-    count: NDArray[np.int64] = by_block(any_part(parts, half), 2).sum(axis=-1)
+    """In how many of its four quarters a block has any such part; along is 2 or more."""
+    count: NDArray[np.int64] = by_block(any_part(parts, along // 2), 2).sum(axis=-1)
     return count

@@ -1,7 +1,8 @@
 """A depth map from the frames of a robot's own sweep: what `aucamp depth-map` measures, while the robot hangs in water.
 
 The robot drifts by some pixels while its lens moves, and the picture grows. Both are seen on the target: its centre
-says where the frames lie on each other, its radius by how much they grow.
+says where the frames lie on each other, its radius by how much they grow. That is true to a pixel or two, which blocks
+bear and their parts would not: blocks are not split here.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
         images.append(frame.image[y - half_y : y + half_y + 1, x - half_x : x + half_x + 1])
     lens_positions = np.array([float(frame.sighting.focus or 0) for frame in seen])
     grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
-    taken = clarity_of(images, lens_positions, BLOCK_PX, grown, split=True)
+    taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
     found = measure(taken, BLOCK_PX, calibration.focus)
     assert found.blocks.range_m is not None  # there is a calibration
     reference = seen[taken.reference]

@@ -48,8 +48,11 @@ def real() -> dict[str, dict]:
     lens_position = np.where(found.blocks.accepted, found.blocks.lens_position, np.nan)
     rows, cols = lens_position.shape
     around = np.stack([lens_position[r : rows - 2 + r, c : cols - 2 + c] for r in range(3) for c in range(3)])
-    rough = np.abs(lens_position[1:-1, 1:-1] - np.nanmedian(around, axis=0))
-    share, smooth = float(found.blocks.accepted.mean()), float(np.mean(rough[np.isfinite(rough)] <= REAL_STEP))
+    rough = np.abs(lens_position[1:-1, 1:-1] - np.median(around, axis=0))
+    share, smooth = (
+        float(np.isfinite(found.lens_position_on_parts()).mean()),
+        float(np.mean(rough[np.isfinite(rough)] <= REAL_STEP)),
+    )
     return {
         "stack_real_32px_accepted": row(share, "share", "0.95 wanted", share / 0.95),
         "stack_real_32px_smooth": row(smooth, "share", "0.95 wanted", smooth / 0.95),

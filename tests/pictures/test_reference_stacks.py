@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from agent.pictures.depth_map import depth_map
+from agent.pictures.depth_peaks import Reason
 from agent.pictures.depth_sweep import measure, sweep
 from hw.camera.camera import CameraError
 from hw.camera.files import open_stack
@@ -40,7 +41,8 @@ class TestReferenceStacks:
 
     def test_real_bracket(self, tmp_path):
         result = depth_map(str(STACKS / "bracket_real"), tmp_path / "real.png", 32, tmp_path, None, quiet)
-        assert result.blocks.accepted.mean() > 0.95  # textured metal all over
+        assert np.isfinite(result.lens_position_on_parts()).mean() > 0.8  # textured metal all over; the rest are edges
+        assert (result.blocks.reason == Reason.TWO_DEPTHS).mean() > 0.1
         disc, recess = result.blocks.lens_position[4:8, 4:12], result.blocks.lens_position[17:19, 8:24]
         for plane in (disc, recess):
             assert np.median(np.abs(plane - np.median(plane))) < 0.03  # flat; a third of a step
@@ -49,7 +51,7 @@ class TestReferenceStacks:
         lens_position = np.where(result.blocks.accepted, result.blocks.lens_position, np.nan)
         rows, cols = lens_position.shape
         around = np.stack([lens_position[r : rows - 2 + r, c : cols - 2 + c] for r in range(3) for c in range(3)])
-        rough = np.abs(lens_position[1:-1, 1:-1] - np.nanmedian(around, axis=0))
+        rough = np.abs(lens_position[1:-1, 1:-1] - np.median(around, axis=0))  # NaN beside what has none
         assert np.nanmedian(rough) < 0.02 and np.nanmean(rough > 0.1) < 0.05
 
     def test_a_stack_without_positions(self, tmp_path):
