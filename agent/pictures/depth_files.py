@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.kernel.ranging.focus import Array
-from agent.pictures.depth_peaks import TEXTS, GridPeaks, Reason
+from agent.pictures.depth_edges import any_part
+from agent.pictures.depth_peaks import TEXTS, GridPeaks, each_part
 from agent.pictures.depth_sweep import DepthMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Row = list[object]
+Line = list[object]
 
 
 def write_csv(result: DepthMap, path: Path) -> None:
@@ -26,38 +27,37 @@ def write_csv(result: DepthMap, path: Path) -> None:
     """
     columns = ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
     columns += ([] if result.blocks.range_m is None else ["range_m"]) + ["size_px", "reason"]
-    used = result.used_parts()
+    along = result.along
+    split = any_part(result.used_parts(), along)
+    blocks = _lines(result.blocks, result.block_px, np.ones(split.shape, bool))
+    parts = {} if result.parts is None else _lines(result.parts, result.block_px / along, each_part(split, along))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
-        for row, col in np.ndindex(result.blocks.reason.shape):
-            writer.writerow([row, col, *_square(result.blocks, row, col, result.block_px)])
-            place = tuple(slice(k * result.along, (k + 1) * result.along) for k in (row, col))
-            if result.parts is not None and used[place].any():
-                writer.writerows(
-                    [row, col, *line] for line in _parts(result.parts, place, result.block_px / result.along)
-                )
+        for (row, col), line in blocks.items():
+            writer.writerow([row, col, *line])
+            if split[row, col]:
+                places = np.ndindex(along, along)
+                writer.writerows([row, col, *parts[row * along + r, col * along + c]] for r, c in places)
 
 
-def _parts(parts: GridPeaks, place: tuple[slice, ...], size_px: float) -> Iterator[Row]:
-    for row in range(place[0].start, place[0].stop):
-        for col in range(place[1].start, place[1].stop):
-            yield _square(parts, row, col, size_px)
-
-
-def _square(grid: GridPeaks, row: int, col: int, size_px: float) -> Row:
-    """The columns from x_px on."""
-    line: Row = [f"{(k + 0.5) * size_px - 0.5:g}" for k in (col, row)]
-    for field, shape in ((grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")):
-        line.append(_number(field[row, col], shape))
-    line.append(int(grid.reason[row, col] == Reason.ACCEPTED))
+def _lines(grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_]) -> dict[tuple[int, int], Line]:
+    """The columns from x_px on, by row and column of the square."""
+    numbers = [(grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")]
+    columns = [_written(values[wanted], shape) for values, shape in numbers]
+    columns.append(grid.accepted[wanted].astype(int).tolist())
     if grid.range_m is not None:
-        line.append(_number(grid.range_m[row, col], ".5g"))
-    return [*line, f"{size_px:g}", TEXTS[grid.reason[row, col]]]
+        columns.append(_written(grid.range_m[wanted], ".5g"))
+    places, reasons = np.argwhere(wanted).tolist(), grid.reason[wanted].tolist()
+    size = f"{size_px:g}"
+    return {
+        (row, col): [*(f"{(k + 0.5) * size_px - 0.5:g}" for k in (col, row)), *values, size, TEXTS[reason]]
+        for (row, col), reason, *values in zip(places, reasons, *columns, strict=True)
+    }
 
 
-def _number(value: float, shape: str) -> str:
-    return "" if np.isnan(value) else format(value, shape)
+def _written(values: Array, shape: str) -> Line:
+    return ["" if value != value else format(value, shape) for value in values.tolist()]  # NaN is not itself
 
 
 def draw_cells(
