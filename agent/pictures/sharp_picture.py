@@ -18,12 +18,14 @@ def sharpest(images: Sequence[Image], grids: Sequence[tuple[Edges, Edges]], clar
     grids: (rows, cols) of each frame, clarity (n, rows, cols). Squares differ by a pixel at most from frame to frame;
     they are laid where they are in the frame `reference`, and what no square covers is that frame's.
     """
-    rows, cols = grids[reference]
     picture = images[reference].copy()
     around = np.array([cv2.blur(one, (3, 3), borderType=cv2.BORDER_REPLICATE) for one in clarity])
-    for (row, col), best in np.ndenumerate(around.argmax(axis=0)):
-        top, left = grids[best][0][row], grids[best][1][col]
-        place = picture[rows[row] : rows[row + 1], cols[col] : cols[col + 1]]
-        part = images[best][top : top + place.shape[0], left : left + place.shape[1]]
-        place[: part.shape[0], : part.shape[1]] = part
+    edges = [(rows.tolist(), cols.tolist()) for rows, cols in grids]
+    down, across = edges[reference]
+    for row, bests in enumerate(around.argmax(axis=0).tolist()):
+        for col, best in enumerate(bests):
+            top, left = edges[best][0][row], edges[best][1][col]
+            place = picture[down[row] : down[row + 1], across[col] : across[col + 1]]
+            part = images[best][top : top + place.shape[0], left : left + place.shape[1]]
+            place[: part.shape[0], : part.shape[1]] = part
     return picture
