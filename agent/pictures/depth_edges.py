@@ -60,7 +60,7 @@ def in_doubt(blocks: GridPeaks, parts: GridPeaks, step: float) -> NDArray[np.boo
 def with_edges(blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, step: float) -> tuple[GridPeaks, GridPeaks]:
     """Blocks and parts (2 x 2 cells) with those refused that hold two depths, or whose surroundings are unknown.
 
-    `step` between lens positions. Of a block that holds one depth the parts are refused: it speaks for them.
+    `step` between lens positions. Parts of a block that holds one depth are judged alike, and count for nothing.
     """
     along = len(parts.reason) // len(blocks.reason)
     around = four_by_four(median_of_nine(np.where(cells.accepted, cells.lens_position, np.nan)))
