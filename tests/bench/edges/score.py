@@ -89,7 +89,9 @@ def minor_share(true: Array) -> Array:
     """Share of the pixels (..., pixels) on the smaller side of the middle of their depths; nothing is a side, too."""
     there = np.isfinite(true)
     low, high = (f(np.where(there, true, v), axis=-1) for f, v in ((np.min, np.inf), (np.max, -np.inf)))
-    upper = np.where(there.all(axis=-1), (true > ((low + high) / 2)[..., None]).mean(axis=-1), there.mean(axis=-1))
+    with np.errstate(invalid="ignore"):  # where nothing is known there is no middle
+        middle = (low + high)[..., None] / 2
+    upper = np.where(there.all(axis=-1), (true > middle).mean(axis=-1), there.mean(axis=-1))
     return np.minimum(upper, 1 - upper)
 
 
