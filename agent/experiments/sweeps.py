@@ -5,7 +5,7 @@ Lens positions are equally spaced over the whole range, always from the lowest u
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from agent.failure import Failed
 from agent.kernel.ranging.focus import Array
 from agent.perception.clarity.breathing import measure_growth
 from agent.perception.clarity.clarity import grid
-from agent.perception.clarity.gradient import luminance
 from agent.pictures.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from hw.camera.camera import Image, Roi
 
@@ -42,6 +41,7 @@ class SweptView(NamedTuple):
     growth: float  # of the picture over the sweep, relative
     truth_m: Array  # (rows, cols) harmonic mean of a block's z-depths: blocks are sharp at their mean vergence
     flat: NDArray[np.bool_]  # (rows, cols)
+    pixels_m: NDArray[np.float32]  # (height, width) z-depth of every pixel
 
 
 def sweep_view(camera: StillCamera, view: View, growth: float) -> SweptView:
@@ -53,9 +53,20 @@ def sweep_view(camera: StillCamera, view: View, growth: float) -> SweptView:
     rows, cols = (len(grid(size, BLOCK_PX)) - 1 for size in pixels.shape)
     tiles = pixels[: rows * BLOCK_PX, : cols * BLOCK_PX].reshape(rows, BLOCK_PX, cols, BLOCK_PX)
     blocks = tiles.transpose(0, 2, 1, 3).reshape(rows, cols, -1).astype(float)
-    truth_m = 1.0 / (1.0 / blocks).mean(axis=-1)
+    truth_m = truth_on(pixels, rows, cols, BLOCK_PX)
     nearest, farthest = np.quantile(blocks, (0.05, 0.95), axis=-1)
-    return SweptView(view, np.array(rho, float), images, growth, truth_m, (farthest - nearest) / truth_m < FLAT)
+    flat = (farthest - nearest) / truth_m < FLAT
+    return SweptView(view, np.array(rho, float), images, growth, truth_m, flat, pixels.astype(np.float32))
+
+
+def truth_on(pixels_m: NDArray[Any], rows: int, cols: int, side_px: float) -> Array:
+    """Harmonic mean (rows, cols) of the z-depths in squares of `side_px`, whose edges are rounded to whole pixels."""
+    down, across = (np.rint(np.arange(count + 1) * side_px).astype(int) for count in (rows, cols))
+    sums = np.add.reduceat(
+        np.add.reduceat(1.0 / pixels_m[: down[-1], : across[-1]].astype(float), down[:-1]), across[:-1], 1
+    )
+    truth_m: Array = np.outer(np.diff(down), np.diff(across)) / sums
+    return truth_m
 
 
 def sweep(camera: StillCamera, roi: Roi | None = None) -> list[Image]:
@@ -78,7 +89,7 @@ def lens_positions(camera: StillCamera) -> list[int]:
 def breathing(camera: StillCamera) -> float:
     """Growth of the picture over a sweep, on the wall. Raises Failed where it cannot be measured."""
     camera.view = facing_wall(GROWTH_M)
-    growth = measure_growth([luminance(image) for image in sweep(camera)])
+    growth = measure_growth(sweep(camera))
     if growth is None:
         raise Failed("the wall's pictures cannot be registered, so focus breathing is unknown; try another --seed")
     return growth

@@ -1,4 +1,4 @@
-"""A depth map as a table and as a picture."""
+"""A depth map as a table; and its squares in a figure of matplotlib."""
 
 from __future__ import annotations
 
@@ -7,64 +7,68 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.kernel.ranging.focus import Array
-from agent.perception.tracking.appearance import Box
+from agent.pictures.depth_edges import any_part
+from agent.pictures.depth_peaks import TEXTS, GridPeaks, each_part
 from agent.pictures.depth_sweep import DepthMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+Line = list[object]
+
 
 def write_csv(result: DepthMap, path: Path) -> None:
-    """One line a block; x_px and y_px are its centre. What has no value is left empty."""
+    """One line a block, and one for each part of a block that is split; x_px and y_px are its centre, size_px its side.
+
+    What has no value is left empty. The squares of the lines that are accepted do not overlap, and are the whole map.
+    """
     columns = ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    columns += ([] if result.blocks.range_m is None else ["range_m"]) + ["size_px", "reason"]
+    along = result.along
+    split = any_part(result.used_parts(), along)
+    blocks = _lines(result.blocks, result.block_px, np.ones(split.shape, bool))
+    parts = {} if result.parts is None else _lines(result.parts, result.block_px / along, each_part(split, along))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(columns + (["range_m"] if result.range_m is not None else []))
-        for row, col in np.ndindex(result.lens_position.shape):
-            cell = (row, col)
-            centre = [(k + 0.5) * result.block_px - 0.5 for k in (col, row)]
-            line: list[object] = [row, col, *centre, f"{result.lens_position[cell]:.6g}", f"{result.sigma[cell]:.3g}"]
-            line += [f"{result.quality[cell]:.4f}", int(result.accepted[cell])]
-            if result.range_m is not None:
-                line.append("" if np.isnan(result.range_m[cell]) else f"{result.range_m[cell]:.5g}")
-            writer.writerow(line)
+        writer.writerow(columns)
+        for (row, col), line in blocks.items():
+            writer.writerow([row, col, *line])
+            if split[row, col]:
+                places = np.ndindex(along, along)
+                writer.writerows([row, col, *parts[row * along + r, col * along + c]] for r, c in places)
 
 
-def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
-    """The picture, everywhere sharp, and beside it the map with its colour bar; hatched: no distance."""
-    from matplotlib.figure import Figure  # a second and 30 MB that an agent, which draws nothing, does without
-    from matplotlib.patches import Rectangle
+def _lines(grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_]) -> dict[tuple[int, int], Line]:
+    """The columns from x_px on, by row and column of the square."""
+    numbers = [(grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")]
+    columns = [_written(values[wanted], shape) for values, shape in numbers]
+    columns.append(grid.accepted[wanted].astype(int).tolist())
+    if grid.range_m is not None:
+        columns.append(_written(grid.range_m[wanted], ".5g"))
+    places, reasons = np.argwhere(wanted).tolist(), grid.reason[wanted].tolist()
+    size = f"{size_px:g}"
+    return {
+        (row, col): [*(f"{(k + 0.5) * size_px - 0.5:g}" for k in (col, row)), *values, size, TEXTS[reason]]
+        for (row, col), reason, *values in zip(places, reasons, *columns, strict=True)
+    }
 
-    height, width = result.sharp.shape[:2]
-    figure = Figure(figsize=(12.0, 0.6 + 5.4 * height / width), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.imshow(result.sharp[..., ::-1])
-    left.set_title("each block from its sharpest frame")
-    if box is not None:
-        left.add_patch(Rectangle((box.x, box.y), box.width, box.height, fill=False, color="C3"))
-    if result.range_m is not None and np.isfinite(result.range_m).any():
-        values, label = result.range_m, "z-depth in metres"
-    else:
-        values, label = np.where(result.accepted, result.lens_position, np.nan), "lens position of the clarity peak"
-    shown = np.isfinite(values)
-    right.set_title(f"{np.count_nonzero(shown)} of {shown.size} blocks of {result.block_px} px; hatched: no distance")
-    draw_cells(right, values, result.block_px, label)
-    for axes in (left, right):
-        axes.set(xlim=(0, width), ylim=(height, 0), xlabel="x in px", ylabel="y in px")
-    figure.savefig(path, dpi=100)
+
+def _written(values: Array, shape: str) -> Line:
+    return ["" if value != value else format(value, shape) for value in values.tolist()]  # NaN is not itself
 
 
 def draw_cells(
     axes: Axes,
     values: Array,
-    block: int,
+    block: float,
     label: str,
     limits: tuple[float, float] | None = None,
     colours: str = "viridis",
 ) -> None:
-    """One colour a block, NaN hatched, with a scale; limits of the colours, by default from the values."""
+    """One colour a square of `block` pixels, NaN hatched, with a scale; limits: values at its ends, if given."""
     axes.patch.set(facecolor="0.88", edgecolor="0.65", hatch="///")  # seen through cells without a value
     axes.set_aspect("equal")
     shown = values[np.isfinite(values)]

@@ -1,4 +1,4 @@
-"""`aucamp depth-map SOURCE`: sweep the focus once, give every block of the picture the distance of its clarity peak."""
+"""`aucamp depth-map SOURCE`: sweep the focus once, give each block the distance of its clarity peak."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from agent.kernel.ranging.lens_sag import at_tilt
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
 from agent.pictures.depth_box import BoxRange, as_json, box_range
-from agent.pictures.depth_files import draw, write_csv
+from agent.pictures.depth_edges import any_part
+from agent.pictures.depth_files import write_csv
+from agent.pictures.depth_picture import draw
 from agent.pictures.depth_ranges import ranges_in_words
 from agent.pictures.depth_sweep import DepthMap, OnStep, measure, sweep
 from agent.plain_console import plain_console
@@ -82,14 +84,19 @@ def run(
         "focus sweep",
         lambda progress: depth_map(source, out, block, Path(), focus, progress, growth, drawn),
     )
-    found, blocks = np.count_nonzero(result.accepted), result.accepted.size
-    if not found:
+    blocks, parts = result.blocks.accepted, result.used_parts()
+    if not blocks.any() and not parts.any():
         raise Failed(
             f"{source}: no block has a clear peak: nothing in the view has texture, or it is sharp nowhere in the "
             f"sweep; the map, which is empty, is in {out}"
         )
     files = ", ".join(map(str, _files(out, box is not None)))
-    said = [f"{found} of {blocks} blocks have a clear peak, the picture grew by {result.growth:.1%}: {files}"]
+    split = any_part(parts, result.along)
+    also = f", {np.count_nonzero(split)} more in parts" if split.any() else ""
+    said = [
+        f"{np.count_nonzero(blocks)} of {blocks.size} blocks have a clear peak{also}, "
+        f"the picture grew by {result.growth:.1%}: {files}"
+    ]
     if focus is not None and calibration is not None:
         said += ranges_in_words(result, focus, calibration, out)
     if isinstance(result.box_range, NoPeak):

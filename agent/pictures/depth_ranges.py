@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.failure import Failed
 from agent.kernel.ranging.calibration import FocusFit
-from agent.kernel.ranging.focus import FARTHEST_M, h
+from agent.kernel.ranging.focus import FARTHEST_M, Array, h
 from agent.pictures.depth_sweep import DepthMap
 
 LEAST_SHARE = 0.05  # of the clear peaks: fewer ranges are chance, or what a speck of dirt in the view has
@@ -22,8 +22,7 @@ STRANGE_WIDTH = 5.0  # times that of the calibration, or a part: texture and ran
 
 def ranges_in_words(result: DepthMap, focus: FocusFit, calibration: Path, out: Path) -> list[str]:
     """No line where every clear peak has a range that was calibrated. Raises Failed where (nearly) none has one."""
-    assert result.range_m is not None
-    positions, ranges = (field[result.accepted] for field in (result.lens_position, result.range_m))
+    positions, ranges, widths = _accepted(result)
     count, given = positions.size, int(np.isfinite(ranges).sum())
     low, high = sorted((focus.lowest, focus.highest))
     covered = f"lens positions {low} to {high} ({_metres(focus, focus.highest)} to {_metres(focus, focus.lowest)})"
@@ -42,13 +41,26 @@ def ranges_in_words(result: DepthMap, focus: FocusFit, calibration: Path, out: P
     outside = int(np.sum(np.isfinite(ranges) & ((positions < low) | (positions > high))))
     if outside:
         told.append(f"{outside} ranges are extrapolated: they are not at {covered}, where the calibration was made")
-    ratio = float(np.median(result.width[result.accepted])) / focus.width
+    ratio = float(np.median(widths)) / focus.width
     if not 1.0 / STRANGE_WIDTH <= ratio <= STRANGE_WIDTH:
         told.append(
             f"doubtful: peaks are {ratio:.2g} times as wide as those of {calibration}, which may be a calibration of "
             f"another camera; {where}"
         )
     return told
+
+
+def _accepted(result: DepthMap) -> tuple[Array, Array, Array]:
+    """Lens position, range and width of every clear peak, of blocks and of the parts of split ones."""
+    grids = [(result.blocks, result.blocks.accepted)]
+    if result.parts is not None:
+        grids.append((result.parts, result.used_parts()))
+    found = []
+    for grid, used in grids:
+        assert grid.range_m is not None  # it was measured with a calibration
+        found.append((grid.lens_position[used], grid.range_m[used], grid.width[used]))
+    positions, ranges, widths = (np.concatenate(field) for field in zip(*found, strict=True))
+    return positions, ranges, widths
 
 
 def _why(beyond: int, missing: int) -> str:

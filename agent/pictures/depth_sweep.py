@@ -1,8 +1,8 @@
 """One sweep of the focus over a view: clarity of its blocks, the peak of each, and the distance that it tells.
 
-Blocks without a single clear peak (no texture, a depth edge, sharpest outside the sweep) get no distance. The grid of
-blocks grows with the picture (focus breathing), so that a block keeps its piece of the scene; the picture itself is
-never resampled, which would change its clarity.
+Blocks without a single clear peak (no texture, sharpest outside the sweep) get no distance; those astride an edge in
+depth give way to their parts (depth_edges.py). The grid of blocks grows with the picture (focus breathing), so that a
+block keeps its piece of the scene; the picture itself is never resampled, which would change its clarity.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.kernel.config import ConfigError
 from agent.kernel.ranging.calibration import FocusFit
-from agent.kernel.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak, h, phase_sigma
+from agent.kernel.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak
 from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
-from agent.perception.clarity.clarity import grid, tenengrad_grid
-from agent.perception.clarity.gradient import luminance
-from agent.perception.clarity.peaks import block_peaks
+from agent.perception.clarity.clarity import Sums, areas, grid, tenengrad_sums
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box
-from agent.pictures.depth_box import MIN_RISE, BoxRange, box_clarity
+from agent.pictures.depth_box import BoxRange, box_clarity
+from agent.pictures.depth_edges import cuts, in_doubt, with_edges
+from agent.pictures.depth_peaks import GridPeaks, each_part, grid_peaks
+from agent.pictures.sharp_picture import sharpest
 from hw.camera.camera import Camera, CameraError, Image, nearest
 from hw.camera.files import StackCamera
 
@@ -32,33 +32,63 @@ HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small step
 SETTLE_S = 0.05
 MIN_BLOCK_PX = 8  # smaller ones hold more noise than texture
 MIN_QUALITY = 0.96  # of a block's peak: over many blocks a wrong one costs more than a missing one
+CELL_QUALITY = 0.90  # of a cell's: it only speaks for or against its neighbours
 MAX_GROWTH = 0.2  # of the picture in one sweep: beyond it it is not breathing
 
 OnStep = Callable[[int, int], None]  # lens positions done, in all
 
 
+class Finer(NamedTuple):
+    """Clarity per pixel of what blocks are cut into."""
+
+    parts: Array  # (n, rows * k, cols * k)
+    cells: Array  # (n, rows * 2 k, cols * 2 k)
+
+
 class DepthSweep(NamedTuple):
     lens_positions: Array  # (n,) as the driver reports them; of a stack in the unit of its positions.csv
-    clarity: Array  # (n, rows, cols)
-    sharp: Image  # (height, width, 3), each block from the frame in which it is sharpest
+    clarity: Array  # (n, rows, cols) of the blocks, per pixel
+    sharp: Image  # (height, width, 3), each part of a block from the frame in which it is sharpest
     growth: float  # of the picture from the first position to the last, relative
     reference: int  # the position whose picture is largest; blocks are squares there, and smaller in the others
     box_clarity: Array | None = None  # (n,) in the middle of the box, drawn in the largest picture
+    finer: Finer | None = None  # what edges in depth are found with; None: blocks of so few pixels are not cut
 
 
 class DepthMap(NamedTuple):
-    """Arrays are (rows, cols), row 0 on top; sigma in lens positions."""
+    """What is known of each block, and of the parts of those that hold more than one depth."""
 
     block_px: int
-    lens_position: Array  # of the clarity's peak
-    sigma: Array
-    width: Array  # half width of the peak, lens positions
-    quality: Array
-    accepted: NDArray[np.bool_]
-    range_m: Array | None  # z-depth from the gimbal pivot; NaN where there is none. None without a calibration
+    blocks: GridPeaks
+    parts: GridPeaks | None  # of all blocks; those of a block that is accepted as a whole count for nothing
     sharp: Image
     growth: float
     box_range: BoxRange | NoPeak | None = None  # of what is in the box, if there is one
+
+    @property
+    def along(self) -> int:
+        """Parts along the side of a block."""
+        return 1 if self.parts is None else len(self.parts.reason) // len(self.blocks.reason)
+
+    def used_parts(self) -> NDArray[np.bool_]:
+        """(rows * along, cols * along): parts that are accepted in place of their blocks."""
+        whole = each_part(self.blocks.accepted, self.along)
+        return np.zeros(whole.shape, bool) if self.parts is None else self.parts.accepted & ~whole
+
+    def on_parts(self, of_blocks: Array, of_parts: Array | None) -> Array:
+        """One value a part (rows * along, cols * along), its block's where that is accepted; NaN: neither is."""
+        blocks: Array = np.where(self.blocks.accepted, of_blocks, np.nan)
+        fine = each_part(blocks, self.along)
+        return fine if of_parts is None else np.asarray(np.where(self.used_parts(), of_parts, fine), float)
+
+    def lens_position_on_parts(self) -> Array:
+        return self.on_parts(self.blocks.lens_position, None if self.parts is None else self.parts.lens_position)
+
+    def range_on_parts(self) -> Array | None:
+        """In metres; None without a calibration."""
+        if self.blocks.range_m is None:
+            return None
+        return self.on_parts(self.blocks.range_m, None if self.parts is None else self.parts.range_m)
 
 
 def sweep(
@@ -89,12 +119,17 @@ def sweep(
         progress(done, len(wanted))
     lens_positions = np.array(camera.positions if isinstance(camera, StackCamera) else reached)
     if growth is None:
-        growth = measure_growth([luminance(image) for image in images]) or 0.0  # unknown: as good as any
-    return clarity_of(images, lens_positions, block, growth, box)
+        growth = measure_growth(images) or 0.0  # unknown: as good as any
+    return clarity_of(images, lens_positions, block, growth, box, split=True)
 
 
 def clarity_of(
-    images: list[Image], lens_positions: Array, block: int, growth: float, box: Box | None = None
+    images: list[Image],
+    lens_positions: Array,
+    block: int,
+    growth: float,
+    box: Box | None = None,
+    split: bool = False,
 ) -> DepthSweep:
     """The frames of a sweep -> clarity on a grid that grows as they do; growth is linear in the lens position.
 
@@ -102,21 +137,36 @@ def clarity_of(
     than a pixel, not at all for texture that is alike at every scale. Left alone this tilts every curve, and the wide
     ones' peaks most. With GROWTH_POWER the peaks of the twin's wall lie within 0.8 lens positions of the truth from
     0.29 to 1.35 m; without it they are up to 4.7 off, the nearer the more.
+
+    split: clarity of the blocks' parts and cells as well, by which `measure` finds and splits blocks with two depths.
     """
     height, width = images[0].shape[:2]
     size = 1.0 + growth * (lens_positions - lens_positions[0]) / (lens_positions[-1] - lens_positions[0])
     reference = int(size.argmax())  # nothing of a grid that fits the largest picture leaves the others
-    grids = [(grid(height, block, k), grid(width, block, k)) for k in size / size[reference]]
-    clarity = np.array([tenengrad_grid(image, *edges) for image, edges in zip(images, grids, strict=True)])
-    sharp = images[reference].copy()
-    for (row, col), best in np.ndenumerate(clarity.argmax(axis=0)):
-        rows, cols = grids[best]
-        part = images[best][rows[row] : rows[row + 1], cols[col] : cols[col + 1]]
-        place = np.s_[row * block : (row + 1) * block, col * block : (col + 1) * block]
-        sharp[place] = cv2.resize(part, (block, block))  # for the eye alone
-    clarity *= ((size / size[reference]) ** GROWTH_POWER)[:, None, None]
-    in_box = None if box is None else box_clarity(images, size / size[reference], box)
-    return DepthSweep(lens_positions, clarity, sharp, growth, reference, in_box)
+    size /= size[reference]
+    n = cuts(block) if split else 1
+    grids = [(grid(height, block, k, cuts=n), grid(width, block, k, cuts=n)) for k in size]
+    sums = [tenengrad_sums(image, *edges) for image, edges in zip(images, grids, strict=True)]
+
+    def per_pixel(along: int) -> Array:
+        """Clarity of squares of along x along cells."""
+        mean = [_pooled(s, along) / areas(r[::along], c[::along]) for s, (r, c) in zip(sums, grids, strict=True)]
+        scaled: Array = np.array(mean) * (size**GROWTH_POWER)[:, None, None]
+        return scaled
+
+    clarity, finer, parts = per_pixel(n), None, n
+    if n > 1:
+        finer, parts = Finer(per_pixel(2), per_pixel(1)), 2
+    sharp = sharpest(images, [(r[::parts], c[::parts]) for r, c in grids], finer.parts if finer else clarity, reference)
+    in_box = None if box is None else box_clarity(images, size, box)
+    return DepthSweep(lens_positions, clarity, sharp, growth, reference, in_box, finer)
+
+
+def _pooled(sums: Sums, along: int) -> Sums:
+    """(rows, cols) -> (rows / along, cols / along): sums of along x along."""
+    rows, cols = (size // along for size in sums.shape)
+    together: Sums = sums.reshape(rows, along, cols, along).sum(axis=(1, 3))
+    return together
 
 
 def _lens_positions(camera: Camera) -> list[int]:
@@ -139,28 +189,20 @@ def measure(
     method: Method = "matched",
     min_quality: float = MIN_QUALITY,
 ) -> DepthMap:
-    """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks."""
-    count, rows, cols = taken.clarity.shape
-    peaks = block_peaks(taken.lens_positions, taken.clarity.reshape(count, rows * cols).T, method)
-    shape, sigma = (rows, cols), np.hypot(peaks.sigma, phase_sigma(peaks.width, block * block))
-    textured = taken.clarity.max(axis=0) - np.median(taken.clarity, axis=0) >= MIN_RISE
-    lens_position = peaks.lens_position.reshape(shape)
-    accepted = (peaks.accepted & (peaks.quality >= min_quality)).reshape(shape) & textured
-    range_m = None
+    """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks.
+
+    Where the sweep was taken to be split, blocks with two depths are refused, and their parts are measured.
+    """
+    x, finer, parts, side = taken.lens_positions, taken.finer, None, 2 * block / cuts(block)
+    blocks = grid_peaks(x, taken.clarity, block * block, min_quality)
+    if finer is not None:
+        step, along = float(np.ptp(x)) / (len(x) - 1), len(finer.cells[0]) // len(blocks.reason)
+        parts = grid_peaks(x, finer.parts, side * side, min(min_quality, MIN_QUALITY), (3, 3))
+        asked = each_part(in_doubt(blocks, parts, step), along)
+        cells = grid_peaks(x, finer.cells, side * side / 4, CELL_QUALITY, (5, 5), asked)
+        blocks, parts = with_edges(blocks, parts, cells, step)
+        parts = parts if method == "matched" else parts.by(method, x, finer.parts)
+    blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)
     if focus is not None:
-        range_m = np.full(shape, np.nan)
-        for cell in np.argwhere(accepted):
-            z_m = h(focus, float(lens_position[tuple(cell)]))
-            if z_m is not None:  # else sharp at infinity
-                range_m[tuple(cell)] = z_m
-    return DepthMap(
-        block_px=block,
-        lens_position=lens_position,
-        sigma=sigma.reshape(shape),
-        width=peaks.width.reshape(shape),
-        quality=peaks.quality.reshape(shape),
-        accepted=accepted,
-        range_m=range_m,
-        sharp=taken.sharp,
-        growth=taken.growth,
-    )
+        blocks, parts = blocks.ranged(focus), None if parts is None else parts.ranged(focus)
+    return DepthMap(block, blocks, parts, taken.sharp, taken.growth)

@@ -1,7 +1,8 @@
 """A depth map from the frames of a robot's own sweep: what `aucamp depth-map` measures, while the robot hangs in water.
 
 The robot drifts by some pixels while its lens moves, and the picture grows. Both are seen on the target: its centre
-says where the frames lie on each other, its radius by how much they grow.
+says where the frames lie on each other, its radius by how much they grow. That is true to a pixel or two, which blocks
+bear and their parts would not: blocks are not split here.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
     taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
     found = measure(taken, BLOCK_PX, calibration.focus)
-    assert found.range_m is not None  # there is a calibration
+    assert found.blocks.range_m is not None  # there is a calibration
     reference = seen[taken.reference]
     x, y = _centre(reference)
     return SweepDepth(
@@ -46,7 +47,7 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
         block_px=BLOCK_PX,
         left_px=reference.roi[0] + x - half_x,
         top_px=reference.roi[1] + y - half_y,
-        range_m=found.range_m,
+        range_m=found.blocks.range_m,
         sharp=found.sharp,
     )
 

@@ -56,12 +56,13 @@ def test_one_view(camera, known, tmp_path):
     maps = {method: [experiment.map_of(swept, known, method)] for method in experiment.METHODS}
     errors = {}
     for method in experiment.METHODS:
-        found = experiment.error_rows("imx519_640", method, [swept], maps[method], maps["matched"])
+        found = experiment.error_rows("imx519_640", method, [swept], maps[method])
         assert [tuple(case["range_m"]) for case in found] == list(experiment.RANGES_M)
         errors[method] = found[0]["mae_mm"]
         assert found[0]["blocks"] > 20 and found[0]["accepted"] > 0.7
     assert errors["matched"] < 10 and errors["matched"] < errors["argmax"]
-    figure(maps["matched"][0], swept.truth_m).savefig(tmp_path / "map.png")
+    (found,) = maps["matched"]
+    figure(found, experiment.truth_on_parts(swept, found)).savefig(tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 50_000
 
 

@@ -10,6 +10,8 @@ from agent.experiments.peak_shift.run import Settings, Way, mm_per_position, shi
 from agent.experiments.peak_shift.tables import table
 from agent.experiments.result import write_result
 from agent.experiments.sweeps import WATER_INDEX
+from agent.pictures.depth_peaks import GridPeaks, Reason
+from agent.pictures.depth_sweep import DepthMap
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 
@@ -44,7 +46,7 @@ def test_millimetres_per_lens_position_are_the_slope_of_the_lens_equation():
 
 
 def test_nothing_in_common_is_no_figure():
-    class Map:
-        accepted, lens_position = np.zeros((2, 2), bool), np.full((2, 2), np.nan)
-
-    assert shifts([Map], [Map], [Map.lens_position], 35.0) == {"blocks_raw": 0, "blocks": 0, "common": 0}
+    empty = np.full((2, 2), np.nan)
+    blocks = GridPeaks(empty, empty, empty, empty, np.full((2, 2), Reason.NO_TEXTURE, np.uint8))
+    found = DepthMap(50, blocks, None, np.zeros((100, 100, 3), np.uint8), 0.0)
+    assert shifts([found], [found], [empty], 35.0) == {"blocks_raw": 0, "blocks": 0, "common": 0}

@@ -14,6 +14,7 @@ from agent.kernel.ranging.focus import h
 from agent.kernel.toml_files import dump
 from agent.perception.tracking.appearance import Box
 from agent.pictures.depth_map import depth_map, run
+from agent.pictures.depth_peaks import Reason
 from hw.camera.camera import CameraError
 from tests.pictures.planes import CALIBRATION, FOCUS, quiet
 
@@ -25,23 +26,37 @@ def read_rows(path):
 def test_two_planes_of_a_stack(planes, tmp_path):
     seen = []
     result = depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, lambda *now: seen.append(now))
-    assert result.lens_position.shape == (4, 6) and result.range_m is None
-    assert result.accepted[:3].all() and not result.accepted[3].any()  # plain grey has no distance
-    assert np.abs(result.lens_position[:3, :3] - 0.21).max() < 0.1 * 0.05  # a tenth of a step
-    assert np.abs(result.lens_position[:3, 3:] - 0.388).max() < 0.1 * 0.05
+    blocks = result.blocks
+    assert blocks.lens_position.shape == (4, 6) and blocks.range_m is None
+    assert blocks.accepted[:3, [0, 1, 4, 5]].all() and not blocks.accepted[3].any()  # plain grey has no distance
+    assert (blocks.reason[:3, 2:4] == Reason.TWO_DEPTHS).all()  # each sees the other's plane at its border
+    said = result.lens_position_on_parts()[:8]
+    assert np.isfinite(said[:, [8, 9, 10, 13, 14, 15]]).all() and np.isnan(said[:, 11:13]).all()
+    assert np.nanmax(np.abs(said[:, :12] - 0.21)) < 0.2 * 0.05  # a fifth of a step
+    assert np.nanmax(np.abs(said[:, 12:] - 0.388)) < 0.2 * 0.05
     assert seen == [(n, 13) for n in range(1, 14)]
 
 
 def test_files(planes, tmp_path):
     result = depth_map(f"stack:{planes}", tmp_path / "map.png", 40, tmp_path, None, quiet)
     rows = read_rows(tmp_path / "map.csv")
-    assert list(rows[0]) == ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
-    assert len(rows) == 24
-    last = rows[11]
+    assert list(rows[0]) == ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted", "size_px", "reason"]
+    blocks, parts = ([row for row in rows if row["size_px"] == size] for size in ("40", "10"))
+    assert len(blocks) == 24 and len(parts) + 24 == len(rows)
+    assert {row["reason"] for row in blocks} == {"", "two depths", "no texture"}
+    assert {(row["row"], row["col"]) for row in parts} == {(r, c) for r in "012" for c in "23"}
+    told = np.zeros((160, 240), int)
+    for row in rows:
+        assert (row["accepted"] == "1") == (row["reason"] == "")
+        if row["accepted"] == "1":
+            x, y, half = (float(row[name]) for name in ("x_px", "y_px", "size_px"))
+            told[round(y + 0.5 - half / 2) :, round(x + 0.5 - half / 2) :][: int(half), : int(half)] += 1
+    assert told.max() == 1 and (told == 1).sum() == 100 * np.isfinite(result.lens_position_on_parts()).sum()
+    last = blocks[11]
     assert (last["row"], last["col"], last["x_px"], last["y_px"], last["accepted"]) == ("1", "5", "219.5", "59.5", "1")
-    assert float(last["focus"]) == pytest.approx(result.lens_position[1, 5], rel=1e-5)
+    assert float(last["focus"]) == pytest.approx(result.blocks.lens_position[1, 5], rel=1e-5)
     picture = cv2.imread(str(tmp_path / "map.png"))
-    assert picture.shape[1] == 1200 and picture.std() > 20
+    assert picture.shape[1] > 2 * 240 and picture.std() > 20
 
 
 def test_ranges_in_the_files(planes, tmp_path):
@@ -55,7 +70,7 @@ def test_ranges_in_the_files(planes, tmp_path):
 def test_the_verb_says_what_it_found(planes, tmp_path):
     (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
     said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
-    assert said.startswith("18 of 24 blocks") and "map.csv" in said
+    assert said.startswith("12 of 24 blocks have a clear peak, 6 more in parts, ") and "map.csv" in said
 
 
 def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
@@ -89,7 +104,7 @@ def test_nothing_is_overwritten(planes, tmp_path, there):
 def test_ranges_need_the_table_of_the_focus_alone(planes, tmp_path):
     known = dump(CALIBRATION)
     (tmp_path / "focus.toml").write_text(known[: known.index("[camera]")])
-    assert run(str(planes), tmp_path / "map.png", 40, tmp_path / "focus.toml").startswith("18 of 24")
+    assert run(str(planes), tmp_path / "map.png", 40, tmp_path / "focus.toml").startswith("12 of 24")
     assert read_rows(tmp_path / "map.csv")[0]["range_m"]
     (tmp_path / "camera.toml").write_text(known[: known.index("[focus]")] + known[known.index("[camera]") :])
     with pytest.raises(ConfigError, match=r"camera\.toml: has no table \[focus\]; add it by `aucamp calibrate focus`"):
@@ -103,7 +118,7 @@ def test_a_scene_without_texture_gives_a_map_without_distances(tmp_path):
         rows.append(f"{index}.png,{index}")
     (tmp_path / "positions.csv").write_text("\n".join(rows))
     result = depth_map(str(tmp_path), tmp_path / "map.png", 16, tmp_path, None, quiet)
-    assert not result.accepted.any()
+    assert not result.blocks.accepted.any()
     assert (tmp_path / "map.png").stat().st_size > 0
     with pytest.raises(Failed, match=r"no block has a clear peak: .*; the map, which is empty, is in .*again\.png"):
         run(str(tmp_path), tmp_path / "again.png", 16, None)

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from agent.failure import Failed
 from agent.kernel.ranging.focus import h
+from agent.pictures.depth_peaks import GridPeaks, Reason
 from agent.pictures.depth_ranges import ranges_in_words
 from agent.pictures.depth_sweep import DepthMap
 from tests.pictures.planes import FOCUS
@@ -24,11 +25,9 @@ def said_with(**changed):
     accepted = np.arange(6).reshape(shape) < 5
     range_m = np.array([[math.nan if (m := h(focus, rho)) is None else m for rho in peaks[0]]])
     range_m[~accepted] = math.nan
-    full = dict.fromkeys(("sigma", "quality"), np.ones(shape))
-    sharp = np.zeros((10, 60, 3), np.uint8)
-    found = DepthMap(
-        10, peaks, width=np.full(shape, 0.1), accepted=accepted, range_m=range_m, sharp=sharp, growth=0.0, **full
-    )
+    reason = np.where(accepted, Reason.ACCEPTED, Reason.NO_TEXTURE).astype(np.uint8)
+    blocks = GridPeaks(peaks, np.ones(shape), np.full(shape, 0.1), np.ones(shape), reason, range_m)
+    found = DepthMap(10, blocks, None, np.zeros((10, 60, 3), np.uint8), 0.0)
     return ranges_in_words(found, focus, Path("r1.toml"), Path("depth.png"))
 
 

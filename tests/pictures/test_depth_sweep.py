@@ -6,7 +6,7 @@ import pytest
 
 from agent.kernel.config import ConfigError
 from agent.perception.clarity.breathing import measure_growth
-from agent.pictures.depth_sweep import measure, sweep
+from agent.pictures.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
 from tests.pictures.planes import FOCUS, Breathing, Lens, quiet, two_planes
 
@@ -25,20 +25,26 @@ def test_a_camera_is_swept_upwards_and_its_own_report_counts(tmp_path):
     assert home == 0 and visited == sorted(visited) and len(visited) == 30 and visited[-1] == 1022
     result = measure(taken, 40, FOCUS)
     step = 1023 / 29
-    assert np.abs(result.lens_position[:3, :3] - 400.4).max() < 0.1 * step
-    assert np.abs(result.lens_position[:3, 3:] - 640.7).max() < 0.1 * step
-    assert result.range_m[:3, :3] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.01)
-    assert np.isnan(result.range_m[3]).all()
+    blocks = result.blocks
+    assert np.abs(blocks.lens_position[:3, :3] - 400.4).max() < 0.1 * step
+    assert np.abs(blocks.lens_position[:3, 3:] - 640.7).max() < 0.1 * step
+    assert blocks.range_m[:3, :2] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.01)
+    assert result.range_on_parts()[:8, 8:11] == pytest.approx(0.05 + 200.0 / 700.4, rel=0.02)
+    assert np.isnan(blocks.range_m[3]).all()
 
 
 def test_the_grid_grows_with_the_picture():
-    grown = sweep(Breathing(), 50, quiet)
-    assert grown.growth == pytest.approx(0.05, abs=0.004)
-    assert sweep(Breathing(), 50, quiet, 0.0).growth == 0.0
-    spread = [np.std(measure(sweep(Breathing(), 50, quiet, g), 50, None).lens_position) for g in (0.05, 0.0)]
+    lens, images, lens_positions = Breathing(), [], np.linspace(1.0, 1022.0, 30).round()
+    for lens_position in lens_positions:
+        lens.lens_position = lens_position
+        images.append(lens.read().image)
+    assert measure_growth(images) == pytest.approx(0.05, abs=0.004)
+    spread = [
+        np.std(measure(clarity_of(images, lens_positions, 50, g), 50, None).blocks.lens_position) for g in (0.05, 0)
+    ]
     assert spread[0] < 0.7 * spread[1]
     with pytest.raises(ConfigError, match=r"growth 0\.5"):
-        sweep(Breathing(), 50, quiet, 0.5)
+        sweep(lens, 50, quiet, 0.5)
 
 
 def test_a_scene_without_texture_has_no_growth():

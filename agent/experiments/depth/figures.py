@@ -20,20 +20,21 @@ def figures(result: Result) -> Figures:
 
 def figure(measured: DepthMap, truth_m: Array) -> Figure:
     """Distances in metres on one scale, errors in millimetres; hatched: no distance."""
-    assert measured.range_m is not None  # it was measured with a calibration
+    range_m = measured.range_on_parts()
+    assert range_m is not None  # it was measured with a calibration
     height, width = measured.sharp.shape[:2]
     drawn = Figure(figsize=(12.0, 0.8 + 10.0 * height / width), layout="constrained")
     (view, found), (true, wrong) = drawn.subplots(2, 2)
     view.imshow(measured.sharp[..., ::-1])
-    view.set_title("each block from its sharpest frame")
+    view.set_title("each part from its sharpest frame")
     limits = float(truth_m.min()), float(truth_m.max())
-    block = measured.block_px
-    draw_cells(found, measured.range_m, block, "z-depth in metres", limits)
-    found.set_title(f"from focus, {np.isfinite(measured.range_m).mean():.0%} of the blocks; hatched: no distance")
-    draw_cells(true, truth_m, block, "z-depth in metres", limits)
+    side = measured.block_px / measured.along
+    draw_cells(found, range_m, side, "z-depth in metres", limits)
+    found.set_title(f"from focus, {np.isfinite(range_m).mean():.0%} of the view; hatched: no distance")
+    draw_cells(true, truth_m, side, "z-depth in metres", limits)
     true.set_title("truth of the twin")
-    error_mm = 1e3 * (measured.range_m - truth_m)
-    draw_cells(wrong, error_mm, block, "error in mm", (-30.0, 30.0), "RdBu")
+    error_mm = 1e3 * (range_m - truth_m)
+    draw_cells(wrong, error_mm, side, "error in mm", (-30.0, 30.0), "RdBu")
     miss_mm = np.abs(error_mm[np.isfinite(error_mm)])
     wrong.set_title(
         f"error: mean {miss_mm.mean():.1f} mm, median {np.median(miss_mm):.1f} mm" if miss_mm.size else "error"

@@ -13,18 +13,20 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.experiments.choices import Sensor
 from agent.experiments.depth.balls import BALL_M, BALL_PLACES, ball_rows
 from agent.experiments.depth.wall import calibrate, sweeps_of_a_calibration
 from agent.experiments.result import ExperimentResult, Row
 from agent.experiments.still_camera import StillCamera
-from agent.experiments.sweeps import BLOCK_PX, QUALITY, VIEWS, WATER_INDEX, SweptView, breathing, sweep_view
+from agent.experiments.sweeps import BLOCK_PX, QUALITY, VIEWS, WATER_INDEX, SweptView, breathing, sweep_view, truth_on
 from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.ranging.focus import Array, Method
 from agent.kernel.ranging.lens_sag import at_tilt
 from agent.perception.enhancement.enhance import enhance
-from agent.pictures.depth_sweep import SWEEP_STEPS, DepthMap, clarity_of, measure
+from agent.pictures.depth_peaks import each_part
+from agent.pictures.depth_sweep import MIN_QUALITY, SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.progress import Progress, step_by_step
 
 SENSORS: tuple[Sensor, ...] = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
@@ -40,12 +42,12 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MeasuredView(NamedTuple):
-    """One view by one sensor, the matched peak, beside the truth of its blocks."""
+    """One view by one sensor, the matched peak, beside the truth of what is said."""
 
     sensor: str
     number: int  # from 1
     depth_map: DepthMap
-    truth_m: Array  # (rows, cols)
+    truth_m: Array  # (rows, cols) of its parts
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):
@@ -56,7 +58,7 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     seed: int
     block_px: int = BLOCK_PX
     steps: int = SWEEP_STEPS
-    quality: float = QUALITY
+    quality: float = MIN_QUALITY
     cases: list[Row]
     calibration: list[Row]
     enhanced: list[Row]
@@ -108,16 +110,16 @@ def measure_with(sensor: Sensor, seed: int, step: Callable[[], None]) -> Finding
         swept.append(sweep_view(camera, view, growth))
         step()
     maps = {method: [map_of(one, known, method) for one in swept] for method in METHODS}
-    fixed = [map_of(one._replace(growth=0.0), known, "matched") for one in swept]
-    cases = [row for method in METHODS for row in error_rows(sensor, method, swept, maps[method], maps["matched"])]
+    fixed = [map_of(one._replace(growth=0.0), known, "matched", split=False) for one in swept]  # parts would disagree
+    cases = [row for method in METHODS for row in error_rows(sensor, method, swept, maps[method])]
     calibration = {"noise": fit.noise, "held_out_rmse_mm": 1e3 * fit.held_out_rmse_m, "growth": growth, "sag": fit.sag}
     views = enumerate(zip(swept, maps["matched"], strict=True), start=1)
     return Findings(
-        cases=cases + error_rows(sensor, "matched", swept, fixed, fixed, grid="fixed"),
+        cases=cases + error_rows(sensor, "matched", swept, fixed, grid="fixed"),
         calibration={"sensor": sensor, **calibration},
-        enhanced={"sensor": sensor, **enhanced_shift(swept, maps["matched"], known)},
+        enhanced={"sensor": sensor, **enhanced_shift(swept, known)},
         balls=ball_rows(sensor, seed, step),
-        shown=[MeasuredView(sensor, number, depth_map, one.truth_m) for number, (one, depth_map) in views],
+        shown=[MeasuredView(sensor, number, one, truth_on_parts(view, one)) for number, (view, one) in views],
     )
 
 
@@ -127,30 +129,24 @@ def nominal_pinhole(camera: StillCamera) -> CameraFit:
     return CameraFit(width_px=width, height_px=height, f_px=f_px, cx_px=(width - 1) / 2, cy_px=(height - 1) / 2)
 
 
-def map_of(swept: SweptView, known: Calibration, method: Method) -> DepthMap:
-    """The depth of every block, with this way to take the peak."""
+def map_of(swept: SweptView, known: Calibration, method: Method, split: bool = True) -> DepthMap:
+    """The depth of every block, with this way to take the peak; split: of its parts where it holds two depths."""
     tilt = math.radians(swept.view.tilt_deg)  # a robot knows it from gimbal and pressure
-    clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth)
-    return measure(clarity, BLOCK_PX, at_tilt(known.focus, tilt), method, QUALITY)
+    clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth, split=split)
+    return measure(clarity, BLOCK_PX, at_tilt(known.focus, tilt), method, MIN_QUALITY if split else QUALITY)
 
 
 def error_rows(
-    sensor: str,
-    method: Method,
-    swept: list[SweptView],
-    maps: list[DepthMap],
-    gate: list[DepthMap],
-    grid: str = "breathing",
+    sensor: str, method: Method, swept: list[SweptView], maps: list[DepthMap], grid: str = "breathing"
 ) -> list[Row]:
-    """The errors of one method in every range, over the blocks that `gate` accepts; all views together."""
-    truth_m = np.concatenate([one.truth_m.ravel() for one in swept])
-    flat = np.concatenate([one.flat.ravel() for one in swept])
-    error_mm = 1e3 * (np.concatenate([ranges_m(one).ravel() for one in maps]) - truth_m)
-    accepted = np.concatenate([(one.accepted & np.isfinite(ranges_m(one))).ravel() for one in gate])
+    """The errors of one method in every range, over all that has a range; all views together, all areas alike."""
+    each = [view_errors(*one) for one in zip(swept, maps, strict=True)]
+    truth_m, error_mm, flat = (np.concatenate(field) for field in zip(*each, strict=True))
+    parts = maps[0].along ** 2
     rows = []
     for low, high in RANGES_M:
         within = (truth_m >= low) & (truth_m < high)
-        counted = within & accepted & np.isfinite(error_mm)
+        counted = within & np.isfinite(error_mm)
         e, f = error_mm[counted], error_mm[counted & flat]
         figures = {
             "mae_mm": mean(np.abs(e)),
@@ -160,8 +156,27 @@ def error_rows(
         }
         share = float(counted.sum() / max(within.sum(), 1))
         case = {"sensor": sensor, "peak": method, "range_m": [low, high], **figures, "accepted": share}
-        rows.append({**case, "blocks": int(counted.sum()), "flat_blocks": int((counted & flat).sum()), "grid": grid})
+        blocks, flats = (float(np.sum(one)) / parts for one in (counted, counted & flat))
+        rows.append({**case, "blocks": blocks, "flat_blocks": flats, "grid": grid})
     return rows
+
+
+def view_errors(swept: SweptView, found: DepthMap) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Truth in metres, error in millimetres (NaN: no range), and whether its block is flat: one value a part.
+
+    A part stands for its block where that has one depth, so that errors count by the area that has them.
+    """
+    truth_m, measured_m = truth_on_parts(swept, found), found.range_on_parts()
+    assert measured_m is not None  # it was measured with a calibration
+    flat = each_part(swept.flat, found.along)
+    return truth_m.ravel(), 1e3 * (measured_m - truth_m).ravel(), flat.ravel()
+
+
+def truth_on_parts(swept: SweptView, found: DepthMap) -> Array:
+    """True range (rows * along, cols * along) of what is said there: of the block, or of the part where it is split."""
+    whole, of_blocks = (each_part(field, found.along) for field in (found.blocks.accepted, swept.truth_m))
+    rows, cols = whole.shape
+    return np.where(whole, of_blocks, truth_on(swept.pixels_m, rows, cols, BLOCK_PX / found.along))
 
 
 def mean(values: Array) -> float | None:
@@ -171,17 +186,18 @@ def mean(values: Array) -> float | None:
 
 def ranges_m(depth_map: DepthMap) -> Array:
     """The range of every block, (rows, cols); NaN where there is none."""
-    assert depth_map.range_m is not None  # it was measured with a calibration
-    return depth_map.range_m
+    assert depth_map.blocks.range_m is not None  # it was measured with a calibration
+    return depth_map.blocks.range_m
 
 
-def enhanced_shift(swept: list[SweptView], raw: list[DepthMap], known: Calibration) -> dict[str, float]:
+def enhanced_shift(swept: list[SweptView], known: Calibration) -> dict[str, float]:
     """How far the peaks move, in sweep steps, when clarity is taken on the enhanced picture instead of the raw one."""
     step, shifts, error_mm = float(np.diff(swept[0].lens_positions).mean()), [], []
-    for one, before in zip(swept, raw, strict=True):
-        after = map_of(one._replace(images=[enhance(image) for image in one.images]), known, "matched")
-        both = before.accepted & after.accepted
-        shifts.append((after.lens_position - before.lens_position)[both] / step)
+    for one in swept:
+        clear = one._replace(images=[enhance(image) for image in one.images])
+        before, after = (map_of(view, known, "matched", split=False) for view in (one, clear))
+        both = before.blocks.accepted & after.blocks.accepted
+        shifts.append((after.blocks.lens_position - before.blocks.lens_position)[both] / step)
         error_mm.append([1e3 * np.abs(ranges_m(m) - one.truth_m)[both] for m in (before, after)])
     shift = np.concatenate(shifts)
     return {

@@ -104,7 +104,7 @@ def run(settings: Settings, progress: Progress) -> Result:
                 after[way.name].append(block_peaks(swept._replace(images=way.enhance(swept.images))))
             step()
         between = float(np.diff(lens_positions(camera)).mean())
-        slope = [mm_per_position(camera.lens, one.lens_position) for one in raw]
+        slope = [mm_per_position(camera.lens, one.blocks.lens_position) for one in raw]
         for name, maps in after.items():
             cases.append({"water": water, "way": name, **shifts(raw, maps, slope, between)})
     return Result(seed=settings.seed, sensor=settings.sensor, views=len(views), cases=cases)
@@ -128,12 +128,14 @@ def shifts(raw: list[DepthMap], after: list[DepthMap], slope: list[Array], step:
 
     step: of the sweep, in lens positions; slope: mm per lens position.
     """
-    both = [a.accepted & b.accepted for a, b in zip(raw, after, strict=True)]
-    moved = np.concatenate([(b.lens_position - a.lens_position)[m] for a, b, m in zip(raw, after, both, strict=True)])
+    both = [a.blocks.accepted & b.blocks.accepted for a, b in zip(raw, after, strict=True)]
+    moved = np.concatenate(
+        [(b.blocks.lens_position - a.blocks.lens_position)[m] for a, b, m in zip(raw, after, both, strict=True)]
+    )
     shift_mm = np.abs(moved * np.concatenate([s[m] for s, m in zip(slope, both, strict=True)]))
     size = np.abs(moved) / step
-    before = sum(int(a.accepted.sum()) for a in raw)
-    counts = {"blocks_raw": before, "blocks": int(sum(b.accepted.sum() for b in after)), "common": len(size)}
+    before = sum(int(a.blocks.accepted.sum()) for a in raw)
+    counts = {"blocks_raw": before, "blocks": int(sum(b.blocks.accepted.sum() for b in after)), "common": len(size)}
     if not len(size):
         return counts
     return {

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hw.compiled import compiled
 
 Edges = NDArray[np.int64]  # pixels at which the blocks of a grid begin, and the end of the last one
+Sums = NDArray[np.int64]  # (rows, cols), a whole number for each block
 
 BAND = 2  # rows worked on at once; of eight, reading comes in bursts that the arithmetic does not hide
 FLUSH_ROWS = 256  # rows of a column that an int32 holds: at most 4.2e6 a pixel
@@ -29,18 +30,19 @@ EVERYWHERE = np.empty((0, 0), np.bool_)  # no region: every pixel counts
 kernel = compiled(error_model="numpy")
 
 
-def grid(length_px: int, block: int, scale: float = 1.0, centre_px: float | None = None) -> Edges:
+def grid(length_px: int, block: int, scale: float = 1.0, centre_px: float | None = None, cuts: int = 1) -> Edges:
     """Edges of the whole blocks along one side of an image, magnified about the principal point, in whole pixels.
 
     A lens that focuses nearer stands farther from the sensor, and its picture grows as v/f: blocks that grow with it
     keep their piece of the scene. `centre_px` is the principal point, the middle if not given. What the scale moves
-    beyond the image is cut off. Raises ValueError for a block larger than the image.
+    beyond the image is cut off. `cuts`, a power of two, cuts each block into so many cells, whose edges hold those of
+    the blocks. Raises ValueError for a block larger than the image.
     """
     if block > length_px:
         raise ValueError(f"a block of {block} px does not fit {length_px} px")
     middle = (length_px - 1) / 2 if centre_px is None else centre_px
     # Pixel k covers k - 1/2 to k + 1/2: an edge at the left of pixel k lies at k - 1/2.
-    edges = middle + scale * (np.arange(0, length_px + 1, block) - 0.5 - middle) + 0.5
+    edges = middle + scale * (np.arange(length_px // block * cuts + 1) * (block / cuts) - 0.5 - middle) + 0.5
     whole: Edges = np.clip(np.rint(edges), 0, length_px).astype(np.int64)
     return whole
 
@@ -50,11 +52,21 @@ def tenengrad_grid(image: NDArray[np.uint8], rows: Edges, cols: Edges, modified:
 
     `image` is (height, width, 3) blue green red or (height, width) grey; edges rise and lie within it.
     """
+    means: NDArray[np.float64] = tenengrad_sums(image, rows, cols, modified) / areas(rows, cols)
+    return means
+
+
+def tenengrad_sums(image: NDArray[np.uint8], rows: Edges, cols: Edges, modified: bool = False) -> Sums:
+    """Gx^2 + Gy^2 over all pixels of every block of a grid: those of a block's cells add up to its own, exactly."""
     sums = np.empty((len(rows) - 1, len(cols) - 1), np.int64)
     _sums(_flat(image), _colours(image), rows, cols, EVERYWHERE, modified, sums)
-    area = (rows[1:] - rows[:-1])[:, None] * (cols[1:] - cols[:-1])
-    means: NDArray[np.float64] = sums / np.maximum(area, 1)
-    return means
+    return sums
+
+
+def areas(rows: Edges, cols: Edges) -> Sums:
+    """Pixels of every block of a grid, at least 1."""
+    pixels: Sums = np.maximum((rows[1:] - rows[:-1])[:, None] * (cols[1:] - cols[:-1]), 1)
+    return pixels
 
 
 def tenengrad_blocks(image: NDArray[np.uint8], block: int = 50, modified: bool = False) -> NDArray[np.float64]:
