@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.kernel.ranging.focus import Array
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.pictures.depth_sweep import DepthMap
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
 from agent.perception.clarity.clarity import grid, tenengrad_grid
 from agent.perception.clarity.gradient import luminance
 from agent.perception.clarity.peaks import block_peaks
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.perception.tracking.follow import check_box
 from agent.pictures.depth_box import MIN_RISE, BoxRange, box_clarity
 from hw.camera.camera import Camera, CameraError, Image, nearest

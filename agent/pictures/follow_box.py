@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.kernel.config import ConfigError
 from agent.perception.detection.detectors import BoxDetector, Found, boxed
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import Follower, parse_box
 from agent.pictures.sources import Picture, Pictures, pictures

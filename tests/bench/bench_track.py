@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import Follower
 from tests.perception.tracking.swimming import clip, overlap
