@@ -90,14 +90,15 @@ class Follower:
         size = image.shape[1], image.shape[0]
         whole = _uncut(box, self._whole, size)
         inside = whole.inside(size)
+        share = inside.area_px / whole.area_px
         like = Likeness(-1.0, 0.0)
-        if usable(inside) and self._motion.allows(whole) and inside.area_px >= LEAST_SHARE * whole.area_px:
+        if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
             like = likeness(appearance, image, whole)
         if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR:
             self._lost, self._others = True, None
             return self._search(image, appearance)  # it may have jumped
         self._motion = self._motion.seen(whole)
-        if inside == whole:
+        if share > 0.999:
             self._whole = whole
             if like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR:
                 self._appearance = renewed(appearance, image, box)
