@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.perception.tracking.box import Box, Image, cut, overlap
-from agent.perception.tracking.colours import Colours, balanced, chance_of, gains_of, learn, share
+from agent.perception.tracking.colours import Colours, agreement, balanced, chance_of, gains_of, learn
 
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
 SEARCH_PX = 14  # the same where a whole picture is searched: a third of the time
@@ -70,7 +70,7 @@ def likeness(appearance: Appearance, image: Image, box: Box) -> Likeness:
     play = 1.0 + 2.0 * PLAY / RIM
     here = cut(image, box.grown(RIM * play), (round(width * play), round(height * play)))
     shape = max(float(_correlate(here, patch).max()) for patch in _patches(appearance))
-    return Likeness(shape, min(share(appearance.colours, image, box, gains_of(image)), 1.0))
+    return Likeness(shape, agreement(appearance.colours, image, box, gains_of(image)))
 
 
 def search(
@@ -102,7 +102,7 @@ def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]
     gains, places = gains_of(image), list[Place]()
     for shape, box in sorted(found, reverse=True):
         if all(overlap(box, other.box) < SAME_OVERLAP for other in places):
-            colour = min(share(appearance.colours, image, box, gains), 1.0)
+            colour = agreement(appearance.colours, image, box, gains)
             places.append(Place(box, Likeness(shape, colour)))
     return sorted(places, key=lambda place: -place.like.least)
 

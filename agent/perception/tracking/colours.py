@@ -29,8 +29,9 @@ class Colours(NamedTuple):
     """What tells a thing from the rest of its first picture."""
 
     chances: NDArray[np.float32]  # (BINS, BINS, BINS), that a pixel of this colour belongs to the thing
-    own: float  # their mean over the thing
-    contrast: float  # by how much that is above the mean of its surroundings
+    mixture: NDArray[np.float32]  # the same shape: how much of each colour it has, each weighted by that chance; sum 1
+    weight: float  # the sum before: which part of it has colours of its own
+    contrast: float  # by how much the chance is higher over the thing than over its surroundings, 0 to 1
 
 
 def learn(image: Image, box: Box) -> Colours:
@@ -44,9 +45,10 @@ def learn(image: Image, box: Box) -> Colours:
     whole = balanced(np.asarray(cv2.resize(image, (96, 72), interpolation=cv2.INTER_AREA), np.uint8), gains)
     others = np.maximum(others, 0.5 * _counts(whole.reshape(-1, 3)))
     chances = (its / (its + others + RARE)).astype(np.float32)
-    colours = Colours(chances, 1.0, 0.0)
-    own, rest = share(colours, image, box, gains), float(chance_of(colours, around)[beyond].mean())
-    return colours._replace(own=max(own, 1e-3), contrast=own - rest)
+    weighted = chances * its
+    weight = max(float(weighted.sum()), 1e-6)
+    contrast = weight - float((chances * _counts(around[beyond])).sum())
+    return Colours(chances, np.asarray(weighted / weight, np.float32), weight, contrast)
 
 
 def gains_of(image: Image) -> NDArray[np.float32]:
@@ -59,10 +61,12 @@ def balanced(image: Image, gains: NDArray[np.float32]) -> Image:
     return np.asarray(np.minimum(image * gains, 255.0), np.uint8)
 
 
-def share(colours: Colours, image: Image, box: Box, gains: NDArray[np.float32]) -> float:
-    """Mean chance inside an ellipse in the box, in units of what it was in the box that was drawn: 0 to about 1."""
+def agreement(colours: Colours, image: Image, box: Box, gains: NDArray[np.float32]) -> float:
+    """How much of its own colours, in their mixture, an ellipse in the box shows: Bhattacharyya's coefficient of the two
+    weighted histograms, 1 for the box that was drawn, 0 where none of its colours is."""
     here = balanced(cut(image, box, (SIDE_PX, SIDE_PX)), gains)
-    return float(chance_of(colours, here)[_ellipse(SIDE_PX, 1.0) > 0].mean()) / colours.own
+    weighted = colours.chances * _counts(here[_ellipse(SIDE_PX, 1.0) > 0])
+    return min(float(np.sqrt(weighted * colours.mixture / colours.weight).sum()), 1.0)
 
 
 def chance_of(colours: Colours, image: Image) -> NDArray[np.float32]:

@@ -31,7 +31,7 @@ from agent.perception.tracking.look_alikes import LookAlike, explained, followed
 from agent.perception.tracking.motion import Motion
 
 HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60
-HOLD_COLOUR, SURE_COLOUR = 0.40, 0.60
+HOLD_COLOUR, SURE_COLOUR = 0.45, 0.65
 FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
 FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
