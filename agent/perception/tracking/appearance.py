@@ -128,7 +128,7 @@ def coloured(appearance: Appearance, image: Image, like: Box) -> list[Box]:
     ]
 
 
-TELLING = 0.25  # least difference in chance between a thing and its surroundings for colours to tell it
+TELLING = 0.15  # least difference in chance between a thing and its surroundings for colours to tell it
 
 
 def _peaks(

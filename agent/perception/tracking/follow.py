@@ -36,6 +36,7 @@ FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
 FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
 NEARLY = 0.1  # two places that differ by less in likeness are equally like it
+PATIENCE = 12  # frames in a row that need not be sure: less than half a second
 LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
 MIN_SIDE_PX = 8  # of a box that can be followed
 
@@ -63,6 +64,7 @@ class Follower:
         self._motion = Motion(Box(0, 0, 0, 0))
         self._whole = Box(0, 0, 0, 0)  # the newest that no border cut
         self._lost, self._seen = True, False
+        self._unsure = 0  # frames since it was certain
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
 
     def expect(self, picture: Image, box: Box) -> None:
@@ -77,7 +79,7 @@ class Follower:
         check_box(box, (image.shape[1], image.shape[0]))
         self._tracker.start(image, box)
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
-        self._lost, self._seen, self._others = False, True, None
+        self._lost, self._seen, self._others, self._unsure = False, True, None, 0
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
@@ -94,13 +96,14 @@ class Follower:
         like = Likeness(-1.0, 0.0)
         if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
             like = likeness(appearance, image, whole)
-        if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR:
+        self._unsure = 0 if like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR else self._unsure + 1
+        if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
             self._lost, self._others = True, None
             return self._search(image, appearance)  # it may have jumped
         self._motion = self._motion.seen(whole)
         if share > 0.999:
             self._whole = whole
-            if like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR:
+            if self._unsure == 0:
                 self._appearance = renewed(appearance, image, box)
                 self._tracker.learn(image, box)
         return Followed(box, max(like.least, 0.0), "followed")
@@ -133,6 +136,7 @@ class Follower:
         self._tracker.start(image, box)
         again: State = "found again" if self._seen else "followed"
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
+        self._unsure = 0
         return Followed(box, like.least, again)
 
 
