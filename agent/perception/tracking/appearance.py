@@ -64,13 +64,15 @@ def renewed(appearance: Appearance, image: Image, box: Box) -> Appearance:
     return appearance._replace(newest=cut(image, box.grown(RIM), _shape(appearance)))
 
 
-def likeness(appearance: Appearance, image: Image, box: Box) -> Likeness:
-    """How much what is in the box is like what is remembered."""
+def likeness(
+    appearance: Appearance, image: Image, box: Box, gains: NDArray[np.float32] | None = None
+) -> Likeness:
+    """How much what is in the box is like what is remembered. gains: of this image, where they are known."""
     width, height = _shape(appearance)
     play = 1.0 + 2.0 * PLAY / RIM
     here = cut(image, box.grown(RIM * play), (round(width * play), round(height * play)))
     shape = max(float(_correlate(here, patch).max()) for patch in _patches(appearance))
-    return Likeness(shape, agreement(appearance.colours, image, box, gains_of(image)))
+    return Likeness(shape, agreement(appearance.colours, image, box, gains_of(image) if gains is None else gains))
 
 
 def search(
@@ -102,8 +104,8 @@ def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]
     gains, places = gains_of(image), list[Place]()
     for shape, box in sorted(found, reverse=True):
         if all(overlap(box, other.box) < SAME_OVERLAP for other in places):
-            colour = agreement(appearance.colours, image, box, gains)
-            places.append(Place(box, Likeness(shape, colour)))
+            closely = likeness(appearance, image, box, gains)
+            places.append(Place(box, closely._replace(shape=min(shape, closely.shape))))
     return sorted(places, key=lambda place: -place.like.least)
 
 

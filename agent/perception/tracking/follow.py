@@ -10,6 +10,7 @@ where no look-alike can be; where one can, or two places are equally like it, th
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Literal, NamedTuple
 
 from agent.kernel.config import ConfigError
@@ -31,7 +32,9 @@ from agent.perception.tracking.look_alikes import LookAlike, explained, followed
 from agent.perception.tracking.motion import Motion
 
 HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60
-HOLD_COLOUR, SURE_COLOUR = 0.45, 0.65
+HOLD_COLOUR = 0.45
+SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
+LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
 FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
@@ -65,6 +68,8 @@ class Follower:
         self._whole = Box(0, 0, 0, 0)  # the newest that no border cut
         self._lost, self._seen = True, False
         self._unsure = 0  # frames since it was certain
+        self._colour = 1.0  # likeness in colour lately
+        self._pictures: deque[Image] = deque(maxlen=PATIENCE)  # newest ones; what hid it may be in the last of them
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
 
     def expect(self, picture: Image, box: Box) -> None:
@@ -79,7 +84,7 @@ class Follower:
         check_box(box, (image.shape[1], image.shape[0]))
         self._tracker.start(image, box)
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
-        self._lost, self._seen, self._others, self._unsure = False, True, None, 0
+        self._lost, self._seen, self._others, self._unsure, self._colour = False, True, None, 0, 1.0
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
@@ -96,16 +101,21 @@ class Follower:
         like = Likeness(-1.0, 0.0)
         if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
             like = likeness(appearance, image, whole)
-        self._unsure = 0 if like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR else self._unsure + 1
+        sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
+        self._unsure = 0 if sure else self._unsure + 1
         if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
             self._lost, self._others = True, None
+            if self._pictures:
+                appearance = self._appearance = appearance._replace(newest=self._pictures[0])
             return self._search(image, appearance)  # it may have jumped
         self._motion = self._motion.seen(whole)
-        if share > 0.999:
+        if sure:
+            self._colour += LATELY * (like.colour - self._colour)
+        if share > 0.999 and sure:
             self._whole = whole
-            if self._unsure == 0:
-                self._appearance = renewed(appearance, image, box)
-                self._tracker.learn(image, box)
+            self._appearance = renewed(appearance, image, box)
+            self._pictures.append(self._appearance.newest)
+            self._tracker.learn(image, box)
         return Followed(box, max(like.least, 0.0), "followed")
 
     def _search(self, image: Image, appearance: Appearance) -> Followed:
@@ -136,7 +146,8 @@ class Follower:
         self._tracker.start(image, box)
         again: State = "found again" if self._seen else "followed"
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
-        self._unsure = 0
+        self._unsure, self._colour = 0, like.colour
+        self._pictures.clear()
         return Followed(box, like.least, again)
 
 
