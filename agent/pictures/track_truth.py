@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from rich.table import Table
+
 from agent.kernel.config import ConfigError
 from agent.perception.tracking.box import Box, overlap
-from agent.perception.tracking.follow import FOLLOWED, State
+from agent.perception.tracking.follow import FOLLOWED, Followed
 
 ON_TARGET_IOU = 0.5  # from here on a box is on the thing, as in most tests of trackers
 GRACE_S = 0.5  # within this time of its going it has to be said lost
@@ -39,13 +42,6 @@ class Score(NamedTuple):
     in_grace_said_lost: int
 
 
-class Said(NamedTuple):
-    """What a follower said of one frame."""
-
-    box: Box
-    state: State
-
-
 def read_truth(path: Path) -> list[Truth]:
     """The rows of a CSV with columns frame, x, y, w, h, visible, and count if it likes, in the order of the frames.
 
@@ -63,9 +59,23 @@ def read_truth(path: Path) -> list[Truth]:
     frames = [row.frame for row in truth]
     if len(set(frames)) != len(frames):
         raise ConfigError(f"{path}: a frame has two rows; leave one")
-    if not any(row.box for row in truth):
-        raise ConfigError(f"{path}: the thing is visible in no frame; mark it in one at least")
-    return sorted(truth)
+    if not truth:
+        raise ConfigError(f"{path}: no rows; mark the thing in some frames")
+    return sorted(truth, key=lambda row: row.frame)
+
+
+def first_box(truth: Sequence[Truth]) -> Box:
+    """Of frame 0. Raises ConfigError where none is marked there."""
+    if truth[0].frame != 0 or truth[0].box is None:
+        raise ConfigError("--truth: the thing is not marked in frame 0; mark it there, or draw it with --box X,Y,W,H")
+    return truth[0].box
+
+
+def check_rows(truth: Sequence[Truth], pictures: int) -> None:
+    """Raises ConfigError for frames that the source has not."""
+    if truth and truth[-1].frame >= pictures:
+        text = f"--truth: frame {truth[-1].frame} is marked, but the source has {pictures} pictures, from 0 on"
+        raise ConfigError(f"{text}; give the table that belongs to it")
 
 
 def _row(path: Path, number: int, row: dict[str, str | None]) -> Truth:
@@ -80,7 +90,7 @@ def _row(path: Path, number: int, row: dict[str, str | None]) -> Truth:
     return Truth(frame, box, count != 0)
 
 
-def score(truth: Iterable[Truth], said: Sequence[Said], rate_hz: float) -> Score:
+def score(truth: Iterable[Truth], said: Sequence[Followed], rate_hz: float) -> Score:
     """truth: in the order of the frames. said: of each frame from 0 on."""
     overlaps: list[float] = []  # where it is there and followed
     present, late, early = [], [], []  # whether it was said to be followed
@@ -89,11 +99,10 @@ def score(truth: Iterable[Truth], said: Sequence[Said], rate_hz: float) -> Score
         went = None if row.box else row.frame if went is None else went
         if not row.counted:
             continue
-        box, state = said[row.frame]
-        followed = state in FOLLOWED
+        followed = said[row.frame].state in FOLLOWED
         if row.box:
             present.append(followed)
-            overlaps += [overlap(box, row.box)] if followed else []
+            overlaps += [overlap(said[row.frame].box, row.box)] if followed else []
         elif went is not None:
             (late if row.frame - went > GRACE_S * rate_hz else early).append(followed)
     return Score(
@@ -107,3 +116,29 @@ def score(truth: Iterable[Truth], said: Sequence[Said], rate_hz: float) -> Score
         in_grace=len(early),
         in_grace_said_lost=early.count(False),
     )
+
+
+def write_score(score: Score, path: Path) -> None:
+    """As JSON. Raises ConfigError where that is not possible."""
+    try:
+        path.write_text(json.dumps(score._asdict(), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give --result another place") from None
+
+
+def table(score: Score) -> Table:
+    """For people."""
+    present = score.frames - score.absent
+    shown = Table()
+    for column in ("what", "frames", "of", "share"):
+        shown.add_column(column, justify="left" if column == "what" else "right")
+    for what, frames, of in (
+        (f"there, and the boxes overlap by {ON_TARGET_IOU}", score.on_target, present),
+        ("there, and called lost or ambiguous", score.present_said_lost, present),
+        (f"away for more than {GRACE_S} s, and called so", score.absent_said_lost, score.absent),
+        (f"away for up to {GRACE_S} s, and called so", score.in_grace_said_lost, score.in_grace),
+    ):
+        shown.add_row(what, str(frames), str(of), f"{frames / of:.1%}" if of else "-")
+    text = f"mean overlap while it is there {score.mean_iou:.2f}, while it is also followed {score.mean_iou_followed:.2f}"
+    shown.caption = text
+    return shown

@@ -64,15 +64,30 @@ def renewed(appearance: Appearance, image: Image, box: Box) -> Appearance:
     return appearance._replace(newest=cut(image, box.grown(RIM), _shape(appearance)))
 
 
-def likeness(
-    appearance: Appearance, image: Image, box: Box, gains: NDArray[np.float32] | None = None
-) -> Likeness:
-    """How much what is in the box is like what is remembered. gains: of this image, where they are known."""
+def likeness(appearance: Appearance, image: Image, box: Box) -> Likeness:
+    """How much what is in the box is like what is remembered."""
+    shape, _ = _aligned(appearance, image, box)
+    return Likeness(shape, agreement(appearance.colours, image, box, gains_of(image)))
+
+
+def _aligned(appearance: Appearance, image: Image, box: Box) -> tuple[float, Box]:
+    """Correlation with what is remembered, and the box moved by the little shift at which it is best."""
     width, height = _shape(appearance)
-    play = 1.0 + 2.0 * PLAY / RIM
-    here = cut(image, box.grown(RIM * play), (round(width * play), round(height * play)))
-    shape = max(float(_correlate(here, patch).max()) for patch in _patches(appearance))
-    return Likeness(shape, agreement(appearance.colours, image, box, gains_of(image) if gains is None else gains))
+    beside, below = max(round(PLAY * width), 1), max(round(PLAY * height), 1)  # whole pixels: the same grid
+    size = width + 2 * beside, height + 2 * below
+    wide = _about(box, box.width * RIM * size[0] / width, box.height * RIM * size[1] / height)
+    here, best, moved = cut(image, wide, size), -1.0, box
+    for patch in _patches(appearance):
+        _, shape, _, (x, y) = cv2.minMaxLoc(_correlate(here, patch))
+        if shape > best:
+            step = wide.width / size[0], wide.height / size[1]
+            best, moved = shape, box.moved((x - beside) * step[0], (y - below) * step[1])
+    return best, moved
+
+
+def _about(box: Box, width: float, height: float) -> Box:
+    """Of another size about the same middle."""
+    return Box(box.x - (width - box.width) / 2, box.y - (height - box.height) / 2, width, height)
 
 
 def search(
@@ -102,10 +117,10 @@ def search(
 
 def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]) -> list[Place]:
     gains, places = gains_of(image), list[Place]()
-    for shape, box in sorted(found, reverse=True):
+    for _, box in sorted(found, reverse=True):
         if all(overlap(box, other.box) < SAME_OVERLAP for other in places):
-            closely = likeness(appearance, image, box, gains)
-            places.append(Place(box, closely._replace(shape=min(shape, closely.shape))))
+            shape, aligned = _aligned(appearance, image, box)  # the search is too coarse to say how like it is
+            places.append(Place(aligned, Likeness(shape, agreement(appearance.colours, image, aligned, gains))))
     return sorted(places, key=lambda place: -place.like.least)
 
 

@@ -18,6 +18,7 @@ from agent.perception.tracking.box import Box, Image, cut
 from agent.perception.tracking.colours import Colours, balanced, chance_of, gains_of, learn
 
 CELLS = 64  # side of the region in which it looks, in cells of the filter
+MIDDLE = CELLS // 2
 REGION = 2.5  # sides of a square like the box: so far does it look
 LEAST_REGION = 1.7  # longer sides of the box
 PEAK_SHARE = 0.1  # standard deviation of the wanted answer, in sides of a square like the box
@@ -26,6 +27,7 @@ REGULAR = 1e-2  # of the filter; in units of a channel's own energy
 COLOUR_SHARE = 0.3  # of the answer, Staple's
 SIZES = (1.0, 0.96, 1.04)  # tried in each frame
 KEEP_SIZE = 1.02  # another has to answer so much better
+PLAIN = 1e-4  # of a peak's height: less is the noise of a picture that shows nothing
 ORIENTATIONS = 6  # of edges, unsigned
 
 Spectrum = NDArray[np.complex64]
@@ -58,12 +60,14 @@ class CorrelationTracker:
             spectra = np.conj(self._numerator) * _spectra(features)
             answer = np.fft.irfft2(spectra.sum(0) / (self._denominator + REGULAR), s=(CELLS, CELLS))
             answer = (1.0 - COLOUR_SHARE) * answer + COLOUR_SHARE * self._coloured(chances)
-            row, column = np.unravel_index(int(np.argmax(answer)), answer.shape)
+            row, column = divmod(int(np.argmax(answer)), CELLS)
+            if answer[row, column] - answer[MIDDLE, MIDDLE] < PLAIN:
+                row = column = MIDDLE
             height = float(answer[row, column]) / (1.0 if size == 1.0 else KEEP_SIZE)
             if height > best:
                 best, scale = height, self._side(box) / CELLS
-                down, across = _finer(answer, int(row), int(column))
-                found = box.moved((across - CELLS // 2) * scale, (down - CELLS // 2) * scale)
+                down, across = _finer(answer, row, column)
+                found = box.moved((across - MIDDLE) * scale, (down - MIDDLE) * scale)
         self._box = found
         return found
 
@@ -118,7 +122,7 @@ def _spectra(channels: NDArray[np.float32]) -> Spectrum:
 
 def _peak(sigma: float) -> NDArray[np.float32]:
     """The answer that is wanted: one round peak in the middle cell."""
-    steps = np.arange(CELLS, dtype=np.float32) - CELLS // 2
+    steps = np.arange(CELLS, dtype=np.float32) - MIDDLE
     line = np.exp(-0.5 * (steps / sigma) ** 2)
     return np.outer(line, line)
 
@@ -133,4 +137,4 @@ def _finer(answer: NDArray[np.float32], row: int, column: int) -> tuple[float, f
     last = CELLS - 1
     down = between(answer[max(row - 1, 0), column], answer[row, column], answer[min(row + 1, last), column])
     across = between(answer[row, max(column - 1, 0)], answer[row, column], answer[row, min(column + 1, last)])
-    return row + down, column + across
+    return float(row + down), float(column + across)

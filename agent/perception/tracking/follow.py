@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from typing import Literal, NamedTuple
 
 from agent.kernel.config import ConfigError
@@ -39,6 +40,7 @@ FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
 FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
 NEARLY = 0.1  # two places that differ by less in likeness are equally like it
+CLEAR = 0.9  # of the most: a tenth may be hidden
 PATIENCE = 12  # frames in a row that need not be sure: less than half a second
 LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
 MIN_SIDE_PX = 8  # of a box that can be followed
@@ -69,7 +71,7 @@ class Follower:
         self._lost, self._seen = True, False
         self._unsure = 0  # frames since it was certain
         self._colour = 1.0  # likeness in colour lately
-        self._pictures: deque[Image] = deque(maxlen=PATIENCE)  # newest ones; what hid it may be in the last of them
+        self._pictures: deque[tuple[float, Image]] = deque(maxlen=PATIENCE)  # the newest, with their likeness in colour
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
 
     def expect(self, picture: Image, box: Box) -> None:
@@ -106,7 +108,7 @@ class Follower:
         if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
             self._lost, self._others = True, None
             if self._pictures:
-                appearance = self._appearance = appearance._replace(newest=self._pictures[0])
+                appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
         self._motion = self._motion.seen(whole)
         if sure:
@@ -114,7 +116,7 @@ class Follower:
         if share > 0.999 and sure:
             self._whole = whole
             self._appearance = renewed(appearance, image, box)
-            self._pictures.append(self._appearance.newest)
+            self._pictures.append((like.colour, self._appearance.newest))
             self._tracker.learn(image, box)
         return Followed(box, max(like.least, 0.0), "followed")
 
@@ -149,6 +151,12 @@ class Follower:
         self._unsure, self._colour = 0, like.colour
         self._pictures.clear()
         return Followed(box, like.least, again)
+
+
+def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
+    """The newest that shows nearly as much of the thing's colours as any: later ones may show what hides it."""
+    most = max(colour for colour, _ in pictures)
+    return [picture for colour, picture in pictures if colour >= CLEAR * most][-1]
 
 
 def usable(box: Box) -> bool:

@@ -46,7 +46,8 @@ def real(name: str, data: Path, rate_hz: float) -> Clip:
 
 def backwards(clip: Clip) -> Clip:
     """From the last frame in which it is wholly seen back to the first."""
-    last = max(k for k, truth in enumerate(clip.truth) if truth.box and truth.counted)
+    height, width = clip.images[0].shape[:2]
+    last = max(k for k, (_, box, counted) in enumerate(clip.truth) if box and counted and _clear(box, (width, height)))
     order = range(last, -1, -1)
     truth = [clip.truth[k]._replace(frame=last - k) for k in order]
     return Clip(f"{clip.name}, backwards", clip.rate_hz, [clip.images[k] for k in order], truth)
@@ -138,6 +139,10 @@ def flickering(clip: Clip) -> Clip:
         light = 1 + FLICKER * np.sin(k / 5) + FLICKER * np.abs(net) ** 4
         images.append(np.clip(image * light[..., None], 0, 255).astype(np.uint8))
     return clip._replace(name=f"{clip.name}, flickering", images=images)
+
+
+def _clear(box: Box, size: tuple[int, int]) -> bool:
+    return box.x > 3 and box.y > 3 and box.x + box.width < size[0] - 3 and box.y + box.height < size[1] - 3
 
 
 def _away(k: int) -> float:
