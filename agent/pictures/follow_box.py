@@ -17,7 +17,7 @@ from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, parse_box
 from agent.pictures.followed_pictures import Show, annotated, check_out, writer
 from agent.pictures.sources import Picture, Pictures, pictures
-from agent.pictures.track_truth import Truth, check_rows, first_box, read_truth, score, table, write_score
+from agent.pictures.track_truth import check_rows, first_box, read_truth, score, table, write_score
 from agent.plain_console import plain_console
 from agent.progress import with_bar
 from agent.run_folder import new_file, run_folder

@@ -93,7 +93,7 @@ def _row(path: Path, number: int, row: dict[str, str | None]) -> Truth:
 def score(truth: Iterable[Truth], said: Sequence[Followed], rate_hz: float) -> Score:
     """truth: in the order of the frames. said: of each frame from 0 on."""
     overlaps: list[float] = []  # where it is there and followed
-    present, late, early = [], [], []  # whether it was said to be followed
+    present, late, early = list[bool](), list[bool](), list[bool]()  # whether it was said to be followed
     went: int | None = None  # the frame in which it did
     for row in truth:
         went = None if row.box else row.frame if went is None else went
@@ -139,6 +139,8 @@ def table(score: Score) -> Table:
         (f"away for up to {GRACE_S} s, and called so", score.in_grace_said_lost, score.in_grace),
     ):
         shown.add_row(what, str(frames), str(of), f"{frames / of:.1%}" if of else "-")
-    text = f"mean overlap while it is there {score.mean_iou:.2f}, while it is also followed {score.mean_iou_followed:.2f}"
+    text = (
+        f"mean overlap while it is there {score.mean_iou:.2f}, while it is also followed {score.mean_iou_followed:.2f}"
+    )
     shown.caption = text
     return shown

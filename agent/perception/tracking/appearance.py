@@ -90,9 +90,7 @@ def _about(box: Box, width: float, height: float) -> Box:
     return Box(box.x - (width - box.width) / 2, box.y - (height - box.height) / 2, width, height)
 
 
-def search(
-    appearance: Appearance, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES
-) -> list[Place]:
+def search(appearance: Appearance, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES) -> list[Place]:
     """Places of the whole picture that are most like what is remembered, best first, no two of them the same;
     `scales` times as large as `last`. None where the picture is smaller than the thing."""
     found: list[tuple[float, Box]] = []
@@ -148,9 +146,7 @@ def coloured(appearance: Appearance, image: Image, like: Box) -> list[Box]:
 TELLING = 0.15  # least difference in chance between a thing and its surroundings for colours to tell it
 
 
-def _peaks(
-    values: NDArray[np.float32], beside: int, below: int, most: int = PEAKS
-) -> list[tuple[float, int, int]]:
+def _peaks(values: NDArray[np.float32], beside: int, below: int, most: int = PEAKS) -> list[tuple[float, int, int]]:
     """The highest values with their columns and rows, no two of them closer than `beside` and `below`."""
     left, peaks = values.copy(), []
     for _ in range(most):

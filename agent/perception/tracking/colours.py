@@ -86,7 +86,7 @@ def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     for axis in range(3):
         lines = np.moveaxis(counts, axis, 0).reshape(BINS, -1)
         blurred = cv2.sepFilter2D(lines, -1, np.ones(1, np.float32), kernel, borderType=cv2.BORDER_REPLICATE)
-        counts = np.moveaxis(blurred.reshape(BINS, BINS, BINS), 0, axis)
+        counts = np.asarray(np.moveaxis(blurred.reshape(BINS, BINS, BINS), 0, axis), np.float32)
     return counts
 
 

@@ -41,13 +41,13 @@ class CorrelationTracker:
         self._colours: Colours | None = None
         self._numerator: Spectrum | None = None
         self._denominator = np.zeros(0, np.float32)
-        self._window, self._wanted = np.zeros(0, np.float32), np.zeros(0, np.complex64)
+        self._window, self._wanted = np.zeros((0, 0), np.float32), np.zeros(0, np.complex64)
 
     def start(self, image: Image, box: Box) -> None:
         self._box = self._base = box
         self._colours, self._numerator = learn(image, box), None
         hann = np.hanning(CELLS + 2)[1:-1].astype(np.float32)
-        self._window = np.outer(hann, hann)
+        self._window = np.asarray(np.outer(hann, hann), np.float32)
         self._wanted = _spectra(_peak(PEAK_SHARE * self._cells(self._side(box)))[None])[0]
         self.learn(image, box)
 
@@ -59,7 +59,7 @@ class CorrelationTracker:
             features, chances = self._features(image, box, gains)
             spectra = np.conj(self._numerator) * _spectra(features)
             answer = np.fft.irfft2(spectra.sum(0) / (self._denominator + REGULAR), s=(CELLS, CELLS))
-            answer = (1.0 - COLOUR_SHARE) * answer + COLOUR_SHARE * self._coloured(chances)
+            answer = np.asarray((1.0 - COLOUR_SHARE) * answer + COLOUR_SHARE * self._coloured(chances), np.float32)
             row, column = divmod(int(np.argmax(answer)), CELLS)
             if answer[row, column] - answer[MIDDLE, MIDDLE] < PLAIN:
                 row = column = MIDDLE

@@ -36,8 +36,7 @@ HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60
 HOLD_COLOUR = 0.45
 SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
-FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
-FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
+FOUND_LIKE = 0.70  # of a place that is taken for it: 0.6 in one of ten pictures without the thing, with it 0.75 to 1
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
 NEARLY = 0.1  # two places that differ by less in likeness are equally like it
 CLEAR = 0.9  # of the most: a tenth may be hidden
@@ -123,7 +122,7 @@ class Follower:
     def _search(self, image: Image, appearance: Appearance) -> Followed:
         places = search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE)
         if not self._seen:
-            return self._choose(image, [place for place in places if place.like.least >= FIRST_LIKE], [])
+            return self._choose(image, [place for place in places if place.like.least >= FOUND_LIKE], [])
         near = [place for place in places if self._motion.reaches(place.box)]
         free = [place for place in near if not explained(self._others or (), place.box)]
         mine = [place for place in free if place.like.least >= FOUND_LIKE]

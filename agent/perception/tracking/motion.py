@@ -23,7 +23,9 @@ class Motion(NamedTuple):
 
     def seen(self, box: Box) -> Motion:
         """It is in this box now."""
-        steps = [(now - before) / (self.unseen + 1) for now, before in zip(box.centre_px, self.box.centre_px, strict=True)]
+        steps = [
+            (now - before) / (self.unseen + 1) for now, before in zip(box.centre_px, self.box.centre_px, strict=True)
+        ]
         across, down = (FRESH * new + (1.0 - FRESH) * old for new, old in zip(steps, self.step_px, strict=True))
         return Motion(box, (across, down))
 

@@ -126,5 +126,3 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
         load_box_tracker(other, None)
     with pytest.raises(ConfigError, match="is not nanotrack_backbone_sim"):
         load_box_tracker(other, other)
-
-
