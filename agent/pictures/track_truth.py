@@ -28,8 +28,11 @@ class Truth(NamedTuple):
 
 
 class Score(NamedTuple):
-    """What `--truth` finds: numbers of frames, unless it says otherwise. Scored is every frame that is to be counted, the
-    first included, whose box is given; of those in which the thing is away, the ones later than GRACE_S after it went."""
+    """What `--truth` finds: numbers of frames, unless it says otherwise.
+
+    Scored is every frame that is to be counted, the first included, whose box is given; of those in which the thing is
+    away, the ones later than GRACE_S after it went.
+    """
 
     frames: int
     on_target: int  # it is there, is said to be followed, and the boxes overlap by ON_TARGET_IOU

@@ -99,6 +99,5 @@ def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
 def test_a_box_may_be_as_large_as_the_picture_or_at_its_border(folder, models, box):
     lines = []
     assert run(str(folder[0]), Asked(box, *models, 3), lines.append) in (True, False)
-    assert (
-        len(lines) == 4 and lines[1] == f"000.png,,{','.join(f'{float(n):.1f}' for n in box.split(','))},1.00,followed"
-    )
+    drawn = ",".join(f"{float(side):.1f}" for side in box.split(","))
+    assert len(lines) == 4 and lines[1] == f"000.png,,{drawn},1.00,followed"

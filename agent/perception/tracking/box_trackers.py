@@ -65,7 +65,10 @@ def model_files(folder: Path) -> tuple[Path, Path]:
 
 
 def load_box_tracker(backbone: Path | None, neckhead: Path | None) -> BoxTracker:
-    """NanoTrack from two files, a correlation filter from none. Raises ConfigError for one of two, and as load_nano does."""
+    """NanoTrack from two files, a correlation filter from none.
+
+    Raises ConfigError for one of two, and as load_nano does.
+    """
     if backbone is None and neckhead is None:
         return CorrelationTracker()
     if backbone is None or neckhead is None:

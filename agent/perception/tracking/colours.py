@@ -62,8 +62,11 @@ def balanced(image: Image, gains: NDArray[np.float32]) -> Image:
 
 
 def agreement(colours: Colours, image: Image, box: Box, gains: NDArray[np.float32]) -> float:
-    """How much of its own colours, in their mixture, an ellipse in the box shows: Bhattacharyya's coefficient of the two
-    weighted histograms, 1 for the box that was drawn, 0 where none of its colours is."""
+    """How much of its own colours, in their mixture, an ellipse in the box shows.
+
+    Bhattacharyya's coefficient of the two weighted histograms: 1 for the box that was drawn, 0 where none of its
+    colours is.
+    """
     here = balanced(cut(image, box, (SIDE_PX, SIDE_PX)), gains)
     weighted = colours.chances * _counts(here[_ellipse(SIDE_PX, 1.0) > 0])
     return min(float(np.sqrt(weighted * colours.mixture / colours.weight).sum()), 1.0)

@@ -113,9 +113,8 @@ def drifting(folder: Path, file: str, ball: int, direction: tuple[float, float],
     height, width = picture.shape[:2]
     mask = cv2.circle(np.zeros((height, width), np.uint8), (round(u), round(v)), round(1.25 * radius + 2), 255, -1)
     empty = cv2.inpaint(picture, mask, 5, cv2.INPAINT_TELEA)
-    soft = cv2.GaussianBlur(
-        cv2.circle(np.zeros_like(mask), (round(u), round(v)), round(1.1 * radius), 255, -1), (0, 0), 1
-    )
+    disc = cv2.circle(np.zeros_like(mask), (round(u), round(v)), round(1.1 * radius), 255, -1)
+    soft = cv2.GaussianBlur(disc, (0, 0), 1)
     away = (width - u if direction[0] > 0 else u) + radius + 8, (height - v if direction[1] > 0 else v) + radius + 8
     images, truth = [], []
     for k in range(STAY + LEAVE + AWAY + RETURN + STAY):
@@ -137,9 +136,8 @@ def flickering(clip: Clip) -> Clip:
     images = []
     rows, columns = np.mgrid[: clip.images[0].shape[0], : clip.images[0].shape[1]].astype(np.float32)
     for k, image in enumerate(clip.images):
-        net = np.sin(columns / 17 + 2 * np.sin(rows / 23 + k / 9)) * np.sin(
-            rows / 19 + 2 * np.sin(columns / 29 - k / 7)
-        )
+        across = np.sin(columns / 17 + 2 * np.sin(rows / 23 + k / 9))
+        net = across * np.sin(rows / 19 + 2 * np.sin(columns / 29 - k / 7))
         light = 1 + FLICKER * np.sin(k / 5) + FLICKER * np.abs(net) ** 4
         images.append(np.clip(image * light[..., None], 0, 255).astype(np.uint8))
     return clip._replace(name=f"{clip.name}, flickering", images=images)
