@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -85,7 +86,7 @@ def _row(path: Path, number: int, row: dict[str, str | None]) -> Truth:
     try:
         frame, visible, count = int(row["frame"] or ""), int(row["visible"] or ""), int(row.get("count") or 1)
         box = Box(*(float(row[side] or "") for side in "xywh")) if visible else None
-        if frame < 0 or visible not in (0, 1) or (box and not (box.width > 0 and box.height > 0)):
+        if frame < 0 or visible not in (0, 1) or (box and not (all(map(math.isfinite, box)) and min(box[2:]) > 0)):
             raise ValueError
     except ValueError:
         text = "frame, visible (0 or 1) and where it is visible x, y, w, h have to be numbers"
