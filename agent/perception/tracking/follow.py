@@ -22,6 +22,7 @@ from agent.perception.tracking.appearance import (
     Likeness,
     Place,
     coloured,
+    fitted,
     likeness,
     remember,
     renewed,
@@ -122,11 +123,11 @@ class Follower:
     def _search(self, image: Image, appearance: Appearance) -> Followed:
         places = search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE)
         if not self._seen:
-            return self._choose(image, [place for place in places if place.like.least >= FOUND_LIKE], [])
+            return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
         near = [place for place in places if self._motion.reaches(place.box)]
         free = [place for place in near if not explained(self._others or (), place.box)]
         mine = [place for place in free if place.like.least >= FOUND_LIKE]
-        result = self._choose(image, mine, [place for place in near if place not in free])
+        result = self._choose(image, appearance, mine, [place for place in near if place not in free])
         if result.lost:
             self._motion = self._motion.missed()
             rivals = [place.box for place in places if place.like.least >= RIVAL_LIKE]
@@ -138,12 +139,12 @@ class Follower:
                 self._others = followed(self._others, new)
         return result
 
-    def _choose(self, image: Image, mine: list[Place], others: list[Place]) -> Followed:
+    def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
         """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""
         if not mine or (len(mine) > 1 and mine[1].like.least > mine[0].like.least - NEARLY):
             unclear = bool(mine) or any(place.like.least >= FOUND_LIKE for place in others)
             return Followed(self._motion.box, 0.0, "ambiguous" if unclear else "lost")
-        box, like = mine[0]
+        box, like = fitted(appearance, image, mine[0])
         self._tracker.start(image, box)
         again: State = "found again" if self._seen else "followed"
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
