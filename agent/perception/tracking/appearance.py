@@ -20,7 +20,7 @@ from agent.perception.tracking.colours import Colours, agreement, balanced, chan
 
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
 SEARCH_PX = 14  # the same where a whole picture is searched: a third of the time
-SEARCH_WIDTH_PX = 240  # of the picture that is searched, at most: small things are looked for in less detail
+SEARCH_WIDTH_PX = 176  # of the picture that is searched, at most: small things are looked for in less detail
 RIM = 1.3  # of the box is in the picture
 PLAY = 0.15  # of the box: how far a good box may be off
 NEAR_SCALES = (0.8, 1.0, 1.25)  # in which a lost thing is looked for: it may have come nearer or gone away

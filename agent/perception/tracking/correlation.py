@@ -58,8 +58,9 @@ class CorrelationTracker:
             box = self._box.grown(size)
             features, chances = self._features(image, box, gains)
             spectra = np.conj(self._numerator) * _spectra(features)
-            answer = np.fft.irfft2(spectra.sum(0) / (self._denominator + REGULAR), s=(CELLS, CELLS))
-            answer = np.asarray((1.0 - COLOUR_SHARE) * answer + COLOUR_SHARE * self._coloured(chances), np.float32)
+            filtered = np.fft.irfft2(spectra.sum(0) / (self._denominator + REGULAR), s=(CELLS, CELLS))
+            coloured = self._coloured(chances)
+            answer = np.asarray((1.0 - COLOUR_SHARE) * filtered + COLOUR_SHARE * coloured, np.float32)
             row, column = divmod(int(np.argmax(answer)), CELLS)
             if answer[row, column] - answer[MIDDLE, MIDDLE] < PLAIN:
                 row = column = MIDDLE
