@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.tracking.box import Box, Image, cut, overlap
+from agent.perception.tracking.box import Box, Image, common_px, cut
 from agent.perception.tracking.colours import Colours, agreement, balanced, chance_of, gains_of, learn
 
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
@@ -29,7 +29,7 @@ FINE_SIZES = (0.8, 0.89, 1.0, 1.12, 1.25)  # between those of a search
 PEAKS = 4  # best places in each size
 PLACES = 8  # that are looked at more closely: each takes a millisecond
 TELLING = 0.15  # least difference in chance between a thing and its surroundings for colours to tell it
-SAME_OVERLAP = 0.3  # two boxes that overlap by as much are one place
+SAME_SHARE = 0.5  # of the smaller box that lies in the larger: they are one place
 
 
 class Appearance(NamedTuple):
@@ -126,10 +126,15 @@ def search(appearance: Appearance, image: Image, last: Box, scales: tuple[float,
 def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]) -> list[Place]:
     gains, places = gains_of(image), list[Place]()
     for _, box in sorted(found, reverse=True):
-        if len(places) < PLACES and all(overlap(box, other.box) < SAME_OVERLAP for other in places):
+        if len(places) < PLACES and not any(_same(box, other.box) for other in places):
             shape, aligned = _aligned(appearance, image, box)  # the search is too coarse to say how like it is
             places.append(Place(aligned, Likeness(shape, agreement(appearance.colours, image, aligned, gains))))
     return sorted(places, key=lambda place: -place.like.least)
+
+
+def _same(a: Box, b: Box) -> bool:
+    """Whether two boxes show one thing, if not its whole."""
+    return common_px(a, b) >= SAME_SHARE * min(a.area_px, b.area_px)
 
 
 def coloured(appearance: Appearance, image: Image, like: Box) -> list[Box]:

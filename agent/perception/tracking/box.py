@@ -43,11 +43,16 @@ class Box(NamedTuple):
         return Box(left, top, max(right - left, 0.0), max(bottom - top, 0.0))
 
 
-def overlap(a: Box, b: Box) -> float:
-    """Intersection over union, 0 to 1."""
+def common_px(a: Box, b: Box) -> float:
+    """Area that lies in both, pixels."""
     width = min(a.x + a.width, b.x + b.width) - max(a.x, b.x)
     height = min(a.y + a.height, b.y + b.height) - max(a.y, b.y)
-    both = max(width, 0.0) * max(height, 0.0)
+    return max(width, 0.0) * max(height, 0.0)
+
+
+def overlap(a: Box, b: Box) -> float:
+    """Intersection over union, 0 to 1."""
+    both = common_px(a, b)
     return both / (a.area_px + b.area_px - both) if both else 0.0
 
 
