@@ -33,11 +33,12 @@ from agent.perception.tracking.box_trackers import BoxTracker
 from agent.perception.tracking.look_alikes import LookAlike, explained, followed
 from agent.perception.tracking.motion import Motion
 
-HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60
-HOLD_COLOUR = 0.45
+# Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
+HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
+HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon tetra that turns 0.48; red as yellow: 0
 SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
-FOUND_LIKE = 0.70  # of a place that is taken for it: 0.6 in one of ten pictures without the thing, with it 0.75 to 1
+FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
 NEARLY = 0.1  # two places that differ by less in likeness are equally like it
 CLEAR = 0.9  # of the most: a tenth may be hidden
