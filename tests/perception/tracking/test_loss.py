@@ -48,7 +48,7 @@ def path(still, out, away, back):
 
 @pytest.mark.parametrize("other", [(60, 90, YELLOW), (60, 90, RED)], ids=["yellow stays", "a red one stays too"])
 def test_what_leaves_slowly_is_lost_and_nothing_else_is_taken_for_it(water, other):
-    ways = path(4, 24, 24, 12)
+    ways = path(2, 20, 20, 8)
     places = [160 + 100 * way for way in ways]
     frames = [picture(water, other, (u, 60, RED), seed=k) for k, u in enumerate(places)]
     seen = states(frames, around(160, 60))
@@ -61,7 +61,7 @@ def test_what_leaves_slowly_is_lost_and_nothing_else_is_taken_for_it(water, othe
 
 
 def test_what_is_hidden_is_lost(water):
-    frames = [picture(water, (120, 90, RED), seed=k) for k in range(46)]
+    frames = [picture(water, (120, 90, RED), seed=k) for k in range(38)]
     for k, frame in enumerate(frames):
         left = max(105, 160 - 4 * k)
         frame[70:112, left : left + 45] = water[10:52, 20:65]
