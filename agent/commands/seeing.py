@@ -36,16 +36,23 @@ def depth_map(
 @app.command("track", epilog="Example: aucamp track dive.mp4 --box 210,140,90,60 --out followed.mp4")
 def track(
     source: Annotated[str, typer.Argument(help="Folder of pictures, video file, or a camera URL.")],
-    box: Annotated[str, typer.Option(help="Around the thing in the first picture: X,Y,W,H in pixels.")],
+    box: Annotated[
+        str | None, typer.Option(help="Around the thing in the first picture: X,Y,W,H in pixels; else --truth's.")
+    ] = None,
     backbone: Annotated[Path | None, typer.Option(help="NanoTrack V2's backbone (ONNX).")] = None,
     neck: Annotated[Path | None, typer.Option(help="NanoTrack V2's neck and head (ONNX).")] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many; a camera needs it.")] = None,
     out: Annotated[Path | None, typer.Option(help="Pictures with the box: new folder, or .mp4, .avi.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="CSV of boxes that are right: says how well it follows.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.1, help="Pictures a second, for --truth; the video's own, or 30.")
+    ] = None,
+    result: Annotated[Path | None, typer.Option(help="Figures of --truth; else result.json in --out or runs/.")] = None,
 ) -> None:
     """Follow what is in a box; a line per picture says where it is, how sure, and whether it is lost."""
-    from agent.pictures.follow_box import run
+    from agent.pictures.follow_box import Asked, run
 
-    raise typer.Exit(0 if run(source, box, backbone, neck, frames, out, typer.echo) else 1)
+    raise typer.Exit(0 if run(source, Asked(box, backbone, neck, frames, out, truth, rate, result), typer.echo) else 1)
 
 
 @app.command(epilog="Example: aucamp enhance photographs/ --out clear --side-by-side")

@@ -17,7 +17,7 @@ from agent.keys.key_files import private_file
 from agent.keys.key_folder import read_keys
 from agent.keys.robot_keys import keys_folder, robot_keys
 from agent.perception.detection.detectors import target_picture
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.perception.tracking.follow import check_box
 from hw.twin.scene import scene_of

@@ -50,7 +50,7 @@ class Target(Struct, frozen=True, kw_only=True):
     # of a box; files are looked for beside the fleet file
     picture: str | None = None  # taken by a camera of the fleet
     box: tuple[float, float, float, float] | None = None  # around the thing in it: x, y, width, height in pixels
-    models: str | None = None  # folder with NanoTrack's two files; without them OpenCV's MIL follows the box
+    models: str | None = None  # folder with NanoTrack's two files; without them a correlation filter follows the box
 
     @property
     def ball_colour(self) -> Colour:

@@ -18,7 +18,7 @@ from agent.kernel.ranging.focus import Array, NoPeak, fit_peak, h, phase_sigma, 
 from agent.perception.clarity.breathing import GROWTH_POWER
 from agent.perception.clarity.clarity import tenengrad_grid
 from agent.perception.clarity.region import INNER_BOX
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from hw.camera.camera import Image
 
 MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds

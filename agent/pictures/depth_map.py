@@ -12,7 +12,7 @@ from agent.kernel.config import ConfigError
 from agent.kernel.ranging.calibration import FocusFit, load_focus
 from agent.kernel.ranging.focus import NoPeak
 from agent.kernel.ranging.lens_sag import at_tilt
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.perception.tracking.follow import parse_box
 from agent.pictures.depth_box import BoxRange, as_json, box_range
 from agent.pictures.depth_edges import any_part

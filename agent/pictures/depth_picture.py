@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.kernel.ranging.focus import Array
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.pictures.depth_sweep import DepthMap
 from hw.camera.camera import Image
 

@@ -18,7 +18,7 @@ from agent.kernel.ranging.calibration import FocusFit
 from agent.kernel.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak
 from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
 from agent.perception.clarity.clarity import Sums, areas, grid, tenengrad_sums
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.perception.tracking.follow import check_box
 from agent.pictures.depth_box import BoxRange, box_clarity
 from agent.pictures.depth_edges import cuts, in_doubt, with_edges

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.__main__ import main
 from agent.kernel.config import ConfigError
 from agent.kernel.toml_files import dump
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.pictures.depth_box import BoxRange, box_clarity, box_range
 from agent.pictures.depth_map import run
 from tests.pictures.planes import CALIBRATION, FOCUS, Breathing

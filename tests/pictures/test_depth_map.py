@@ -12,7 +12,7 @@ from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.kernel.ranging.focus import h
 from agent.kernel.toml_files import dump
-from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.box import Box
 from agent.pictures.depth_map import depth_map, run
 from agent.pictures.depth_peaks import Reason
 from hw.camera.camera import CameraError

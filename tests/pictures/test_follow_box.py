@@ -8,7 +8,7 @@ import pytest
 from agent.__main__ import main
 from agent.kernel.config import ConfigError
 from agent.perception.tracking.box_trackers import model_files
-from agent.pictures.follow_box import HEADER, parse_box, run
+from agent.pictures.follow_box import HEADER, Asked, parse_box, run
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 
@@ -33,11 +33,11 @@ def text(box):
 def test_a_folder(folder, tmp_path):
     pictures, boxes = folder
     lines = []
-    assert run(str(pictures), text(boxes[0]), None, None, None, tmp_path / "out", lines.append)
+    assert run(str(pictures), Asked(text(boxes[0]), out=tmp_path / "out"), lines.append)
     assert lines[0] == HEADER and len(lines) == 7
     for line, box in zip(lines[1:], boxes, strict=True):
-        name, t_s, x, y, w, h, score, lost = line.split(",")
-        assert t_s == "" and lost == "0" and float(score) > 0.5
+        name, t_s, x, y, w, h, score, state = line.split(",")
+        assert t_s == "" and state == "followed" and float(score) > 0.5
         assert overlap(tuple(map(float, (x, y, w, h))), box) > 0.6, name
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k:06}.png" for k in range(6)]
 
@@ -49,7 +49,7 @@ def test_a_video_in_and_out(tmp_path):
         writer.write(image)
     writer.release()
     lines = []
-    assert run(str(film), text(frames[0][1]), None, None, None, tmp_path / "out.avi", lines.append)
+    assert run(str(film), Asked(text(frames[0][1]), out=tmp_path / "out.avi"), lines.append)
     assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2", "3"]
     assert cv2.VideoCapture(str(tmp_path / "out.avi")).get(cv2.CAP_PROP_FRAME_COUNT) == 4
 
@@ -92,11 +92,12 @@ def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("models", [
-    pytest.param((None, None), id="mil"),
+    pytest.param((None, None), id="filter"),
     pytest.param(model_files(NANO), id="nano", marks=pytest.mark.skipif(not NANO.is_dir(), reason="no NanoTrack here")),
 ])  # fmt: skip
 @pytest.mark.parametrize("box", ["0,0,480,360", "4,4,472,352", "0,0,480,40", "0,0,8,8"])
 def test_a_box_may_be_as_large_as_the_picture_or_at_its_border(folder, models, box):
     lines = []
-    assert run(str(folder[0]), box, *models, 3, None, lines.append) in (True, False)
-    assert len(lines) == 4 and lines[1] == f"000.png,,{','.join(f'{float(n):.1f}' for n in box.split(','))},1.00,0"
+    assert run(str(folder[0]), Asked(box, *models, 3), lines.append) in (True, False)
+    drawn = ",".join(f"{float(side):.1f}" for side in box.split(","))
+    assert len(lines) == 4 and lines[1] == f"000.png,,{drawn},1.00,followed"

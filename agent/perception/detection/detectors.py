@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 from agent.kernel.config import Colour, ConfigError, Fleet, Target
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.perception.detection.detect import find_ball
-from agent.perception.tracking.appearance import Box, Image
+from agent.perception.tracking.box import Box, Image
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.perception.tracking.follow import Follower
 from hw.picture_files import read_picture

@@ -1,43 +1,64 @@
 """Follow a thing that somebody has drawn a box around, say when it is lost, and find it again.
 
-Two witnesses have to agree: the tracker's own score, and the likeness of what is in its box to what was there before.
-Either alone is fooled: the score recovers on an empty wall, the likeness falls when a fish turns. A box that grew,
-shrank or jumped more than a thing can within one frame is not believed either. While it is lost the whole picture is
-searched for it, and the tracker starts anew where it is found.
+The tracker's own score says nothing: it is as high on the thing, beside it and without it. Four things have to hold
+instead. The box moves on as it moved before, and keeps its size. Most of it lies in the picture. It shows the colours
+that the thing had in its first picture. It looks like that picture, or like the newest that was certain. Else it is
+lost, and the whole picture is searched. What is like it there is taken for it only where it can have got to by now and
+where no look-alike can be; where one can, or two places are equally like it, that is ambiguous.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Collection
+from typing import Literal, NamedTuple
 
 from agent.kernel.config import ConfigError
 from agent.perception.tracking.appearance import (
     ANY_SCALE,
     NEAR_SCALES,
     Appearance,
-    Box,
-    Image,
+    Likeness,
+    Place,
+    coloured,
+    fitted,
     likeness,
     remember,
     renewed,
     search,
 )
+from agent.perception.tracking.box import Box, Image
 from agent.perception.tracking.box_trackers import BoxTracker
+from agent.perception.tracking.look_alikes import LookAlike, explained, followed
+from agent.perception.tracking.motion import Motion
 
-HOLD_SCORE, SURE_SCORE = 0.60, 0.75  # NanoTrack gives 0.85 to 0.93 while its target is there
-HOLD_LIKE, SURE_LIKE = 0.50, 0.60  # measured: 0.57 to 0.95 from frame to frame, to 0.45 when something else is there
-FOUND_LIKE = 0.60  # best place in a picture without the thing: 0.2 to 0.45
-FIRST_LIKE = 0.70  # the same in any size: 0.58 in one of ten, grey stone before a grey floor; with the thing 0.6 to 1
-MAX_GROWTH = 1.5  # of the area, from frame to frame
-MAX_STEP = 1.0  # of the box's diagonal, from frame to frame
+# Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
+HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
+HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon tetra that turns 0.48; red as yellow: 0
+SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
+LATELY = 0.1  # weight of the newest picture in that: a third of a second
+FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
+RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
+NEARLY = 0.1  # two places that differ by less in likeness are equally like it
+CLEAR = 0.9  # of the most: a tenth may be hidden
+PATIENCE = 12  # frames in a row that need not be sure: less than half a second
+LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
 MIN_SIDE_PX = 8  # of a box that can be followed
+
+State = Literal["followed", "found again", "ambiguous", "lost"]
+FOLLOWED: tuple[State, State] = ("followed", "found again")
 
 
 class Followed(NamedTuple):
-    box: Box  # while it is lost: where it was last seen
-    score: float  # 0 to 1, the weaker witness; 0 while it is lost
-    lost: bool
+    box: Box  # while it is lost or ambiguous: where it was last seen
+    score: float  # 0 to 1, the weaker witness; 0 while it is lost or ambiguous
+    state: State
+
+    @property
+    def lost(self) -> bool:
+        """Whether nothing can be measured."""
+        return self.state not in FOLLOWED
 
 
 class Follower:
@@ -46,22 +67,27 @@ class Follower:
     def __init__(self, tracker: BoxTracker) -> None:
         self._tracker = tracker
         self._appearance: Appearance | None = None
-        self._box = Box(0, 0, 0, 0)
-        self._lost = True
-        self._seen = False
+        self._motion = Motion(Box(0, 0, 0, 0))
+        self._whole = Box(0, 0, 0, 0)  # the newest that no border cut
+        self._lost, self._seen = True, False
+        self._unsure = 0  # frames since it was certain
+        self._colour = 1.0  # likeness in colour lately
+        self._pictures: deque[tuple[float, Image]] = deque(maxlen=PATIENCE)  # the newest, with their likeness in colour
+        self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
         ConfigError as start() does."""
         check_box(box, (picture.shape[1], picture.shape[0]))
-        self._appearance, self._box, self._lost, self._seen = remember(picture, box), box, True, False
+        self._appearance, self._motion, self._whole = remember(picture, box), Motion(box), box
+        self._lost, self._seen, self._others = True, False, None
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
         check_box(box, (image.shape[1], image.shape[0]))
         self._tracker.start(image, box)
-        self._appearance, self._box, self._lost = remember(image, box), box, False
-        self._seen = True
+        self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
+        self._lost, self._seen, self._others, self._unsure, self._colour = False, True, None, 0, 1.0
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
@@ -70,34 +96,82 @@ class Follower:
         return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
 
     def _follow(self, image: Image, appearance: Appearance) -> Followed:
-        box, score = self._tracker.follow(image)
-        alike = likeness(appearance, image, box) if usable(box) and steady(self._box, box) else -1.0
-        if score < HOLD_SCORE or alike < HOLD_LIKE:
-            self._lost = True
+        box = self._tracker.follow(image)
+        size = image.shape[1], image.shape[0]
+        whole = _uncut(box, self._whole, size)
+        inside = whole.inside(size)
+        share = inside.area_px / whole.area_px
+        like = Likeness(-1.0, 0.0)
+        if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
+            like = likeness(appearance, image, whole)
+        sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
+        self._unsure = 0 if sure else self._unsure + 1
+        if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
+            self._lost, self._others = True, None
+            if self._pictures:
+                appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
-        self._box = box
-        if score >= SURE_SCORE and alike >= SURE_LIKE:
+        self._motion = self._motion.seen(whole)
+        if sure:
+            self._colour += LATELY * (like.colour - self._colour)
+        if share > 0.999 and sure:
+            self._whole = whole
             self._appearance = renewed(appearance, image, box)
-        return Followed(box, min(score, max(alike, 0.0)), lost=False)
+            self._pictures.append((like.colour, self._appearance.newest))
+            self._tracker.learn(image, box)
+        return Followed(box, max(like.least, 0.0), "followed")
 
     def _search(self, image: Image, appearance: Appearance) -> Followed:
-        box, alike = search(appearance, image, self._box, NEAR_SCALES if self._seen else ANY_SCALE)
-        if alike < (FOUND_LIKE if self._seen else FIRST_LIKE):
-            return Followed(self._box, 0.0, lost=True)
+        places = search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE)
+        if not self._seen:
+            return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
+        near = [place for place in places if self._motion.reaches(place.box)]
+        free = [place for place in near if not explained(self._others or (), place.box)]
+        mine = [place for place in free if place.like.least >= FOUND_LIKE]
+        result = self._choose(image, appearance, mine, [place for place in near if place not in free])
+        if result.lost:
+            self._motion = self._motion.missed()
+            rivals = [place.box for place in places if place.like.least >= RIVAL_LIKE]
+            rivals += coloured(appearance, image, self._whole)
+            if self._others is None:
+                self._others = [LookAlike(box) for box in rivals if not self._motion.reaches(box)]
+            else:
+                new = [box for box in rivals if explained(self._others, box) or not self._motion.reaches(box)]
+                self._others = followed(self._others, new)
+        return result
+
+    def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
+        """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""
+        if not mine or (len(mine) > 1 and mine[1].like.least > mine[0].like.least - NEARLY):
+            unclear = bool(mine) or any(place.like.least >= FOUND_LIKE for place in others)
+            return Followed(self._motion.box, 0.0, "ambiguous" if unclear else "lost")
+        box, like = fitted(appearance, image, mine[0])
         self._tracker.start(image, box)
-        self._box, self._lost, self._seen = box, False, True
-        return Followed(box, alike, lost=False)
+        again: State = "found again" if self._seen else "followed"
+        self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
+        self._unsure, self._colour = 0, like.colour
+        self._pictures.clear()
+        return Followed(box, like.least, again)
+
+
+def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
+    """The newest that shows nearly as much of the thing's colours as any: later ones may show what hides it."""
+    most = max(colour for colour, _ in pictures)
+    return [picture for colour, picture in pictures if colour >= CLEAR * most][-1]
 
 
 def usable(box: Box) -> bool:
     return min(box.width, box.height) >= MIN_SIDE_PX
 
 
-def steady(before: Box, after: Box) -> bool:
-    """Whether one and the same thing can have had these boxes in two frames that follow each other."""
-    growth = after.width * after.height / (before.width * before.height)
-    step = math.dist(before.centre_px, after.centre_px) / math.hypot(before.width, before.height)
-    return 1.0 / MAX_GROWTH <= growth <= MAX_GROWTH and step <= MAX_STEP
+def _uncut(box: Box, whole: Box, size: tuple[int, int]) -> Box:
+    """The box as it would be without the picture's border, at which trackers cut it: as large as when it was whole."""
+    x, y, width, height = box
+    if (x <= 1) != (x + width >= size[0] - 1) and whole.width > width:
+        x, width = (x + width - whole.width if x <= 1 else x), whole.width
+    if (y <= 1) != (y + height >= size[1] - 1) and whole.height > height:
+        y, height = (y + height - whole.height if y <= 1 else y), whole.height
+    return Box(x, y, width, height)
 
 
 def parse_box(text: str) -> Box:

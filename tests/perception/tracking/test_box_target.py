@@ -103,7 +103,7 @@ def sweep(tank, fleet):
 @pytest.mark.parametrize(
     ("models", "distance_m", "azimuth_deg"),
     [(None, 0.45, 0.0), (None, 0.8, 25.0), (NANO, 0.6, -15.0)],
-    ids=["mil, near", "mil, far", "nano"],
+    ids=["filter, near", "filter, far", "nano"],
 )
 def test_the_range_is_that_of_the_surface_in_the_box(tank, picture, models, distance_m, azimuth_deg):
     if models is not None and not models.is_dir():

@@ -1,0 +1,232 @@
+"""Clips in which a thing is lost, made from real pictures: it leaves slowly through a border, is hidden, comes back.
+
+Real water and real fish, but the leaving is ours: a window that moves away over a real clip, a buoy cut out of its
+picture and drifting out of it, a piece of another frame that slides over the fish. So the truth follows from how each
+was made. Look-alikes stay in view. Two parts: limits were chosen on TUNED, HELD_OUT was looked at afterwards; no fish,
+no run of a camera and no made ball is in both.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from agent.perception.tracking.box import Box
+from agent.pictures.track_truth import Truth
+
+WATER = "real_water"
+WINDOW = (320, 240)  # width and height of the moving window, pixels
+GONE_SHARE, SLIVER_SHARE = 0.05, 0.35  # of the box that is seen: below it is away; below the second nobody counts
+STAY, LEAVE, AWAY, RETURN = 30, 60, 75, 45  # frames: 1 s in view, 2 s of leaving, 2.5 s away, 1.5 s of coming back
+FLICKER = 0.2  # of the brightness, and of the bright net that the waves draw
+
+
+class Clip(NamedTuple):
+    name: str
+    rate_hz: float
+    images: list[np.ndarray]
+    truth: list[Truth]
+
+
+def real(name: str, data: Path, rate_hz: float) -> Clip:
+    """One of the three clips as it is."""
+    folder, truth = data / WATER / "clips" / name, []
+    with (folder / "truth.csv").open() as lines:
+        for row in csv.DictReader(lines):
+            box = Box(*(float(row[side]) for side in "xywh")) if row["visible"] == "1" else None
+            truth.append(Truth(int(row["frame"]), box, row["count"] != "0"))
+    images = [cv2.imread(str(folder / f"{k:04}.jpg")) for k in range(len(truth))]
+    return Clip(name, rate_hz, images, truth)
+
+
+def backwards(clip: Clip) -> Clip:
+    """From the last frame in which it is wholly seen back to the first."""
+    height, width = clip.images[0].shape[:2]
+    last = max(k for k, (_, box, counted) in enumerate(clip.truth) if box and counted and _clear(box, (width, height)))
+    order = range(last, -1, -1)
+    truth = [clip.truth[k]._replace(frame=last - k) for k in order]
+    return Clip(f"{clip.name}, backwards", clip.rate_hz, [clip.images[k] for k in order], truth)
+
+
+def left_behind(clip: Clip, direction: tuple[int, int]) -> Clip:
+    """A window in which the thing is first in the middle, and which then slowly moves away and comes back.
+
+    direction: where in the window the thing goes, (1, 0) to the right. The clip is played to and fro.
+    """
+    count = STAY + LEAVE + AWAY + RETURN + STAY
+    last = max(k for k, truth in enumerate(clip.truth) if truth.box and truth.counted)
+    images, truth = [], []
+    for k in range(count):
+        turn = k % (2 * last)
+        at = turn if turn <= last else 2 * last - turn
+        box = clip.truth[at].box
+        assert box is not None
+        reach = [(WINDOW[axis] + (box.width, box.height)[axis]) / 2 + 8 for axis in (0, 1)]
+        shift = _away(k)
+        middle = box.x + box.width / 2, box.y + box.height / 2
+        corner = [middle[axis] - WINDOW[axis] / 2 - direction[axis] * shift * reach[axis] for axis in (0, 1)]
+        x = int(np.clip(round(corner[0]), 0, clip.images[at].shape[1] - WINDOW[0]))
+        y = int(np.clip(round(corner[1]), 0, clip.images[at].shape[0] - WINDOW[1]))
+        images.append(clip.images[at][y : y + WINDOW[1], x : x + WINDOW[0]])
+        part = _in_view(Box(box.x - x, box.y - y, box.width, box.height), WINDOW, k)
+        truth.append(part._replace(counted=part.counted and clip.truth[at].counted))
+    side = {(1, 0): "right", (-1, 0): "left", (0, 1): "bottom", (0, -1): "top"}[direction]
+    return Clip(f"{clip.name}, left behind, out {side}", clip.rate_hz, images, truth)
+
+
+def hidden(clip: Clip, piece: tuple[int, int], start: int = 30) -> Clip:
+    """A piece of the clip's own background, from (x, y) on, slides over the thing, stays on it and goes away."""
+    images, truth = [], []
+    count = min(len(clip.images), start + 150)
+    for k in range(count):
+        image, box = clip.images[k].copy(), clip.truth[k].box
+        if box is None:
+            break
+        width, height = round(1.5 * box.width), round(1.5 * box.height)
+        over = 1.0 - np.clip((k - start) / 20, 0, 1) + np.clip((k - start - 100) / 20, 0, 1)  # 1 beside it, 0 on it
+        x = round(box.x - 0.25 * box.width + over * (width + 4))
+        y = round(box.y - 0.25 * box.height)
+        _paste(image, clip.images[0][piece[1] : piece[1] + height, piece[0] : piece[0] + width], x, y)
+        free = float(np.clip((x - box.x) / box.width, 0, 1))
+        images.append(image)
+        if free < GONE_SHARE:
+            truth.append(Truth(k, None, True))
+        else:
+            truth.append(Truth(k, box, clip.truth[k].counted and free > 1 - SLIVER_SHARE))
+    return Clip(f"{clip.name}, hidden", clip.rate_hz, images, truth)
+
+
+def drifting(folder: Path, file: str, ball: int, direction: tuple[float, float], seed: int) -> Clip:
+    """A ball of a picture drifts out of it and back; whatever else is in the picture stays, and all of it sways.
+
+    ball: its number among those of this picture in truth.csv.
+    """
+    with (folder / "truth.csv").open() as lines:
+        row = [row for row in csv.DictReader(lines) if row["file"] == file][ball]
+    picture, rng = cv2.imread(str(folder / file)), np.random.default_rng(seed)
+    u, v, radius = (float(row[key]) for key in ("u_px", "v_px", "radius_px"))
+    height, width = picture.shape[:2]
+    mask = cv2.circle(np.zeros((height, width), np.uint8), (round(u), round(v)), round(1.25 * radius + 2), 255, -1)
+    empty = cv2.inpaint(picture, mask, 5, cv2.INPAINT_TELEA)
+    disc = cv2.circle(np.zeros_like(mask), (round(u), round(v)), round(1.1 * radius), 255, -1)
+    soft = cv2.GaussianBlur(disc, (0, 0), 1)
+    away = (width - u if direction[0] > 0 else u) + radius + 8, (height - v if direction[1] > 0 else v) + radius + 8
+    images, truth = [], []
+    for k in range(STAY + LEAVE + AWAY + RETURN + STAY):
+        dx, dy = (_away(k) * direction[axis] * away[axis] for axis in (0, 1))
+        move = np.float32([[1, 0, dx], [0, 1, dy]])
+        alpha = cv2.warpAffine(soft, move, (width, height))[..., None] / 255.0
+        image = alpha * cv2.warpAffine(picture, move, (width, height)) + (1 - alpha) * empty
+        sway = np.float32([[1, 0, 3 * np.sin(k / 11)], [0, 1, 2 * np.sin(k / 7)]])
+        image = cv2.warpAffine(image, sway, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+        images.append(image)
+        corner = u + 0.5 - radius + dx + sway[0, 2], v + 0.5 - radius + dy + sway[1, 2]
+        truth.append(_in_view(Box(*map(float, corner), 2 * radius, 2 * radius), (width, height), k))
+    return Clip(f"{Path(file).stem} {row['colour']}, drifts out", 30.0, images, truth)
+
+
+def flickering(clip: Clip) -> Clip:
+    """The same under waves: brightness rises and falls, and a net of bright lines moves over the picture."""
+    images = []
+    rows, columns = np.mgrid[: clip.images[0].shape[0], : clip.images[0].shape[1]].astype(np.float32)
+    for k, image in enumerate(clip.images):
+        across = np.sin(columns / 17 + 2 * np.sin(rows / 23 + k / 9))
+        net = across * np.sin(rows / 19 + 2 * np.sin(columns / 29 - k / 7))
+        light = 1 + FLICKER * np.sin(k / 5) + FLICKER * np.abs(net) ** 4
+        images.append(np.clip(image * light[..., None], 0, 255).astype(np.uint8))
+    return clip._replace(name=f"{clip.name}, flickering", images=images)
+
+
+def _clear(box: Box, size: tuple[int, int]) -> bool:
+    return box.x > 3 and box.y > 3 and box.x + box.width < size[0] - 3 and box.y + box.height < size[1] - 3
+
+
+def _away(k: int) -> float:
+    """How far on its way out a thing is in frame k, 0 to 1."""
+    return float(np.clip((k - STAY) / LEAVE, 0, 1) - np.clip((k - STAY - LEAVE - AWAY) / RETURN, 0, 1))
+
+
+def _in_view(box: Box, size: tuple[int, int], frame: int) -> Truth:
+    left, top = max(box.x, 0.0), max(box.y, 0.0)
+    width, height = min(box.x + box.width, size[0]) - left, min(box.y + box.height, size[1]) - top
+    share = max(width, 0.0) * max(height, 0.0) / (box.width * box.height)
+    if share < GONE_SHARE:
+        return Truth(frame, None, True)
+    return Truth(frame, Box(left, top, width, height), share > SLIVER_SHARE)
+
+
+def _paste(image: np.ndarray, piece: np.ndarray, x: int, y: int) -> None:
+    left, top = max(x, 0), max(y, 0)
+    right, bottom = min(x + piece.shape[1], image.shape[1]), min(y + piece.shape[0], image.shape[0])
+    if right > left and bottom > top:
+        image[top:bottom, left:right] = piece[top - y : bottom - y, left - x : right - x]
+
+
+def _goldfish_turns(data: Path) -> Iterator[Clip]:
+    clip = real("goldfish_turns", data, 30.0)
+    yield clip
+    yield flickering(clip)
+    for direction in ((1, 0), (0, 1)):
+        yield left_behind(clip, direction)
+    yield hidden(clip, (280, 90))
+
+
+def _goldfish_rim(data: Path) -> Iterator[Clip]:
+    clip = real("goldfish_rim", data, 30.0)
+    yield clip
+    yield backwards(clip)
+    for direction in ((-1, 0), (0, -1)):
+        yield left_behind(clip, direction)
+    yield hidden(clip, (200, 90))
+
+
+def _tetra_leaves(data: Path) -> Iterator[Clip]:
+    clip = real("tetra_leaves", data, 25.0)
+    yield clip
+    yield flickering(clip)
+    yield backwards(clip)
+    for direction in ((1, 0), (0, -1)):
+        yield left_behind(clip, direction)
+    yield hidden(clip, (480, 62))
+
+
+TUNED_BALLS = {
+    "balls": [("usc_b_0001.jpg", 0, (1, 0.1)), ("usc_b_0010.jpg", 0, (-1, 0)), ("usc_b_0016.jpg", 1, (0.1, -1))],
+    "balls_composite": [
+        ("comp_005.jpg", 1, (-1, 0)), ("comp_013.jpg", 0, (0, 1)), ("comp_028.jpg", 2, (0.2, -1)),
+        ("comp_014.jpg", 0, (1, 0)),
+    ],
+}  # fmt: skip
+HELD_OUT_BALLS = {
+    "balls": [("usc_a_0004.jpg", 0, (-1, 0)), ("usc_a_0005.jpg", 1, (1, 0)), ("usc_a_0006.jpg", 1, (0, -1))],
+    "balls_composite": [
+        ("comp_006.jpg", 2, (-1, 0)), ("comp_012.jpg", 2, (1, 0)), ("comp_023.jpg", 0, (0, 1)),
+        ("comp_031.jpg", 2, (1, 0)),
+    ],
+}  # fmt: skip
+
+
+def _balls(data: Path, chosen: dict[str, list[tuple[str, int, tuple[float, float]]]]) -> Iterator[Clip]:
+    for kind, balls in chosen.items():
+        for seed, (file, ball, direction) in enumerate(balls):
+            clip = drifting(data / WATER / kind, file, ball, direction, seed)
+            yield flickering(clip) if seed % 2 else clip
+
+
+def tuned(data: Path) -> Iterator[Clip]:
+    """One at a time: a clip of pictures takes up to 200 MB."""
+    yield from _goldfish_turns(data)
+    yield from _balls(data, TUNED_BALLS)
+
+
+def held_out(data: Path) -> Iterator[Clip]:
+    """What no limit was chosen on."""
+    yield from _goldfish_rim(data)
+    yield from _tetra_leaves(data)
+    yield from _balls(data, HELD_OUT_BALLS)
