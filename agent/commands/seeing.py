@@ -100,7 +100,7 @@ def train_enhance(
     from agent.training.command import cross_validation, plan_of, train
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
-    plan = plan_of(steps, seed, start is not None)
+    plan = plan_of(steps, seed, start is not None, pairs is not None)
     if cross_validate is not None and pairs is not None and start is not None:
         cross_validation(pairs, start, plan, cross_validate, terminal())
     else:
