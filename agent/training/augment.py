@@ -2,8 +2,9 @@
 
 A pair is used in one of three ways. As it is, with another white balance, exposure and contrast of the camera. Its
 reference in drawn water (degrade.py), for blue, green and turbid seas that no pair shows. Its reference as good as it
-is, so that the network learns to leave a good picture alone. In front of half of them are vivid things (things.py),
-seen through the same water.
+is, so that the network learns to leave a good picture alone. In front of most of them are vivid things (things.py),
+seen through the same water. In place of some of them stands a pair of our own making, lest what was learned of other
+water and of vivid things be forgotten over the dull ones.
 
 The pair's own water, for things that are put into it, is fitted: raw = gain * reference + veil per colour, in linear
 light. A thing that is nearer than the scene has lost less colour and has less veil in front of it.
@@ -18,11 +19,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from agent.training.degrade import GAMMA, Image, Picture, coded_bytes, draw_sea, photograph, submerge
-from agent.training.landscapes import FAR, noise
-from agent.training.things import MOST, draw_thing, put_into
+from agent.training.degrade import GAMMA, Image, Picture, coded_bytes, draw_sea, pair, photograph, submerge
+from agent.training.landscapes import FAR, landscape, noise
+from agent.training.things import MOST, draw_thing, put_into, with_things
 
-OTHER_WATER, NO_WATER = 0.3, 0.15  # shares of the pairs; the rest are as they are
+OWN = 0.25  # share of pairs of our own making
+OTHER_WATER, NO_WATER = 0.3, 0.15  # shares of the others; the rest are as they are
 WITH_THINGS = 0.7
 TINT, EXPOSURE, CONTRAST = 0.12, 0.25, 0.15  # deviations of the logarithms of gain per colour, of light, of gamma
 SLIGHT = 0.3  # of these for a picture without water
@@ -38,6 +40,9 @@ class Water(NamedTuple):
 
 def augmented(raw: Image, reference: Image, rng: np.random.Generator) -> tuple[Image, Image]:
     """A pair that a real one stands for."""
+    if rng.random() < OWN:
+        picture, z, vivid = with_things(*landscape(raw.shape[0], rng), rng)
+        return pair(picture, z, rng, vivid)
     count = int(rng.integers(1, MOST + 1)) if rng.random() < WITH_THINGS else 0
     things = [draw_thing(raw.shape[0], rng) for _ in range(count)]
     clear, way = linear(reference), rng.random()

@@ -19,7 +19,7 @@ from agent.training.dataset import Pairs, load, make_pairs, save, split
 from agent.training.request import checkpoint_of
 from agent.training.scene_pairs import folds, read_pairs
 from agent.training.summary import summary, table
-from agent.training.train import Plan, Point, Run, advance
+from agent.training.train import Plan, Point, Run, advance, between
 from agent.training.validate import SIMPLE, Fold, cross_validate, score
 
 MADE, MADE_SIDE = 3120, 160  # pairs of our own, and their side in pixels: larger than what a step sees
@@ -63,7 +63,7 @@ def train(
             if state.step % SAVE_EVERY == 0 or state.step == plan.steps:
                 state.save(checkpoint)
                 curves(state.curve, out)
-    lu2net.save(state.average.eval(), out)
+    lu2net.save(between(net, state.average) if net and folders else state.average.eval(), out)
     console.print(f"written to {out}; curves beside it")
 
 

@@ -31,6 +31,7 @@ NARROWEST = 0.6  # share of a picture that a crop keeps at least
 WARM_UP = 50  # steps
 AVERAGED = 0.998  # decay of the running average per step
 CLIP = 1.0  # norm of the gradient
+TUNED = 0.5  # of the way from the start to what real pairs made of it; see weights/README.md
 FIT_RIDGE = 1e-3  # of the least squares for the first last layer
 
 
@@ -196,6 +197,17 @@ def follow(average: LU2Net, net: LU2Net, decay: float) -> None:
                 mean.lerp_(value, 1 - decay)
             else:
                 mean.copy_(value)
+
+
+def between(start: LU2Net, tuned: LU2Net, share: float = TUNED) -> LU2Net:
+    """Weights on the way from `start` to `tuned` (Wortsman et al. 2022): real pairs are few and alike, and what the
+    start knows of other water is lost last."""
+    out, begin = copy.deepcopy(tuned), start.state_dict()
+    with torch.no_grad():
+        for name, value in out.state_dict().items():
+            if value.is_floating_point():
+                value.copy_(begin[name].lerp(value, share))
+    return out.eval()
 
 
 def validate(net: LU2Net, pairs: Pairs) -> tuple[float, float]:

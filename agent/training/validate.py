@@ -15,7 +15,7 @@ from agent.training.dataset import Pairs
 from agent.training.degrade import Image
 from agent.training.metrics import Quality, judge
 from agent.training.scene_pairs import folds
-from agent.training.train import Plan, Run, advance
+from agent.training.train import Plan, Run, advance, between
 
 Method = Callable[[Image], Image]
 
@@ -55,7 +55,7 @@ def cross_validate(start: LU2Net, pairs: Pairs, plan: Plan, count: int) -> Itera
         held_out = pairs.only(fold_of == number)
         state = Run(plan, start)
         yield from advance(state, pairs.only(fold_of != number), nothing)
-        tuned = state.average.eval()
+        tuned = between(start, state.average)
         methods = SIMPLE["identity"], fast(start), partial(run, tuned), fast(tuned)
         yield Fold(number + 1, *(score(held_out, method) for method in methods))
 

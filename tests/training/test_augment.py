@@ -39,6 +39,7 @@ def test_pairs_follow_from_the_draw_and_keep_their_sizes(reference):
 
 def test_some_pairs_are_good_already_and_others_are_in_other_water(reference, monkeypatch):
     monkeypatch.setattr(augment, "WITH_THINGS", 0.0)
+    monkeypatch.setattr(augment, "OWN", 0.0)
     raw = np.full_like(reference, 30)
     pairs = [augmented(raw, reference, np.random.default_rng(seed)) for seed in range(40)]
     assert all(np.array_equal(target, reference) for _, target in pairs)
@@ -46,6 +47,12 @@ def test_some_pairs_are_good_already_and_others_are_in_other_water(reference, mo
     flat = np.array([np.ptp(seen, axis=(0, 1)).max() <= 1 for seen, _ in pairs])  # the raw one, taken otherwise
     assert 12 <= flat.sum() <= 32 and (~flat).sum() >= 8
     assert apart[~flat].min() < 15 and apart[~flat].max() > 30  # hardly any water, and some
+
+
+def test_some_pairs_are_of_our_own_making(reference, monkeypatch):
+    monkeypatch.setattr(augment, "WITH_THINGS", 0.0)
+    targets = [augmented(reference, reference, np.random.default_rng(seed))[1] for seed in range(20)]
+    assert 1 <= sum(not np.array_equal(target, reference) for target in targets) <= 10
 
 
 def test_most_things_are_warm_and_none_is_yellow_green():

@@ -15,7 +15,7 @@ from agent.training.request import check
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
 from agent.training import losses  # noqa: E402
-from agent.training.train import Plan, Run, advance, batch, rate  # noqa: E402
+from agent.training.train import Plan, Run, advance, batch, between, rate  # noqa: E402
 
 TINY = Plan(steps=5, seed=3, sizes=((32, 2), (16, 3)), validate_every=2)
 
@@ -67,6 +67,15 @@ def test_training_learns(pairs):
     assert np.mean(values[-5:]) < 0.9 * np.mean(values[:5])
 
 
+def test_weights_between_two_are_a_share_of_the_way():
+    start, tuned = Run(TINY).net, Run(TINY._replace(seed=4)).net
+    half = between(start, tuned, 0.25)
+    for name, value in half.state_dict().items():
+        wanted = 0.75 * start.state_dict()[name] + 0.25 * tuned.state_dict()[name]
+        assert torch.allclose(value.float(), wanted.float(), atol=1e-6)
+    assert not half.training and torch.equal(start.last.bias, Run(TINY).net.last.bias)
+
+
 def test_batches_follow_from_seed_and_step_and_both_pictures_move_together(pairs):
     same = Pairs(pairs.raw, pairs.raw, pairs.scene)
     raw, target = batch(same, TINY, 1)
@@ -93,10 +102,10 @@ def test_a_buoy_that_comes_out_olive_costs_as_much_as_a_picture_that_is_too_dark
     target[:, :, 20:25, 20:25] = torch.tensor([0.9, 0.3, 0.1]).view(1, 3, 1, 1)
     olive = target.clone()
     olive[:, :, 20:25, 20:25] = torch.tensor([0.4, 0.4, 0.1]).view(1, 3, 1, 1)
-    assert losses.vivid_loss(losses.to_lab(olive), losses.to_lab(target)) > 0.2
+    assert losses.warm_loss(losses.to_lab(olive), losses.to_lab(target)) > 0.2
     assert losses.loss(olive, target) > losses.loss(target - 0.05, target)
     dull = torch.full_like(target, 0.4)
-    assert losses.vivid_loss(losses.to_lab(dull + 0.1), losses.to_lab(dull)) == 0
+    assert losses.warm_loss(losses.to_lab(dull + 0.1), losses.to_lab(dull)) == 0
 
 
 def test_lab_agrees_with_opencv():
