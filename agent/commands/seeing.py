@@ -56,7 +56,9 @@ def enhance(
         bool, typer.Option("--side-by-side", help="The picture before beside the one after.")
     ] = False,
     variant: Annotated[Variant, typer.Option(help="How; classic needs no network, auto chooses.")] = "auto",
-    weights: Annotated[Path | None, typer.Option(help="Weights of the network; the shipped ones if not given.")] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights of the network, or its authors' .pth; else the shipped ones.")
+    ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many, of a camera (30) or a video (all).")] = None,
     evaluate: Annotated[tuple[Path, Path] | None, typer.Option(help="RAW REFERENCE: figures, no pictures.")] = None,
     size: Annotated[str, typer.Option(help="Of --evaluate: WIDTHxHEIGHT, or own.")] = "256x256",
