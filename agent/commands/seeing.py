@@ -63,7 +63,9 @@ def enhance(
         bool, typer.Option("--side-by-side", help="The picture before beside the one after.")
     ] = False,
     variant: Annotated[Variant, typer.Option(help="How; classic needs no network, auto chooses.")] = "auto",
-    weights: Annotated[Path | None, typer.Option(help="Weights of the network; the shipped ones if not given.")] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Weights of the network, or its authors' .pth; else the shipped ones.")
+    ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many, of a camera (30) or a video (all).")] = None,
     evaluate: Annotated[tuple[Path, Path] | None, typer.Option(help="RAW REFERENCE: figures, no pictures.")] = None,
     size: Annotated[str, typer.Option(help="Of --evaluate: WIDTHxHEIGHT, or own.")] = "256x256",
@@ -107,7 +109,7 @@ def train_enhance(
     from agent.training.command import cross_validation, plan_of, train
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
-    plan = plan_of(steps, seed, start is not None)
+    plan = plan_of(steps, seed, start is not None, pairs is not None)
     if cross_validate is not None and pairs is not None and start is not None:
         cross_validation(pairs, start, plan, cross_validate, terminal())
     else:

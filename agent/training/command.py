@@ -18,10 +18,12 @@ from agent.run_folder import run_folder
 from agent.training.dataset import Pairs, load, make_pairs, save, split
 from agent.training.request import checkpoint_of
 from agent.training.scene_pairs import folds, read_pairs
-from agent.training.train import Plan, Point, Run, advance
-from agent.training.validate import SIMPLE, Fold, cross_validate, mean, score, table
+from agent.training.summary import summary, table
+from agent.training.train import Plan, Point, Run, advance, between
+from agent.training.validate import SIMPLE, Fold, cross_validate, score
 
-MADE, SIDE = 3120, 256  # pairs of our own, and their side in pixels; real pairs are scaled to the same
+MADE, MADE_SIDE = 3120, 160  # pairs of our own, and their side in pixels: larger than what a step sees
+SIDE = 256  # px, to which real pairs are scaled
 VALIDATED = 24  # pairs: enough for a curve, and a small part of the time
 SHARES = 5  # of real pairs, one in so many scenes is for validation
 FINE_TUNING_RATE = 3e-4  # a third of the rate from scratch: the start is worth keeping
@@ -61,7 +63,7 @@ def train(
             if state.step % SAVE_EVERY == 0 or state.step == plan.steps:
                 state.save(checkpoint)
                 curves(state.curve, out)
-    lu2net.save(state.average.eval(), out)
+    lu2net.save(between(net, state.average) if net and folders else state.average.eval(), out)
     console.print(f"written to {out}; curves beside it")
 
 
@@ -69,25 +71,26 @@ def cross_validation(folders: tuple[Path, Path], start: Path, plan: Plan, count:
     """Print what fine-tuning on real pairs is worth on scenes it has not seen, beside what it starts from."""
     net = lu2net.load(start)
     pairs = _read(folders, console)
-    rows = {name: mean(score(pairs, method)) for name, method in SIMPLE.items()}
-    rows["weights as given"] = mean(score(pairs, lambda image: lu2net.run(net, image)))
     done: list[Fold] = []
     with steps_bar(console) as bar:
         task = bar.add_task("cross-validation", total=plan.steps * count)
         for item in cross_validate(net, pairs, plan, count):
             if isinstance(item, Fold):
                 done.append(item)
-                before, after = item.before, mean(item.after)
+                before, plain, fast = (summary(f, item.raw).psnr_db for f in (item.before, item.plain, item.fast))
                 console.print(
-                    f"fold {item.number}: {item.held_out} pairs held out, "
-                    f"{before.psnr_db:.2f} -> {after.psnr_db:.2f} dB, {before.ssim:.3f} -> {after.ssim:.3f}"
+                    f"fold {item.number}: {len(item.raw)} pairs held out, {before:.2f} dB before, "
+                    f"{plain:.2f} dB tuned (plain), {fast:.2f} dB (fast)"
                 )
             else:
                 bar.update(task, advance=1, description=f"fold {len(done) + 1}, loss {item:.3f}")
-    rows["fine-tuned, held out"] = mean([figures for fold in done for figures in fold.after])
-    console.print(table(rows, f"{len(pairs.raw)} pairs of {len(set(pairs.scene))} scenes at {SIDE}x{SIDE}"))
-    folds_mean = np.mean([mean(fold.after).psnr_db for fold in done])
-    console.print(f"mean of the folds: {folds_mean:.2f} dB")
+    simple = {name: score(pairs, method) for name, method in SIMPLE.items()}
+    rows = {name: summary(figures, simple["identity"]) for name, figures in simple.items()}
+    raw = [q for fold in done for q in fold.raw]
+    rows["as given, fast"] = summary([q for fold in done for q in fold.before], raw)
+    rows["tuned, held out, plain"] = summary([q for fold in done for q in fold.plain], raw)
+    rows["tuned, held out, fast"] = summary([q for fold in done for q in fold.fast], raw)
+    console.print(table(rows, f"{len(raw)} pairs of {len(set(pairs.scene))} scenes at {SIDE}x{SIDE}"))
 
 
 def curves(points: Iterable[Point], out: Path) -> None:
@@ -122,7 +125,7 @@ def _made(out: Path, seed: int, console: Console) -> tuple[Pairs, Pairs]:
     if file.exists():
         pairs = load(file)
     else:
-        pairs = with_bar(console, "making pairs", lambda show: make_pairs(MADE, SIDE, seed, show))
+        pairs = with_bar(console, "making pairs", lambda show: make_pairs(MADE, MADE_SIDE, seed, show))
         save(pairs, file)
     training, validation = split(pairs)
     return training, validation.only(np.arange(min(VALIDATED, len(validation.raw))))
@@ -143,8 +146,8 @@ def _read(folders: tuple[Path, Path], console: Console) -> Pairs:
     return with_bar(console, "reading pairs", lambda show: read_pairs(*folders, SIDE, show))
 
 
-def plan_of(steps: int | None, seed: int, fine: bool) -> Plan:
+def plan_of(steps: int | None, seed: int, fine: bool, real: bool) -> Plan:
     """Steps and rate as they suit: from scratch, or from weights that are good already. Raises ConfigError."""
     if steps is not None and steps < 1:
         raise ConfigError(f"--steps {steps}: give at least 1")
-    return Plan(steps or 400, seed, FINE_TUNING_RATE) if fine else Plan(steps or 4000, seed)
+    return Plan(steps or 400, seed, FINE_TUNING_RATE, real) if fine else Plan(steps or 4000, seed, augment=real)

@@ -1,6 +1,7 @@
 """The training pairs of our own making, written once to a folder and read from there picture by picture.
 
 Of six pairs three are landscapes of noise, two photographs, and one is a view of the twin's tank: tanks look alike.
+Most landscapes and photographs have vivid things in them, and some have no water.
 Pair `i` of a seed is always the same, so several processes can share the work. A scene is a landscape, a photograph
 or a tank; validation has scenes of its own, of which training sees nothing.
 """
@@ -15,13 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.progress import Progress
+from agent.training.augment import SLIGHT, as_taken, linear
 from agent.training.degrade import Image, pair
 from agent.training.landscapes import landscape
 from agent.training.photographs import HELD_OUT, TEXTURES, photograph_files, photograph_scene
 from agent.training.renders import Tankful
+from agent.training.things import with_things
 from hw.picture_files import read_picture
 
 VIEWS_PER_TANK = 40  # a tank takes a second to fill
+WITH_THINGS = 0.7  # share of the landscapes and photographs that have vivid things in them
+NO_WATER = 0.1  # share of them that are as good as they shall be already
 HELD_OUT_SHARE = 20  # every twentieth landscape and tank is for validation
 
 
@@ -58,8 +63,15 @@ def make_pair(i: int, side: int, seed: int) -> tuple[Image, Image, str]:
     if kind >= 3:
         file = _files()[int(rng.integers(0, len(_files())))]
         scene = photograph_scene(_read(file), file.name in TEXTURES, side, rng)
-        return *pair(*scene, rng), f"{file.stem}{'-held-out' if file.name in HELD_OUT else ''}"
-    return *pair(*landscape(side, rng), rng), f"land-{i}{_mark(turn)}"
+        name = f"{file.stem}{'-held-out' if file.name in HELD_OUT else ''}"
+    else:
+        scene, name = landscape(side, rng), f"land-{i}{_mark(turn)}"
+    vivid = None
+    if rng.random() < WITH_THINGS:
+        picture, z, vivid = with_things(*scene, rng)
+        scene = picture, z
+    raw, wanted = pair(*scene, rng, vivid)
+    return as_taken(linear(wanted), SLIGHT, rng) if rng.random() < NO_WATER else raw, wanted, name
 
 
 def split(pairs: Pairs) -> tuple[Pairs, Pairs]:

@@ -64,10 +64,13 @@ def draw_sea(rng: np.random.Generator) -> Sea:
     return Sea(_colour(direct), _colour(scatter), _colour(veil), _colour(down), float(rng.uniform(0.05, 1.0)))
 
 
-def pair(picture: Picture, range_share: Plane, rng: np.random.Generator) -> tuple[Image, Image]:
+def pair(
+    picture: Picture, range_share: Plane, rng: np.random.Generator, vivid: Plane | None = None
+) -> tuple[Image, Image]:
     """(raw, target), both (h, w, 3) uint8 coded: a scene in linear light seen through some water, and without.
 
-    `range_share` (h, w) is the range in units of its median: how far that is in metres depends on the water.
+    `range_share` (h, w) is the range in units of its median: how far that is in metres depends on the water. `vivid`
+    (h, w) 0 to 1 marks what the target's white balance shall not look at.
     """
     sea = draw_sea(rng)
     z = range_share * np.float32(sea.green_depth / sea.direct[1])
@@ -79,7 +82,7 @@ def pair(picture: Picture, range_share: Plane, rng: np.random.Generator) -> tupl
     seen = submerge(lit, z, sea, float(rng.uniform(0.4, 2.5)))
     if rng.random() < 0.3:
         seen = seen + _snow(seen.shape[0], seen.shape[1], rng)[:, :, None] * sea.veil
-    return photograph(seen, rng), target(picture, z, sea)
+    return photograph(seen, rng), target(picture, z, sea, vivid)
 
 
 def submerge(lit: Picture, z: Plane, sea: Sea, reach_px: float) -> Picture:
@@ -91,19 +94,23 @@ def submerge(lit: Picture, z: Plane, sea: Sea, reach_px: float) -> Picture:
     return np.asarray(direct + weight * (scattered - direct) + veil, np.float32)
 
 
-def target(picture: Picture, z: Plane, sea: Sea) -> Image:
+def target(picture: Picture, z: Plane, sea: Sea, vivid: Plane | None = None) -> Image:
     """The scene with a thin grey veil in the distance, balanced and stretched."""
     grey = float(sea.direct.mean()) * KEPT
     left = np.exp(-grey * z)[:, :, None]
     tint = sea.veil / sea.veil.max()
     veil = np.float32(0.6) * (np.float32(0.8) + np.float32(0.2) * tint)
-    return finish(picture * left + veil * (1 - left))
+    return finish(picture * left + veil * (1 - left), vivid)
 
 
-def finish(picture: Picture) -> Image:
-    """White balance, full contrast, common brightness: (h, w, 3) linear -> uint8 coded."""
+def finish(picture: Picture, vivid: Plane | None = None) -> Image:
+    """White balance, full contrast, common brightness: (h, w, 3) linear -> uint8 coded.
+
+    What lies under `vivid` (h, w) 0 to 1 does not vote in the balance: a red buoy is no tint of the light.
+    """
     coded = np.power(np.maximum(picture, 0), np.float32(1 / GAMMA))
-    mean = np.maximum(coded.mean((0, 1)), 1e-3)
+    votes = np.ones(picture.shape[:2]) if vivid is None else np.maximum(1 - vivid, 1e-3)
+    mean = np.maximum(np.average(coded, axis=(0, 1), weights=np.repeat(votes[:, :, None], 3, 2)), 1e-3)
     coded = coded * np.clip(mean.mean() / mean, 0.5, 2.0) ** BALANCED
     low, high = np.percentile(coded, (LOW, HIGH))
     coded = np.clip((coded - low) / max(high - low, 0.05), 0, 1)
@@ -126,6 +133,11 @@ def photograph(seen: Picture, rng: np.random.Generator) -> Image:
         _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 96))])
         image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
     return image
+
+
+def coded_bytes(picture: Picture) -> Image:
+    """Linear light -> uint8 coded."""
+    return _bytes(np.power(np.maximum(picture, 0), np.float32(1 / GAMMA)))
 
 
 def _uneven(height: int, width: int, rng: np.random.Generator) -> Picture:

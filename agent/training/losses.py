@@ -1,4 +1,5 @@
-"""What training minimises: RGB + LAB + LCH + (1 - SSIM), as LU2Net's authors train (arXiv 2406.14973).
+"""What training minimises: RGB + LAB + LCH + (1 - SSIM), as LU2Net's authors train (arXiv 2406.14973), and the colour
+of warm things.
 
 Left out is their fifth term, the distance of VGG-19 features: its ImageNet weights are not ours to ship. Cross
 entropies are means over pixels, not sums, and count CROSS_ENTROPY: they start an order above the distances and would
@@ -16,6 +17,10 @@ from torch import Tensor
 from torch.nn import functional as fn
 
 CROSS_ENTROPY = 0.05
+WARM = 1.0  # weight of the colour of warm things: about a third of the loss while they come out wrong
+DULL = 20.0  # chroma up to which a colour is not vivid; twice that it is wholly (sand and rock stay below 30)
+YELLOW = -0.364  # a over b at the hue of 110 degrees, the end of what is warm (warm.py)
+LEAST_WARM = 0.01  # share of the pixels: fewer warm ones count less
 AB_LEVELS, AB_RANGE = 7, 80.0  # soft bins of CIELAB's a and b
 HUES_RAD = (0.0, math.pi / 2, math.pi, 3 * math.pi / 2)
 SHARP, PALE = 4.0, 5.0  # slope of the hue bins; chroma below which hue means little
@@ -26,9 +31,10 @@ TO_XYZ = ((0.4339, 0.3762, 0.1899), (0.2126, 0.7152, 0.0722), (0.0178, 0.1095, 0
 
 
 def loss(output: Tensor, target: Tensor) -> Tensor:
-    """The sum of the four terms."""
+    """The sum of the five terms."""
     ours, theirs = to_lab(output), to_lab(target)
-    return (output - target).abs().mean() + lab_loss(ours, theirs) + lch_loss(ours, theirs) + 1 - ssim(output, target)
+    distance = (output - target).abs().mean() + WARM * warm_loss(ours, theirs)
+    return distance + lab_loss(ours, theirs) + lch_loss(ours, theirs) + 1 - ssim(output, target)
 
 
 def to_lab(rgb: Tensor) -> Tensor:
@@ -58,6 +64,15 @@ def lch_loss(ours: Tensor, theirs: Tensor) -> Tensor:
         for lab, c in zip((ours, theirs), chroma, strict=True)
     ]
     return lightness + (chroma[0] - chroma[1]).abs().mean() / 100 + CROSS_ENTROPY * _cross_entropy(*bins)
+
+
+def warm_loss(ours: Tensor, theirs: Tensor) -> Tensor:
+    """Distance in colour where the target is red to yellow and vivid, both CIELAB; a buoy is few pixels, so it counts
+    by itself."""
+    a, b = theirs[:, 1], theirs[:, 2]
+    share = (((a * a + b * b).sqrt() - DULL) / DULL).clamp(0, 1) * ((b > 0) & (a > YELLOW * b))
+    apart = ((ours[:, 1:] - theirs[:, 1:]).square().sum(1) + 1e-2).sqrt() - 0.1
+    return (share * apart).sum() / (share.sum() + LEAST_WARM * share.numel()) / 100
 
 
 def ssim(x: Tensor, y: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""How good a picture is: PSNR and SSIM against a reference, UCIQE and UIQM without one.
+"""How good a picture is: PSNR, SSIM and warm colours against a reference, UCIQE and UIQM without one.
 
 Pictures are (height, width, 3) uint8, blue green red. PSNR is one figure over all three colours, SSIM is taken on
 grey: other programs take the mean over colours, or stretch the output first, and print other numbers. UCIQE and UIQM
@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.training.warm import Kept, kept_hue
+
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float64]
 
@@ -23,19 +25,22 @@ TRIMMED = 0.1  # of the pixels at either end do not vote in UIQM's colour
 
 
 class Quality(NamedTuple):
-    """The four figures of one picture."""
+    """The figures of one picture."""
 
     psnr_db: float
     ssim: float
     uciqe: float
     uiqm: float
+    warm: Kept  # pixels that are warm and vivid in the reference, and those of them that have its hue
 
 
 def judge(image: Image, reference: Image) -> Quality:
-    """All four figures of a picture; raises ValueError if the sizes differ."""
+    """All figures of a picture; raises ValueError if the sizes differ."""
     if image.shape != reference.shape:
         raise ValueError(f"picture of {image.shape} against reference of {reference.shape}")
-    return Quality(psnr(image, reference), ssim(image, reference), uciqe(image), uiqm(image))
+    return Quality(
+        psnr(image, reference), ssim(image, reference), uciqe(image), uiqm(image), kept_hue(image, reference)
+    )
 
 
 def psnr(image: Image, reference: Image) -> float:

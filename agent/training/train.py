@@ -21,15 +21,17 @@ from torch import Tensor
 
 from agent.kernel.config import ConfigError
 from agent.perception.enhancement.lu2net import LU2Net, run
+from agent.training.augment import augmented
 from agent.training.dataset import Pairs
 from agent.training.losses import loss
 from agent.training.metrics import psnr, ssim
 
-SIZES = ((96, 8), (96, 8), (128, 5), (192, 2))  # px a side and pictures a batch; each step draws one
+SIZES = ((64, 10), (96, 5), (96, 5), (128, 3), (160, 2))  # px a side and pictures a batch; each step draws one
 NARROWEST = 0.6  # share of a picture that a crop keeps at least
 WARM_UP = 50  # steps
 AVERAGED = 0.998  # decay of the running average per step
 CLIP = 1.0  # norm of the gradient
+TUNED = 0.5  # of the way from the start to what real pairs made of it; see weights/README.md
 FIT_RIDGE = 1e-3  # of the least squares for the first last layer
 
 
@@ -39,6 +41,7 @@ class Plan(NamedTuple):
     steps: int
     seed: int = 0
     rate: float = 1e-3  # learning rate at its highest
+    augment: bool = False  # real pairs stand for many others (augment.py)
     sizes: tuple[tuple[int, int], ...] = SIZES
     validate_every: int = 250
 
@@ -105,11 +108,13 @@ class Run:
 
 def started_with(kept: Plan, plan: Plan) -> str:
     """What a run was asked for that is asked for otherwise now, as it is typed."""
-    if kept[3:] != plan[3:]:
+    if kept[4:] != plan[4:]:
         return "by another version of aucamp"
     words = [f"--{name} {was}" for name, was, now in zip(Plan._fields[:2], kept, plan, strict=False) if was != now]
     if kept.rate != plan.rate:  # it follows from what a run starts from
         words.append("--start" if kept.rate < plan.rate else "no --start")
+    if kept.augment != plan.augment:
+        words.append("--pairs" if kept.augment else "no --pairs")
     return f"with {', '.join(words)}"
 
 
@@ -149,6 +154,8 @@ def batch(pairs: Pairs, plan: Plan, step: int) -> tuple[Tensor, Tensor]:
     side, count = plan.sizes[int(rng.integers(0, len(plan.sizes)))]
     chosen = rng.choice(len(pairs.raw), count, replace=len(pairs.raw) < count)
     views = [_view(pairs.raw[i], pairs.target[i], side, rng) for i in chosen]
+    if plan.augment:
+        views = [augmented(*view, rng) for view in views]
     raw, target = (np.stack([view[k] for view in views]) for k in (0, 1))
     return _tensor(raw), _tensor(target)
 
@@ -190,6 +197,17 @@ def follow(average: LU2Net, net: LU2Net, decay: float) -> None:
                 mean.lerp_(value, 1 - decay)
             else:
                 mean.copy_(value)
+
+
+def between(start: LU2Net, tuned: LU2Net, share: float = TUNED) -> LU2Net:
+    """Weights on the way from `start` to `tuned` (Wortsman et al. 2022): real pairs are few and alike, and what the
+    start knows of other water is lost last."""
+    out, begin = copy.deepcopy(tuned), start.state_dict()
+    with torch.no_grad():
+        for name, value in out.state_dict().items():
+            if value.is_floating_point():
+                value.copy_(begin[name].lerp(value, share))
+    return out.eval()
 
 
 def validate(net: LU2Net, pairs: Pairs) -> tuple[float, float]:

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 BUDGET_MS = 33.0  # of one frame: 30 frames per second
 TRIALS = 5  # of each variant, on a frame of TRIAL_SIZE; the first one warms up and does not count
 TRIAL_SIZE = (480, 640)
-DEFAULT = "real.safetensors"  # of the shipped weights
+WEIGHTS = Path(str(resources.files("agent.perception.enhancement"))) / "weights"
+DEFAULT = "own.safetensors"  # of the shipped weights
 
 
 class Enhancer(NamedTuple):
@@ -79,7 +80,9 @@ def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: 
     if variant == "classic":
         return Enhancer("classic", classic)
     if weights is not None and not weights.is_file():  # said before torch, whose import takes seconds
-        raise ConfigError(f"{weights}: no such file; give weights that `aucamp train enhance` wrote, hash beside")
+        raise ConfigError(
+            f"{weights}: no such file; give weights that `aucamp train enhance` wrote, hash beside, or .pth"
+        )
     if (lacking := missing(weights)) is not None:
         if variant != "auto" or weights is not None:
             raise ConfigError(f"--variant {variant}: {lacking}; --variant classic needs neither")
@@ -136,7 +139,12 @@ def missing(weights: Path | None) -> str | None:
 
 
 def shipped_weights() -> Path:
-    return Path(str(resources.files("agent.perception.enhancement") / "weights" / DEFAULT))
+    return WEIGHTS / DEFAULT
+
+
+def shipped_files() -> dict[str, Path]:
+    """All weights that come with the package, by name."""
+    return {file.stem: file for file in sorted(WEIGHTS.glob("*.safetensors"))}
 
 
 def _median_s(work: Callable[[], object], clock: Callable[[], float]) -> float:

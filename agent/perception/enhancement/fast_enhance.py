@@ -5,6 +5,10 @@ function of the three colours, one for each pixel, by a guided filter (He, Sun a
 at the small size (He and Sun 2015). Edges stay where they are in the frame itself: only coefficients, which are smooth,
 are enlarged.
 
+What a window says nothing of, such as a red that only one pixel of it has, the network's white balance of the whole
+picture says: the filter is fitted to what the network does beyond a gain per colour. So a small vivid thing is not
+painted in the colours of its surroundings.
+
 The coefficients outlive their frame: while camera and scene stand still, as in a focus sweep, the same ones serve
 every frame and every part of one, for a few milliseconds each.
 """
@@ -26,7 +30,8 @@ Floats = NDArray[np.float32]
 
 SMALL_PX = 160 * 120  # that the network sees: near what it was trained on (PSNR falls above), and cheap
 RADIUS = 16  # of the windows, small pixels; smaller ones smear the outline of a vivid thing over its surroundings
-EPSILON = 1e-5  # variance of a colour (full scale 1) below which a window is taken for plain
+EPSILON = 1e-3  # variance of a colour (full scale 1) below which a window says little of it, and the balance stands
+MAX_BALANCE = 4.0  # gain: a colour that is weaker in the whole picture is noise
 
 
 class Colours(NamedTuple):
@@ -43,7 +48,18 @@ def estimate(image: Image, network: Callable[[Image], Floats], small_px: int = S
     size = max(1, round(width / shrink)), max(1, round(height / shrink))
     small = image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     guide = np.asarray(small, np.float32) / np.float32(255)
-    return Colours(guided_filter(guide, network(np.ascontiguousarray(small, np.uint8))), (width, height))
+    wanted = network(np.ascontiguousarray(small, np.uint8))
+    gain = balance(guide, wanted)
+    affine = guided_filter(guide, np.asarray(wanted - gain * guide, np.float32))
+    for c in range(3):
+        affine[:, :, c, c] += gain[c]
+    return Colours(affine, (width, height))
+
+
+def balance(guide: Floats, wanted: Floats) -> Floats:
+    """(3,) gain per colour that takes the mean of one picture to that of the other."""
+    means = wanted.mean((0, 1)) / np.maximum(guide.mean((0, 1)), 1e-3)
+    return np.asarray(np.clip(means, 0, MAX_BALANCE), np.float32)
 
 
 def apply(colours: Colours, image: Image, origin: tuple[int, int] = (0, 0)) -> Image:

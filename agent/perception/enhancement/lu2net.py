@@ -25,9 +25,10 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from agent.kernel.config import ConfigError
+from agent.perception.enhancement.published import is_published, read
 
 STRIDE = 4  # two halvings: sides are padded to multiples of it
-DEFAULT = "real"  # does better on real pairs that it has not seen
+DEFAULT = "own"  # keeps warm colours best, and makes hardly a picture worse; see weights/README.md
 CLOSE, WIDE = 3, 7  # taps of the axial convolutions: between the halves, and in encoder and decoder
 
 
@@ -137,10 +138,21 @@ class LU2Net(nn.Module):
 
 
 def load(path: Path) -> LU2Net:
-    """Weights from a safetensors file whose SHA-256 stands in `<path>.sha256`; ready to run, on the CPU.
+    """Ready to run, on the CPU: weights from a safetensors file whose SHA-256 stands in `<path>.sha256`, or from a
+    checkpoint of the network's authors (`.pth`, published.py), which has no such hash.
 
     Raises ConfigError: a file is missing, is not what its hash says, or holds another network.
     """
+    tensors = _checkpoint(path) if is_published(path) else _hashed(path)
+    net = LU2Net()
+    try:
+        net.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train enhance`") from error
+    return net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]  # as nn.Module.to has it
+
+
+def _hashed(path: Path) -> dict[str, Tensor]:
     stated = hash_file(path)
     for file in (path, stated):
         if not file.is_file():
@@ -148,12 +160,19 @@ def load(path: Path) -> LU2Net:
     data = path.read_bytes()
     if stated.read_text(errors="replace").split()[:1] != [hashlib.sha256(data).hexdigest()]:
         raise ConfigError(f"{path}: does not match {stated.name}; the file is damaged, fetch or train it again")
-    net = LU2Net()
     try:
-        net.load_state_dict(load_tensors(data))
-    except (SafetensorError, RuntimeError) as error:
+        return load_tensors(data)
+    except SafetensorError as error:
         raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train enhance`") from error
-    return net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]  # as nn.Module.to has it
+
+
+def _checkpoint(path: Path) -> dict[str, Tensor]:
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; give a checkpoint of LU2Net by its authors")
+    tensors = {name: torch.from_numpy(np.array(values, order="C")) for name, values in read(path).items()}
+    if any(not bool(tensor.isfinite().all()) for tensor in tensors.values()):
+        raise ConfigError(f"{path}: holds values that are no numbers; fetch it again")
+    return tensors
 
 
 def shipped(name: str = DEFAULT) -> Path:

@@ -1,3 +1,5 @@
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -6,7 +8,10 @@ from agent.kernel.config import ConfigError
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
 from agent.perception.enhancement import lu2net  # noqa: E402
+from agent.perception.enhancement.grey_world import white_balance  # noqa: E402
 from agent.perception.enhancement.lu2net import LU2Net  # noqa: E402
+from agent.training.warm import kept_warm  # noqa: E402
+from tests.bench import bench_warm  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -89,20 +94,36 @@ def test_weights_of_another_network_are_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["own", "real"])
-def test_shipped_weights_bring_new_pictures_closer_to_their_targets(name):
+def test_shipped_weights_bring_new_pictures_closer_to_their_targets_and_keep_what_is_warm(name):
     from agent.training.degrade import pair
     from agent.training.landscapes import landscape
     from agent.training.metrics import psnr
+    from agent.training.things import with_things
+    from agent.training.warm import kept_hue
 
     file = lu2net.shipped(name)
     assert file.stat().st_size < 1_000_000
     net = lu2net.load(file)
-    gains = []
-    for seed in range(8):
+    gains, warm = [], []
+    for seed in range(6):
         rng = np.random.default_rng([12345, seed])
-        raw, target = pair(*landscape(128, rng), rng)
-        gains.append(psnr(lu2net.run(net, raw), target) - psnr(raw, target))
+        picture, z, vivid = with_things(*landscape(96, rng), rng)
+        raw, target = pair(picture, z, rng, vivid)
+        out = lu2net.run(net, raw)
+        gains.append(psnr(out, target) - psnr(raw, target))
+        warm.append(kept_hue(out, target))
     assert np.mean(gains) > 2  # dB
+    assert sum(k.kept for k in warm) > 0.5 * sum(k.pixels for k in warm)
+
+
+@pytest.mark.skipif(not bench_warm.BALLS.is_dir(), reason="the real pictures of balls are absent (AUCAMP_DATA)")
+def test_real_buoys_stay_warm():
+    from agent.perception.enhancement.enhance import enhancer
+
+    apply, found = enhancer("fast").apply, []
+    for image, discs in islice(bench_warm.balls(bench_warm.BALLS), 36, None, 5):  # the two runs with large balls
+        found += [kept_warm(apply(image), white_balance(image), disc) for disc in discs]
+    assert sum(k.kept for k in found) > 0.7 * sum(k.pixels for k in found) > 0
 
 
 def test_weights_that_are_not_shipped_are_one_line():
