@@ -12,7 +12,7 @@ Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
-Colour = Literal["red", "yellow", "green"]
+Colour = Literal["red", "orange", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 
