@@ -27,7 +27,7 @@ SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin
 # A burnt out top leaves hue only where little light falls, and there planes still clip: then red against green light
 # of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
 # (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
-REDDER = math.log(0.78**2.2)
+REDDER = math.log(0.82**2.2)
 BURNT = 0.03  # share of the disc
 YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
 NEAR_BY = 1.5  # strength from which on the water has not taken much yet
@@ -57,7 +57,8 @@ class ColourModel(NamedTuple):
 
     def fits(self, tone: Tone, slack_rad: float) -> bool:
         """Whether a thing of this tone is of this colour; `slack_rad`: where its outline is not known well yet."""
-        return self.low_rad - slack_rad <= tone.hue_rad <= self.high_rad + slack_rad and self.may_be(tone)
+        near = self.low_rad - slack_rad <= tone.hue_rad <= self.high_rad + slack_rad
+        return near and (slack_rad > 0.0 or self.may_be(tone))
 
 
 def _warm(tone: Tone) -> bool:

@@ -26,13 +26,20 @@ Image = NDArray[np.uint8]
 MIN_RADIUS_PX = 5.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 16 m
 ROUGH = 0.4  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
 HALF = 0.6  # of disc and of ring have to be of their own colour for the outline to be looked at
+LARGE_PX = 40.0  # larger ones are judged by the part that nothing hides; of smaller ones there is too little
+NEAR_SPOT = 0.15  # radii
+NEARER, NEAREST = 0.003, 0.4  # strength by which a colour has to exceed the least for each pixel of radius, at most
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
-MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST = 1.2, 14.0, 1.0, 1.8, 1.0, 0.87
+MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.1, 10.7, 1.2, 2.7, 1.1, 0.76, 14.0
+ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
 ARC_PX = 50.0
 SHADE = 0.4  # logarithm of light: a ball is no darker than that in its own colour, a hole is
+CALM = 0.2  # unrest of the twin's mottled ball, and of real ones that are well lit
+# An edge is as wide as the lens makes it: a camera's own blur and some of the radius, at most twice the twin's worst.
+SHARP_PX, SHARP, BLUR_PX, SOFT_PX = 3.0, 0.06, 8.0, 40.0
 LIMIT = 0.5  # of the score, for who has no reason to take another
 
 
@@ -84,17 +91,19 @@ def score(found: Patch, fit: OutlineFit) -> float:
     missing: visible rays without an edge on the cone; uneven: scatter of the edges beyond a pixel's, in radii; stray:
     what of disc and ring has the other's colour; hidden: how much of a short outline is not seen; dark: by how much
     less light it has than its surroundings, in its own colour too, for a black thing has any hue; unrest: scatter of
-    colour within. Worth by logistic regression over 170 true and 1200 false candidates in real pictures, scaled so
-    that LIMIT is a half.
+    colour within; soft: an edge wider than blur can make it, as a stain's. Worth by logistic regression over 180 true
+    and 1200 false candidates in real pictures, scaled so that LIMIT is a half.
     """
-    arc_px = max(fit.visible * 2.0 * math.pi * fit.radius_px, 1.0)
+    radius_px = fit.radius_px
+    arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
     doubt = (
-        MISSING * (1.0 - fit.agree)
-        + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / fit.radius_px
+        MISSING * (1.0 - fit.agree) * min(1.0, ROOMY_PX / radius_px)
+        + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
         + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full))
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
         + DARK * max(found.dark - SHADE, 0.0)
-        + UNREST * min(found.unrest, 1.0)
+        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0)
+        + SOFT * max(fit.width_px - min(SHARP_PX + SHARP * radius_px, BLUR_PX), 0.0) / min(radius_px, SOFT_PX)
     )
     return math.exp(-doubt)
 
@@ -103,12 +112,15 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
     """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
     if spot.rough > ROUGH:
         return None
-    cone, width_px = first_guess(spot.points, origin, camera), None
+    cone, width_px, rays = first_guess(spot.points, origin, camera), None, None
     for last in (False, True):
         if cone is None or not MIN_RADIUS_PX * (1.0 if last else 0.6) <= _radius(cone, camera) <= _largest(camera):
             return None
-        found = patch(image, cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin)
-        if found is None or not _worth_a_look(found, model, 0.0 if last else SLACK_RAD):
+        outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
+        if _radius(cone, camera) > LARGE_PX:
+            rays = _near(outline, spot.points) if rays is None else rays
+        found = patch(image, outline, centre, rays)
+        if found is None or not _worth_a_look(found, model):
             return None
         seen = look(image, cone, origin, camera, width_px)
         if seen is None:
@@ -119,16 +131,36 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
         if edge is None:
             return None
         cone, width_px = edge.cone, edge.width_px
+        rays = edge.rays if rays is not None else None
     fit = combined(*pair, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
+        return None
+    if rays is not None:
+        found = patch(image, outline, centre, fit.rays)
+    if found is None or not _is(found, fit.radius_px, model):
         return None
     u, v = cones.project(fit.axis, camera)
     return Ball((float(u), float(v)), float(fit.radius_px), score(found, fit), float(fit.sigma_px))
 
 
-def _worth_a_look(found: Patch, model: ColourModel, slack_rad: float) -> bool:
+def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
+    """Rays of an outline (n, 2) on which the outline of a spot (m, 2) is as well: what hides the others is no ball."""
+    apart = outline[:, None] - points
+    limit_px = NEAR_SPOT * math.sqrt(float(((outline - outline.mean(axis=0)) ** 2).sum()) / len(outline))
+    near: NDArray[np.bool_] = (apart * apart).sum(axis=2).min(axis=1) < limit_px**2
+    return near
+
+
+def _worth_a_look(found: Patch, model: ColourModel) -> bool:
+    """Whether there may be a ball, while its outline is not known well."""
     plain = found.tone.strength >= MIN_STRENGTH and min(found.full, found.clear) >= HALF
-    return plain and model.fits(found.tone, slack_rad)
+    return plain and model.fits(found.tone, SLACK_RAD)
+
+
+def _is(found: Patch, radius_px: float, model: ColourModel) -> bool:
+    """Whether it is of the colour. What looks large is near by, where water leaves a colour its strength."""
+    least = MIN_STRENGTH + min(NEARER * radius_px, NEAREST)
+    return found.tone.strength >= least and min(found.full, found.clear) >= HALF and model.fits(found.tone, 0.0)
 
 
 def _radius(cone: Cone, camera: CameraFit) -> float:

@@ -47,6 +47,7 @@ class Edge(NamedTuple):
     rms_px: float  # of these
     width_px: float  # of the edge
     sigma_px: float  # of the radius, from scatter and arc
+    rays: NDArray[np.bool_]  # (RAYS,) those that agree
 
 
 class OutlineFit(NamedTuple):
@@ -57,7 +58,9 @@ class OutlineFit(NamedTuple):
     sigma_px: float  # its standard deviation
     agree: float  # share of the visible rays, the mean of both
     rms_px: float
+    width_px: float  # of the wider of both edges
     visible: float  # share of all rays
+    rays: NDArray[np.bool_]  # (RAYS,) on which one of them has its edge
 
 
 def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
@@ -112,7 +115,9 @@ def combined(colour: Edge | None, lightness: Edge | None, visible: float, camera
         math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
         0.5 * (one.agree + other.agree) if one is not other else 0.5 * one.agree,
         max(one, other, key=lambda edge: edge.agree).rms_px,
+        max(one.width_px, other.width_px),
         visible,
+        one.rays | other.rays,
     )
 
 
@@ -135,4 +140,6 @@ def _edge(
     terms = AROUND[found.on][agree]  # of a radius and a shift of the centre
     variance = np.linalg.inv(terms.T @ terms + 1e-9 * np.eye(3))[0, 0] * ALIKE
     sigma_px = max(rms_px, 0.05) * math.sqrt(float(variance))
-    return Edge(cone, count / int(seen.visible.sum()), rms_px, found.width_px, sigma_px)
+    on = np.zeros(RAYS, bool)
+    on[np.flatnonzero(found.on)[agree]] = True
+    return Edge(cone, count / int(seen.visible.sum()), rms_px, found.width_px, sigma_px, on)

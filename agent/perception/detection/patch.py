@@ -15,9 +15,11 @@ Image = NDArray[np.uint8]
 Pixels = NDArray[np.uint8]  # (n, 3)
 
 EVERY = 3  # of the outline's rays one is enough
+FEWEST = 6  # of these
 INNER = np.array([0.15, 0.30, 0.45, 0.58, 0.70, 0.80])  # of the radius, samples of the disc
-OUTER = np.array([1.30, 1.45, 1.60, 1.80])  # of the ring
-CLEAR_PX = 2.0  # the ring is at least so far from the outline: blur and JPEG
+NEAR_RIM = 3  # the first of these that are seen on a ball of which something hides a half
+BEYOND = np.array([0.30, 0.45, 0.60, 0.80])  # of the radius, samples of the ring outside the outline
+CLEAR_PX, FAR_PX = 2.0, 64.0  # there it is at least so far from the outline, for blur and JPEG, and ends before that
 WHITE = 250  # a byte from which on a plane holds no more than that it is bright
 
 
@@ -32,17 +34,24 @@ class Patch(NamedTuple):
     unrest: float  # scatter within disc and ring along the line between their colours, in units of their distance
 
 
-def patch(image: Image, outline: Array, centre: Array) -> Patch | None:
-    """None where there is not enough light or picture around to speak of."""
+def patch(image: Image, outline: Array, centre: Array, rays: NDArray[np.bool_] | None = None) -> Patch | None:
+    """None where there is not enough light or picture around to speak of.
+
+    `rays`: those of the outline (n, 2) to look along, where something hides the others; None: all.
+    """
     height, width = image.shape[:2]
-    line = outline[::EVERY] - centre
+    line = (outline if rays is None else outline[rays])[::EVERY] - centre
+    if len(line) < FEWEST:
+        return None
     radius = float(np.sqrt((line * line).sum(axis=1)).mean())
-    reach = np.concatenate([INNER, np.maximum(OUTER, OUTER - OUTER[0] + 1.0 + CLEAR_PX / radius)])
+    outer = 1.0 + BEYOND * min(max(1.0, CLEAR_PX / (BEYOND[0] * radius)), FAR_PX / (BEYOND[-1] * radius))
+    inner = INNER if rays is None else INNER[NEAR_RIM:]
+    reach = np.concatenate([inner, outer])
     map_x = (centre[0] + line[:, :1] * reach).astype(np.float32)
     map_y = (centre[1] + line[:, 1:] * reach).astype(np.float32)
     inside = (map_x >= 0) & (map_x <= width - 1) & (map_y >= 0) & (map_y <= height - 1)
     seen = np.asarray(cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
-    n = len(INNER)
+    n = len(inner)
     disc, ring = seen[:, :n][inside[:, :n]], seen[:, n:][inside[:, n:]]
     ring = ring[LIGHT[ring.max(axis=1)] > DARK]  # no light is no colour to compare with: a vignette, a port's rim
     if len(disc) < n * len(line) // 4 or len(ring) < len(line) // 2:
@@ -57,6 +66,8 @@ def _compared(disc: Pixels, ring: Pixels) -> Patch:
     hue_rad, strength = hue_and_strength(own - around)
     blue, green, red = (float(value) for value in own)
     along = weights(hue_rad)
+    if burnt >= BURNT:
+        disc = disc[(disc >= WHITE).sum(axis=1) < 2] if burnt < 1.0 else disc
     inner, outer = LOG_LIGHT[disc] @ along, LOG_LIGHT[ring] @ along
     level = 0.5 * float(np.median(inner) + np.median(outer))
     return Patch(
