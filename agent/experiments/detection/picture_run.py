@@ -37,7 +37,6 @@ class Settings(Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
     folder: Path
-    hfov_deg: float = HFOV_DEG  # horizontal field of view of the camera, in water
 
 
 class Outcome(NamedTuple):
@@ -60,8 +59,8 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     """Figures of each colour and radius; `missed` has the targets that are not reached."""
 
     schema: int = 1
-    source: str
-    hfov_deg: float
+    source: str = "pictures"
+    folder: str
     pictures: int
     balls: dict[str, Row]  # by colour: marked, found, radius_error_median
     false: int
@@ -82,13 +81,12 @@ def run(settings: Settings, progress: Progress) -> Result:
     step = step_by_step(progress, len(pictures))
     seen = []
     for path, marked in pictures:
-        seen.append(look(path, marked, settings.hfov_deg))
+        seen.append(look(path, marked))
         step()
     outcomes = [one for picture in seen for one in picture.outcomes]
     false = sum(len(picture.false) for picture in seen)
     return Result(
-        source=str(settings.folder),
-        hfov_deg=settings.hfov_deg,
+        folder=str(settings.folder),
         pictures=len(seen),
         balls={colour: figures([one for one in outcomes if one.marked.colour == colour]) for colour in COLOURS},
         false=false,
@@ -100,10 +98,10 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
 
 
-def look(path: Path, marked: Sequence[MarkedBall], hfov_deg: float) -> Seen:
+def look(path: Path, marked: Sequence[MarkedBall]) -> Seen:
     """One picture, searched for each colour."""
     image = read_picture(path)
-    camera = pinhole(image.shape[1], image.shape[0], hfov_deg)
+    camera = pinhole(image.shape[1], image.shape[0])
     outcomes: list[Outcome] = []
     false: list[tuple[Colour, Ball]] = []
     for colour in COLOURS:
@@ -116,9 +114,9 @@ def look(path: Path, marked: Sequence[MarkedBall], hfov_deg: float) -> Seen:
     return Seen(path, outcomes, false)
 
 
-def pinhole(width_px: int, height_px: int, hfov_deg: float) -> CameraFit:
-    """The camera of a bare picture: nobody calibrated it, and for an outline a plausible one will do."""
-    f_px = 0.5 * width_px / math.tan(math.radians(0.5 * hfov_deg))
+def pinhole(width_px: int, height_px: int) -> CameraFit:
+    """The camera of a bare picture, which nobody calibrated."""
+    f_px = 0.5 * width_px / math.tan(math.radians(0.5 * HFOV_DEG))
     centre = 0.5 * (width_px - 1), 0.5 * (height_px - 1)
     return CameraFit(width_px=width_px, height_px=height_px, f_px=f_px, cx_px=centre[0], cy_px=centre[1])
 

@@ -29,9 +29,12 @@ HALF = 0.6  # of disc and of ring have to be of their own colour for the outline
 LARGE_PX = 40.0  # larger ones are judged by the part that nothing hides; of smaller ones there is too little
 NEAR_SPOT = 0.15  # radii
 NEARER, NEAREST = 0.003, 0.4  # strength by which a colour has to exceed the least for each pixel of radius, at most
+# Logarithm of light: what is brighter by more even in its weakest plane is a view that ends in the dark, by a vignette
+# or a port's rim. Sunlit balls have up to 1.1.
+RIM = 1.6
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
-MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.1, 10.7, 1.2, 2.7, 1.1, 0.76, 14.0
+MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.9, 1.2, 0.85, 15.0
 ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
@@ -131,7 +134,7 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
         if edge is None:
             return None
         cone, width_px = edge.cone, edge.width_px
-        rays = edge.rays if rays is not None else None
+        rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
     fit = combined(*pair, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
@@ -153,7 +156,7 @@ def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
 
 def _worth_a_look(found: Patch, model: ColourModel) -> bool:
     """Whether there may be a ball, while its outline is not known well."""
-    plain = found.tone.strength >= MIN_STRENGTH and min(found.full, found.clear) >= HALF
+    plain = found.tone.strength >= MIN_STRENGTH and found.bright < RIM and min(found.full, found.clear) >= HALF
     return plain and model.fits(found.tone, SLACK_RAD)
 
 

@@ -60,7 +60,7 @@ class OutlineFit(NamedTuple):
     rms_px: float
     width_px: float  # of the wider of both edges
     visible: float  # share of all rays
-    rays: NDArray[np.bool_]  # (RAYS,) on which one of them has its edge
+    rays: NDArray[np.bool_]  # (RAYS,) on which colour has its edge
 
 
 def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
@@ -117,7 +117,7 @@ def combined(colour: Edge | None, lightness: Edge | None, visible: float, camera
         max(one, other, key=lambda edge: edge.agree).rms_px,
         max(one.width_px, other.width_px),
         visible,
-        one.rays | other.rays,
+        one.rays,
     )
 
 

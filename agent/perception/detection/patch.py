@@ -8,7 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.detection.colour import BURNT, DARK, LIGHT, LOG_LIGHT, Light, Tone, hue_and_strength, light, weights
+from agent.perception.detection.colour import (
+    BURNT,
+    DARK,
+    LIGHT,
+    LOG_LIGHT,
+    Light,
+    Tone,
+    hue_and_strength,
+    light,
+    weights,
+)
 from agent.perception.detection.cone import Array
 
 Image = NDArray[np.uint8]
@@ -29,6 +39,7 @@ class Patch(NamedTuple):
     ring: Light
     tone: Tone
     dark: float  # how much less light than the ring it has even in the plane in which it has most, logarithm
+    bright: float  # how much more light in the plane in which it has least
     full: float  # share of the disc that is nearer to its own colour than to the ring's
     clear: float  # share of the ring that is nearer to its own
     unrest: float  # scatter within disc and ring along the line between their colours, in units of their distance
@@ -74,6 +85,7 @@ def _compared(disc: Pixels, ring: Pixels) -> Patch:
         ring=np.exp(around) - DARK,
         tone=Tone(hue_rad, strength, red - 0.5 * (green + blue), red - green, burnt),
         dark=-float((own - around).max()),
+        bright=float((own - around).min()),
         full=float((inner > level).mean()),
         clear=float((outer < level).mean()),
         unrest=float(inner.std() + outer.std()) / max(strength, 1e-6),
