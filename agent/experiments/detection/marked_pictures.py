@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -46,7 +46,7 @@ def marked_pictures(folder: Path) -> list[tuple[Path, list[MarkedBall]]]:
     return [(path, marked[path.name]) for path in pictures]
 
 
-def _rows(table: Path) -> list[tuple[int, Mapping[str, str]]]:
+def _rows(table: Path) -> Sequence[tuple[int, Mapping[str, str]]]:
     """Line number and fields of each row."""
     try:
         reader = csv.DictReader(table.read_text(encoding="utf-8-sig").splitlines(), skipinitialspace=True)

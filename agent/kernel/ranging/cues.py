@@ -107,8 +107,8 @@ def focus_range(
 def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     """d = R / sin(theta), theta = radius_px / f_px at the lens position of the frame.
 
-    Systematic: d / tan(theta) times the edge's bias in radians, the twin's or what vision states if that is more, d times the scale's relative error, d / R times the
-    ball's tolerance, and where rays meet.
+    Systematic: d / tan(theta) times the edge's bias in radians, the twin's or what vision states if that is more, d
+    times the scale's relative error, d / R times the ball's tolerance, and where rays meet.
     """
     assert ball.radius_m is not None and outline.radius_px is not None  # see distance()
     f_px = at_lens_position(camera, outline.lens_position).f_px

@@ -23,18 +23,19 @@ LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(2.2)  # of 8-bi
 LOG_LIGHT = np.log(LIGHT + np.float32(DARK))
 AXES_RAD = np.radians([240.0, 120.0, 0.0])  # hues of blue, green, red
 
+MIN_STRENGTH = 0.12  # of a tone, logarithm of light: noise and caustics stay below
 SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin's waters, and in runs of real pictures
 # A burnt out top leaves hue only where little light falls, and there planes still clip: then red against green light
 # of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
 # (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
-REDDER = math.log(0.82**2.2)
+REDDER = math.log(0.80**2.2)
 BURNT = 0.03  # share of the disc
 YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
 NEAR_BY = 1.5  # strength from which on the water has not taken much yet
 # Far through water yellow comes near green. A yellow one still shows red where its colour is strong, a green one never
 # does; where both are faint it is the hue alone.
 GREENISH_RAD = (math.radians(50.0), math.radians(84.0))
-LITTLE_RED, STRONG, MIDDLE_RAD = -1.3, 0.75, math.radians(74.0)
+LITTLE_RED, STRONG, MIDDLE_RAD = -1.2, 0.75, math.radians(74.0)
 
 
 class Tone(NamedTuple):
@@ -94,7 +95,7 @@ def _model(hue_deg: float, low_deg: float, high_deg: float, may_be: Callable[[To
 NAMED: dict[Colour, ColourModel] = {
     "red": _model(5.0, -20.0, 24.0, _warm),
     "orange": _model(12.0, -10.0, 24.0, _warm),
-    "yellow": _model(40.0, -5.0, 84.0, _yellow),
+    "yellow": _model(40.0, 4.0, 84.0, _yellow),
     "green": _model(100.0, 50.0, 170.0, _green),
 }
 
@@ -108,12 +109,9 @@ def sampled(sample: NDArray[np.uint8], around: NDArray[np.uint8]) -> ColourModel
     return ColourModel(hue_rad, hue_rad - SAMPLE_TURN_RAD, hue_rad + SAMPLE_TURN_RAD)
 
 
-MIN_STRENGTH = 0.12  # of a tone, logarithm of light: noise and caustics stay below
-
-
 def weights(hue_rad: float) -> Light:
     """(3,) for blue, green, red: their sum so weighed is nought for grey and largest for that hue."""
-    return np.cos(hue_rad - AXES_RAD).astype(np.float32)  # type: ignore[no-any-return]
+    return np.cos(hue_rad - AXES_RAD).astype(np.float32)
 
 
 def light(image: NDArray[np.uint8]) -> Light:

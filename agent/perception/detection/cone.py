@@ -61,7 +61,7 @@ def refined(cone: Cone | None, rays: Array, camera: CameraFit, tolerance_px: flo
         near = rays[agree(rays, cone, camera, tolerance_px)]
         if len(near) < 6:
             return None
-        cone = _cone(np.linalg.lstsq(near, np.ones(len(near)), rcond=None)[0])
+        cone = _cone(np.asarray(np.linalg.lstsq(near, np.ones(len(near)), rcond=None)[0], float))
     return cone
 
 
@@ -91,7 +91,7 @@ def agree(rays: Array, cone: Cone, camera: CameraFit, tolerance_px: float) -> ND
 
 def outline(cone: Cone, camera: CameraFit) -> Array:
     """RAYS pixels (RAYS, 2) around the cone."""
-    x, y, z = cone.axis
+    x, _, z = cone.axis
     side = np.array([-z, 0.0, x]) / math.hypot(x, z)
     other = _cross(cone.axis[None], side[None])[0]
     ring = CIRCLE[:, :1] * side + CIRCLE[:, 1:] * other

@@ -60,7 +60,7 @@ class Edges(NamedTuple):
 
 def colour_profile(seen: Lines, weights: Light) -> Array:
     """(RAYS, SAMPLES): `weights` (3,) make one number of blue, green and red light."""
-    return seen.light @ weights
+    return np.asarray(seen.light @ weights, float)
 
 
 def local_profile(seen: Lines) -> Array:

@@ -77,8 +77,8 @@ def _compared(disc: Pixels, ring: Pixels) -> Patch:
     hue_rad, strength = hue_and_strength(own - around)
     blue, green, red = (float(value) for value in own)
     along = weights(hue_rad)
-    if burnt >= BURNT:
-        disc = disc[(disc >= WHITE).sum(axis=1) < 2] if burnt < 1.0 else disc
+    if BURNT <= burnt < 1.0:
+        disc = disc[(disc >= WHITE).sum(axis=1) < 2]  # what is white says nothing for or against the colour
     inner, outer = LOG_LIGHT[disc] @ along, LOG_LIGHT[ring] @ along
     level = 0.5 * float(np.median(inner) + np.median(outer))
     return Patch(
