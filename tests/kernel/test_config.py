@@ -99,9 +99,9 @@ MISTAKES = {
         "`picture` is missing",
         "add",
     ),
-    "a ball with a picture": (
-        ("radius_m = 0.07", 'radius_m = 0.07\npicture = "x.png"'),
-        "ball.picture",
+    "a ball with models": (
+        ("radius_m = 0.07", 'radius_m = 0.07\nmodels = "nano"'),
+        "ball.models",
         "only a box",
         "remove",
     ),
