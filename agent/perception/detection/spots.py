@@ -57,6 +57,7 @@ def spots(image: Image, hue_rad: float) -> list[Spot]:
 
 
 def _octave(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+    """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
     fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
     stands_out = cv2.subtract(cv2.GaussianBlur(fine, (7, 7), 1.5), cv2.blur(fine, (25, 25)))
     noise = float(np.median(np.abs(stands_out[::4, ::4])))
