@@ -29,6 +29,7 @@ SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin
 # of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
 # (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
 REDDER = math.log(0.80**2.2)
+ORANGE = 0.5  # red against green light above which no paint is yellow, which reflects both alike
 BURNT = 0.03  # share of the disc
 YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
 NEAR_BY = 1.5  # strength from which on the water has not taken much yet
@@ -69,6 +70,8 @@ def _warm(tone: Tone) -> bool:
 
 def _yellow(tone: Tone) -> bool:
     low, _ = GREENISH_RAD
+    if tone.redder > ORANGE:
+        return False
     if tone.hue_rad < FADED_RAD:
         return not _warm(tone) or (tone.burnt >= BURNT and tone.redder <= REDDER)
     return tone.hue_rad < low or not _greenish(tone)
