@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -44,18 +45,29 @@ def experiment_depth(seed: Seed = 0, out: OutFolder = None) -> None:
     perform(run.run, asked, tables.table, out, terminal(), "sweeps of whole views", figures.figures)
 
 
-@app.command("detection", epilog="Example: aucamp experiment detection --count 200")
+@app.command("detection", epilog="Example: aucamp experiment detection --pictures my_pool")
 def experiment_detection(
     seed: Seed = 0,
     count: Annotated[int, typer.Option(min=1, help="Places in each kind of water.")] = 200,
     sensor: SensorName = DEFAULT_SENSOR,
     water: Waters = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Not the twin: real pictures in this folder, balls in its truth.csv.")
+    ] = None,
     out: OutFolder = None,
 ) -> None:
-    """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced."""
-    from agent.experiments.detection import run, tables
+    """Whether the ball is found, and how exactly, in every kind of water, sharp and not, raw and enhanced.
+
+    With --pictures every picture of a folder is searched for a ball of every colour.
+    """
+    from agent.experiments.detection import picture_figures, picture_run, picture_tables, run, tables
     from agent.experiments.perform import perform
 
+    if pictures is not None:
+        own = picture_run.Settings(folder=pictures)
+        figures = picture_figures.figures
+        perform(picture_run.run, own, picture_tables.table, out, terminal(), "pictures", figures)
+        return
     asked = run.Settings(seed=seed, count=count, sensor=sensor, waters=kinds(water))
     perform(run.run, asked, tables.table, out, terminal(), "places")
 

@@ -12,7 +12,7 @@ Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
-Colour = Literal["red", "yellow", "green"]
+Colour = Literal["red", "orange", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 
@@ -47,10 +47,11 @@ class Target(Struct, frozen=True, kw_only=True):
     colour: Colour | None = None  # red if not given
     radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
-    # of a box; files are looked for beside the fleet file
+    # of a box, or of a ball whose colour is sampled instead of named; files are looked for beside the fleet file
     picture: str | None = None  # taken by a camera of the fleet
-    box: tuple[float, float, float, float] | None = None  # around the thing in it: x, y, width, height in pixels
-    models: str | None = None  # folder with NanoTrack's two files; without them a correlation filter follows the box
+    # around the thing in it, or on a part of the ball: x, y, width, height in pixels
+    box: tuple[float, float, float, float] | None = None
+    models: str | None = None  # folder with NanoTrack's two files; without them a correlation filter follows it
 
     @property
     def ball_colour(self) -> Colour:

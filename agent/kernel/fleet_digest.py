@@ -36,7 +36,7 @@ def _target(target: Target) -> dict[str, Any]:
     if target.detector != "ball":
         return {"detector": target.detector}
     size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
-    return {"detector": target.detector, "colour": target.ball_colour, **size}
+    return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size}
 
 
 def _plain(value: Any) -> Any:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 MAX_PORT = 32767  # ports above are handed out by the kernel as ephemeral source ports
 
 MAY_LACK = ("colour", "models")  # of what belongs to a detector, what a target does without
+ALIKE = {"red": ("orange",), "orange": ("red",)}  # balls that cannot be told apart through water
 
 
 def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
@@ -78,11 +79,13 @@ def _tank_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         yield from _target_rules(fleet, name)
         if target.detector != "ball":
             continue
+        if target.picture is not None:
+            continue  # its colour is in the picture
         colour = target.ball_colour
-        if colour in wearer:
-            other = wearer[colour]
-            why = f"'{other}' is {colour} too and nobody could tell them apart; give each target its own colour"
-            yield f"target.{name}.colour", why
+        other = next((worn for worn in (colour, *ALIKE.get(colour, ())) if worn in wearer), None)
+        if other is not None:
+            why = f"'{wearer[other]}' is {other} too" if other == colour else f"'{wearer[other]}' is {other}"
+            yield f"target.{name}.colour", f"{why} and nobody could tell them apart; give each target its own colour"
         wearer[colour] = name
 
 
@@ -90,6 +93,12 @@ def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
     """A target has what its detector needs, and nothing that belongs to the other one."""
     target, key = fleet.target[name], f"target.{name}"
     belongs = {"radius_m": "ball", "colour": "ball", "picture": "box", "box": "box", "models": "box"}
+    if target.detector == "ball" and (target.picture is not None or target.box is not None):
+        del belongs["picture"], belongs["box"]  # a sample of its colour
+        if target.picture is None or target.box is None:
+            yield key, "a sample of its colour takes `picture` and `box`; add the other one"
+        elif target.colour is not None:
+            yield f"{key}.colour", "the colour is sampled from the picture; remove `colour`, or `picture` and `box`"
     for one, detector in belongs.items():
         given = getattr(target, one) is not None
         if given and detector != target.detector:
@@ -102,7 +111,7 @@ def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
         x, y, width, height = target.box
         if not (min(x, y) >= 0 and min(width, height) > 0):
             yield f"{key}.box", f"{list(target.box)} is no box; write [x, y, width, height], pixels"
-        if fleet.ranging.cues == "size":
+        if fleet.ranging.cues == "size" and target.detector == "box":
             yield "ranging.cues", f"the size of '{name}' is not known; take 'both' or 'focus'"
 
 

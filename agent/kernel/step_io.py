@@ -26,8 +26,9 @@ class Sighting(Message, frozen=True, kw_only=True):
     radius_px: float | None = None  # apparent radius of a ball
     clarity: float | None = None  # Tenengrad per pixel over a ball's inner disc, or the inner half of a box
     area_px: float | None = None  # pixels that clarity was taken over
-    score: float = 0.0  # 0 to 1: how much of the outline agrees with the shape, or how sure a tracker is of its box
+    score: float = 0.0  # 0 to 1: how sure it is that this is the target
     size_px: tuple[float, float] | None = None  # width and height of the box around a target that is no ball
+    radius_sigma_px: float | None = None  # standard deviation of radius_px; None: vision did not say
 
 
 class Telemetry(Message, frozen=True, kw_only=True):

@@ -233,6 +233,7 @@ class Vision:
             area_px=area_px,
             score=found.score if found else 0.0,
             size_px=found.size_px if found else None,
+            radius_sigma_px=found.radius_sigma_px if found else None,
         )
 
     def _wait(self, part: Part, seconds: float, until_plan: bool) -> None:

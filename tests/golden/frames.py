@@ -45,7 +45,7 @@ class PaintedCamera:
         self._target, self._box = next(iter(fleet.target)), box
         self._waiting: deque[tuple[int, int, int]] = deque()  # sweep, index, lens position
         self._first: Sighting | None = None  # of the sweep, with the ball in it
-        self._frames = 0
+        self._frames = 1  # frame 0 is kept losslessly; without it this is as recordings from before there were such
 
     def plan(self, plan: SweepPlan) -> None:
         self._waiting.extend((plan.sweep, index, at) for index, at in enumerate(plan.focus[1:], start=1))

@@ -45,7 +45,11 @@ MISTAKES = {
     "wrong type": (("radius_m = 0.07", "radius_m = 'big'"), "'target.ball.radius_m'", "float", "correct"),
     "missing key": (("radius_m = 0.07", ""), "'target.ball'", "radius_m", "add"),
     "out of range": (("radius_m = 0.07", "radius_m = -1.0"), "'target.ball.radius_m'", "> 0", "correct"),
-    "no choice": (("radius_m = 0.07", "radius_m = 0.07\ncolour = 'blue'"), "'blue'", "one of green, red, yellow"),
+    "no choice": (
+        ("radius_m = 0.07", "radius_m = 0.07\ncolour = 'blue'"),
+        "'blue'",
+        "one of green, orange, red, yellow",
+    ),
     "not a number": (("x_m = 0.30", "x_m = nan"), "'robot.r1.pose.x_m'", "finite", "correct"),
     "infinite": (("size_m = [1.5,", "size_m = [inf,"), "'tank.size_m[0]'", "finite", "correct"),
     "outside the tank": (("x_m = 1.25", "x_m = 125.0"), "'robot.r2.pose.x_m'", "outside the tank", "0 to 1.5"),
@@ -95,11 +99,21 @@ MISTAKES = {
         "`picture` is missing",
         "add",
     ),
-    "a ball with a picture": (
-        ("radius_m = 0.07", 'radius_m = 0.07\npicture = "x.png"'),
-        "ball.picture",
+    "a ball with models": (
+        ("radius_m = 0.07", 'radius_m = 0.07\nmodels = "nano"'),
+        "ball.models",
         "only a box",
         "remove",
+    ),
+    "a sample without its box": (
+        (BALL, 'detector = "ball"\nradius_m = 0.07\npicture = "x.png"'),
+        "target.ball",
+        "add the other one",
+    ),
+    "a sample beside a name": (
+        (BALL, 'detector = "ball"\nradius_m = 0.07\npicture = "x.png"\nbox = [1, 2, 30, 40]\ncolour = "red"'),
+        "target.ball.colour",
+        "remove `colour`",
     ),
     "a box of one colour": (
         (BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 30, 40]\ncolour = "red"'),

@@ -186,7 +186,14 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
         sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
         width=peak.width,
         held_width=held_width,
-        outline=Outline(sharpest.centre_px, sharpest.radius_px, sharpest.score, sharpest.focus, sharpest.size_px),
+        outline=Outline(
+            sharpest.centre_px,
+            sharpest.radius_px,
+            sharpest.score,
+            sharpest.focus,
+            sharpest.size_px,
+            sharpest.radius_sigma_px,
+        ),
         quality=peak.quality,
     )
 

@@ -1,13 +1,15 @@
-"""How much of a ball's colour each pixel has, beside what the water gives to everything.
+"""What colour a thing has beside what is around it, under whatever light and water.
 
-Water tints: what is grey looks green in coastal water and yellow in turbid water, where red or blue goes first. So the
-tint is measured in the picture itself, along its border, and divided out before colours are compared. All of it works
-on light, not on 8-bit values: the gamma would press a veiled red into grey.
+Water and lamp scale each plane of a picture, and a camera's gamma raises them all to a power. In logarithms of light
+the first is a sum and the second a factor: the difference between a thing and its surroundings keeps its direction
+in the plane of chromaticity under both. That direction is the hue here, 0 for red, 60 deg for yellow, 120 for green.
 """
 
 from __future__ import annotations
 
-from functools import reduce
+import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,45 +20,110 @@ Light = NDArray[np.float32]
 
 DARK = 0.0055  # light of the 8-bit value 24, below which a pixel's noise counts as no colour
 LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(2.2)  # of 8-bit values, as cameras encode it
-MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
+LOG_LIGHT = np.log(LIGHT + np.float32(DARK))
+AXES_RAD = np.radians([240.0, 120.0, 0.0])  # hues of blue, green, red
 
-# What of blue, green, red has to be there, and what must not; the weaker of the first against the stronger of the rest.
-HAS: dict[Colour, tuple[list[int], list[int]]] = {
-    "red": ([2], [0, 1]),
-    "yellow": ([1, 2], [0]),
-    "green": ([1], [0, 2]),
+MIN_STRENGTH = 0.12  # of a tone, logarithm of light: noise and caustics stay below
+SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin's waters, and in runs of real pictures
+# A burnt out top leaves hue only where little light falls, and there planes still clip: then red against green light
+# of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
+# (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
+REDDER = math.log(0.80**2.2)
+ORANGE = 0.5  # red against green light above which no paint is yellow, which reflects both alike
+BURNT = 0.03  # share of the disc
+YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
+NEAR_BY = 1.5  # strength from which on the water has not taken much yet
+# Far through water yellow comes near green. A yellow one still shows red where its colour is strong, a green one never
+# does; where both are faint it is the hue alone.
+GREENISH_RAD = (math.radians(50.0), math.radians(84.0))
+LITTLE_RED, STRONG, MIDDLE_RAD = -1.2, 0.75, math.radians(74.0)
+
+
+class Tone(NamedTuple):
+    """The colour of a thing as a picture shows it."""
+
+    hue_rad: float  # against its surroundings, -pi to pi
+    strength: float  # how far from their colour, logarithm of light
+    red: float  # its own red light against the mean of its blue and green, logarithms
+    redder: float  # its own red light against green, logarithms
+    burnt: float  # share of it that is too bright to have a colour
+
+
+class ColourModel(NamedTuple):
+    """A colour that is looked for."""
+
+    hue_rad: float  # at which spots are looked for
+    low_rad: float  # hues that count for it
+    high_rad: float
+    may_be: Callable[[Tone], bool] = lambda tone: True  # of what the hue does not say
+
+    def fits(self, tone: Tone, slack_rad: float) -> bool:
+        """Whether a thing of this tone is of this colour; `slack_rad`: where its outline is not known well yet."""
+        near = self.low_rad - slack_rad <= tone.hue_rad <= self.high_rad + slack_rad
+        return near and (slack_rad > 0.0 or self.may_be(tone))
+
+
+def _warm(tone: Tone) -> bool:
+    doubtful = tone.hue_rad > YELLOWISH_RAD and (tone.burnt >= BURNT or tone.strength > NEAR_BY)
+    return tone.redder > REDDER or not doubtful
+
+
+def _yellow(tone: Tone) -> bool:
+    low, _ = GREENISH_RAD
+    if tone.redder > ORANGE:
+        return False
+    if tone.hue_rad < FADED_RAD:
+        return not _warm(tone) or (tone.burnt >= BURNT and tone.redder <= REDDER)
+    return tone.hue_rad < low or not _greenish(tone)
+
+
+def _green(tone: Tone) -> bool:
+    _, high = GREENISH_RAD
+    return tone.hue_rad > high or _greenish(tone)
+
+
+def _greenish(tone: Tone) -> bool:
+    """Of a hue that yellow and green have: whether it is green."""
+    if tone.red > LITTLE_RED:
+        return False
+    return tone.strength > STRONG or tone.hue_rad > MIDDLE_RAD
+
+
+def _model(hue_deg: float, low_deg: float, high_deg: float, may_be: Callable[[Tone], bool]) -> ColourModel:
+    return ColourModel(math.radians(hue_deg), math.radians(low_deg), math.radians(high_deg), may_be)
+
+
+# Hues of 255 marked balls in real and made pictures: red -8 to 9 deg, orange 2 to 20, yellow 20 to 80, green 56 to 150.
+# Orange is what the rules of a known contest call its red buoy: who looks for red finds it as well.
+NAMED: dict[Colour, ColourModel] = {
+    "red": _model(5.0, -20.0, 24.0, _warm),
+    "orange": _model(12.0, -10.0, 24.0, _warm),
+    "yellow": _model(40.0, 4.0, 84.0, _yellow),
+    "green": _model(100.0, 50.0, 170.0, _green),
 }
-# The same as a linear sum, nought for every grey: a profile across an edge has to be linear in light.
-CONTRAST: dict[Colour, tuple[float, float, float]] = {
-    "red": (-0.5, -0.5, 1.0),
-    "yellow": (-1.0, 0.5, 0.5),
-    "green": (-0.5, 1.0, -0.5),
-}
+
+
+def sampled(sample: NDArray[np.uint8], around: NDArray[np.uint8]) -> ColourModel | None:
+    """The colour of pixels (n, 3) of a thing against others (m, 3) around it; None where it is as grey as these."""
+    contrast = np.median(LOG_LIGHT[sample], axis=0) - np.median(LOG_LIGHT[around], axis=0)
+    hue_rad, strength = hue_and_strength(contrast)
+    if strength < MIN_STRENGTH:
+        return None
+    return ColourModel(hue_rad, hue_rad - SAMPLE_TURN_RAD, hue_rad + SAMPLE_TURN_RAD)
+
+
+def weights(hue_rad: float) -> Light:
+    """(3,) for blue, green, red: their sum so weighed is nought for grey and largest for that hue."""
+    return np.cos(hue_rad - AXES_RAD).astype(np.float32)
 
 
 def light(image: NDArray[np.uint8]) -> Light:
-    """8-bit (height, width, 3) blue green red -> light of the same shape, 1 is white."""
+    """8-bit blue green red -> light of the same shape, 1 is white."""
     return LIGHT[image]
 
 
-def share(pixels: Light, colour: Colour) -> Light:
-    """(..., 3) light -> (...): (what it has - what it must not have) / (all of it); below 0 for other colours.
-
-    Rendered balls reach 0.35 to 0.6 in air; a veil lowers it, to 0.08 for the far side of a tank of turbid water.
-    """
-    planes = [pixels[..., k] for k in range(3)]  # a sum over an axis of three takes four times as long
-    has, lacks = ([planes[k] for k in which] for which in HAS[colour])
-    score: Light = reduce(np.minimum, has) - reduce(np.maximum, lacks)
-    return score / (planes[0] + planes[1] + planes[2] + DARK)
-
-
-def untint(pixels: Light, colour: Colour) -> Light:
-    """Gains (3,) that make the surroundings of a picture (height, width, 3) of light grey.
-
-    Its border, for a ball in the middle covers most of a picture that was cut out around it; and of that the half
-    that has least of the colour, for the ball may be cut off by the border.
-    """
-    border = np.concatenate([pixels[0], pixels[-1], pixels[1:-1, 0], pixels[1:-1, -1]])
-    score = share(border, colour)
-    tint = border[score <= np.median(score)].mean(axis=0) + DARK
-    return np.clip(tint.mean() / tint, 1.0 / MAX_GAIN, MAX_GAIN).astype(np.float32)  # type: ignore[no-any-return]
+def hue_and_strength(log_contrast: NDArray[np.float32]) -> tuple[float, float]:
+    """Hue, radians from -pi to pi, and length of a difference (3,) of logarithms of blue green red light."""
+    blue, green, red = (float(value) for value in log_contrast)
+    x, y = red - 0.5 * (green + blue), math.sqrt(0.75) * (green - blue)
+    return math.atan2(y, x), math.hypot(x, y)

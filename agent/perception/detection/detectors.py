@@ -10,8 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from agent.kernel.config import Colour, ConfigError, Fleet, Target
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
+from agent.perception.detection.colour import ColourModel, sampled
 from agent.perception.detection.detect import find_ball
 from agent.perception.tracking.box import Box, Image
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
@@ -26,6 +29,7 @@ class Found(NamedTuple):
     score: float  # 0 to 1
     radius_px: float | None = None  # of a ball
     size_px: tuple[float, float] | None = None  # of a box: width and height
+    radius_sigma_px: float | None = None  # standard deviation of a ball's radius
 
     @property
     def box(self) -> Box:
@@ -48,16 +52,18 @@ class Detector(Protocol):
 
 
 class BallDetector:
-    """A ball of one colour."""
+    """A ball of one colour, named or sampled."""
 
     remembers = False
 
-    def __init__(self, camera: CameraFit, colour: Colour) -> None:
+    def __init__(self, camera: CameraFit, colour: Colour | ColourModel) -> None:
         self._camera, self._colour = camera, colour
 
     def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
         ball = find_ball(image, at_lens_position(self._camera, lens_position), offset_px, self._colour)
-        return None if ball is None else Found(ball.centre_px, ball.score, radius_px=ball.radius_px)
+        if ball is None:
+            return None
+        return Found(ball.centre_px, ball.score, ball.radius_px, radius_sigma_px=ball.radius_sigma_px)
 
 
 class BoxDetector:
@@ -84,9 +90,27 @@ def load_detectors(fleet: Fleet, camera: CameraFit) -> Mapping[str, Detector]:
     return {
         name: _box_detector(name, target, (camera.width_px, camera.height_px))
         if target.detector == "box"
-        else BallDetector(camera, target.ball_colour)
+        else BallDetector(camera, _colour(name, target, (camera.width_px, camera.height_px)))
         for name, target in fleet.target.items()
     }
+
+
+def _colour(name: str, target: Target, size: tuple[int, int]) -> Colour | ColourModel:
+    """What a ball target names, or the colour of a part of it in a picture against the picture's border.
+
+    Raises ConfigError for a picture or box that shows no colour.
+    """
+    if target.box is None:
+        return target.ball_colour
+    image = target_picture(name, target, size)
+    x, y, width, height = (round(value) for value in target.box)
+    part = image[y : y + height, x : x + width].reshape(-1, 3)
+    border = np.concatenate([image[0], image[-1], image[1:-1, 0], image[1:-1, -1]])
+    model = sampled(part, border) if len(part) else None
+    if model is None:
+        why = "lies outside of it" if not len(part) else "is as grey as its border"
+        raise ConfigError(f"{target.picture}: the box of target '{name}' {why}; draw it on the coloured ball")
+    return model
 
 
 def target_picture(name: str, target: Target, size: tuple[int, int]) -> Image:

@@ -1,7 +1,6 @@
 """What the vision worker looks at when `[camera] enhance = true`: the frame, then the frame enhanced, none late for it.
 
-A target is looked for in the frame as it came. Where that shows none it is looked for in the enhanced frame as well,
-and must then be plain to see: enhancement finds colour where there is little, also on things that are no target
+A target is looked for in the frame as it came, and where that shows none in the enhanced frame as well
 (docs/experiments.md, Detection, has the figures).
 
 An estimate of the colours costs tens of milliseconds, its use on a frame one or two. So a whole frame gives a new
@@ -15,7 +14,7 @@ Previews come from here as well: their estimates serve vision, and vision's serv
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from agent.clock import machine
 from agent.perception.enhancement import fast_enhance
@@ -27,24 +26,14 @@ from hw.camera.camera import Frame
 DUE_NS = 200_000_000  # between estimates: each idle frame (0.25 s apart) has its own, a sweep of a second a few
 OLD_NS = 3_000_000_000  # older colours belong to another view: the longest sweep, and no more
 SHARE = 0.25  # of one core that estimates may take; three agents share two cores with twin and firmware
-SURE = 0.6  # score of what only an enhanced frame shows: of 38 false balls in 1600 views of the twin it leaves 2
 
-
-class Scored(Protocol):
-    @property
-    def score(self) -> float: ...  # 0 to 1
-
-
-T = TypeVar("T", bound=Scored)
+T = TypeVar("T")
 
 
 def raw_else_enhanced(find: Callable[[Image], T | None], image: Image, enhanced: Callable[[], Image]) -> T | None:
-    """What `find` sees in the frame as it came, else what it is sure to see in the enhanced one."""
+    """What `find` sees in the frame as it came, else in the enhanced one."""
     found = find(image)
-    if found is not None:
-        return found
-    found = find(enhanced())
-    return found if found is not None and found.score >= SURE else None
+    return found if found is not None else find(enhanced())
 
 
 class OnDemandEnhancer:

@@ -29,11 +29,12 @@ FLOOR = Material(TILED, 0.8e-3, (0.22, 0.24, 0.22), (0.52, 0.56, 0.54))
 SURFACE = Material(MOTTLED, 4e-3, (0.62, 0.62, 0.60), (0.95, 0.95, 0.95))  # bright from below, no mirror image
 CHESSBOARD = Material(GRAINED, 0.3e-3, (0.10, 0.10, 0.10), (0.80, 0.80, 0.80))  # the squares, not the grain
 RED_BALL = Material(MOTTLED, 0.35e-3, (0.02, 0.02, 0.20), (0.11, 0.13, 0.80))
+ORANGE_BALL = Material(MOTTLED, 0.35e-3, (0.02, 0.05, 0.20), (0.10, 0.28, 0.80))
 YELLOW_BALL = Material(MOTTLED, 0.35e-3, (0.02, 0.17, 0.20), (0.10, 0.66, 0.78))
 GREEN_BALL = Material(MOTTLED, 0.35e-3, (0.03, 0.18, 0.03), (0.15, 0.70, 0.13))
 STONE = Material(MOTTLED, 0.5e-3, (0.10, 0.11, 0.12), (0.46, 0.48, 0.50))
 HULL = Material(GRAINED, 1e-3, (0.03, 0.30, 0.34), (0.05, 0.46, 0.52))  # yellow
-MATERIALS = (WALL, FLOOR, SURFACE, CHESSBOARD, RED_BALL, YELLOW_BALL, GREEN_BALL, STONE, HULL)
+MATERIALS = (WALL, FLOOR, SURFACE, CHESSBOARD, RED_BALL, YELLOW_BALL, GREEN_BALL, STONE, HULL, ORANGE_BALL)
 
 
 @lru_cache(maxsize=2)  # all cameras of a tank see the same surfaces

@@ -21,6 +21,7 @@ FACES = [MATERIALS.index(m) for m in (*[texture.WALL] * 4, texture.FLOOR, textur
 STONE, HULL = (MATERIALS.index(m) for m in (texture.STONE, texture.HULL))
 BALLS = {
     "red": MATERIALS.index(texture.RED_BALL),
+    "orange": MATERIALS.index(texture.ORANGE_BALL),
     "yellow": MATERIALS.index(texture.YELLOW_BALL),
     "green": MATERIALS.index(texture.GREEN_BALL),
 }

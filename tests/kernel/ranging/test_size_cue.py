@@ -52,6 +52,15 @@ def test_half_a_pixel_costs_what_the_geometry_says():
     assert math.sqrt(at.random_m2) == pytest.approx(1.0 / (1169 * 0.07) * cues.EDGE_NOISE_PX, rel=0.01)
 
 
+def test_an_edge_that_vision_is_unsure_of_counts_as_such():
+    plain, sure, unsure = (
+        size_range(CAMERA, outline(1.0)._replace(radius_sigma_px=px), BALL) for px in (None, 0.02, 3.0)
+    )
+    assert sure == plain, "never surer than the twin has shown"
+    assert math.sqrt(unsure.systematic_m2) == pytest.approx(1.0 / (1169 * 0.07) * 3.0, rel=0.01)
+    assert (unsure.distance_m, unsure.random_m2) == (plain.distance_m, plain.random_m2)
+
+
 def test_part_of_an_outline_a_rough_ball_and_a_rough_scale_are_worth_less():
     whole = size_range(CAMERA, outline(0.4), BALL)
     assert size_range(CAMERA, outline(0.4, share=0.5), BALL).random_m2 == pytest.approx(8.0 * whole.random_m2)

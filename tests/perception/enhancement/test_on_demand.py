@@ -4,7 +4,7 @@ import numpy as np
 
 from agent.perception.enhancement.enhance import Enhancer
 from agent.perception.enhancement.fast_enhance import Colours
-from agent.perception.enhancement.on_demand import DUE_NS, OLD_NS, SHARE, SURE, OnDemandEnhancer
+from agent.perception.enhancement.on_demand import DUE_NS, OLD_NS, SHARE, OnDemandEnhancer
 from hw.camera.camera import Frame, Roi
 
 WHOLE = (64, 48)
@@ -104,11 +104,10 @@ def test_what_the_raw_frame_shows_costs_nothing():
     assert clock.now_s == 100.0 and not enhancer.wants_whole(2 * OLD_NS)
 
 
-def test_what_it_does_not_show_must_be_plain_in_the_enhanced_one():
+def test_what_it_does_not_show_is_looked_for_in_the_enhanced_one():
     clock = Clock()
     enhancer = OnDemandEnhancer(doubling(clock), clock)
-    assert enhancer.look(seen_from(100, SURE), frame(0), WHOLE) == (120, SURE)
-    assert enhancer.look(seen_from(100, SURE - 0.01), frame(1), WHOLE) is None
+    assert enhancer.look(seen_from(100, 0.1), frame(0), WHOLE) == (120, 0.1)
     assert enhancer.look(seen_from(200, 1.0), frame(2), WHOLE) is None
 
 

@@ -1,0 +1,114 @@
+"""The detection experiment on a folder of pictures counts honestly, and says in one line what a truth.csv lacks."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from agent.experiments.detection.marked_pictures import marked_pictures
+from agent.experiments.detection.picture_figures import figures
+from agent.experiments.detection.picture_run import Settings, run
+from agent.experiments.detection.picture_tables import table
+from agent.kernel.config import ConfigError
+from tests.perception.painted import grain
+from tests.places import DATA
+
+HEAD = "file,colour,u_px,v_px,radius_px,tol_px,look\n"
+BGR = {"red": (50, 50, 170), "yellow": (50, 180, 180)}
+
+
+def picture(path, **balls):
+    """A grey wall with discs of 14 px radius, at (u, v)."""
+    image = np.repeat((128 + 8 * grain((240, 320), 3))[..., None], 3, axis=-1).astype(np.uint8)
+    for colour, centre in balls.items():
+        cv2.circle(image, centre, 14, BGR[colour], -1, cv2.LINE_AA)
+    cv2.imwrite(str(path), cv2.GaussianBlur(image, (0, 0), 0.8))
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    """A ball as marked, one that is none, one marked elsewhere, and a picture that nobody marked."""
+    folder = tmp_path_factory.mktemp("pool")
+    picture(folder / "a.png", red=(100, 120), yellow=(220, 80))
+    picture(folder / "b.png", red=(100, 120))
+    (folder / "truth.csv").write_text(HEAD + "a.png,red,100,120,14.5,,clear\na.png,yellow,150,200,14,0.5,faint\n")
+    return folder
+
+
+def test_found_missed_and_false(pool):
+    done = []
+    result = run(Settings(folder=pool), lambda *at: done.append(at))
+    assert done[-1] == (2, 2)
+    content = json.loads(json.dumps(result.as_json()))
+    assert content["pictures"] == 2
+    red, yellow = content["balls"]["red"], content["balls"]["yellow"]
+    assert (red["marked"], red["found"]) == (1, 1) and red["radius_error_median"] < 0.05
+    assert yellow == {"marked": 1, "found": 0, "radius_error_median": None}
+    assert content["balls"]["green"]["marked"] == 0
+    # The yellow one that was marked elsewhere, the red one of b under red, and under orange, which looks the same.
+    false = [(row["file"], row["colour"]) for row in content["cases"] if row["marked"] is None]
+    assert sorted(false) == [("a.png", "yellow"), ("b.png", "orange"), ("b.png", "red")]
+    assert content["false"] == 3 and result.failed
+    assert [row["radius_px"] for row in content["by_radius"]] == [[10.0, 16.0], [10.0, 16.0]]
+    assert len(table(result).renderables) == 5, "table, false, sigma, two targets missed"
+    assert [name for name, _ in figures(result)] == ["sheet_001.png"]
+
+
+def test_a_folder_without_truth_holds_no_ball(tmp_path):
+    picture(tmp_path / "a.png")
+    assert marked_pictures(tmp_path) == [(tmp_path / "a.png", [])]
+    result = run(Settings(folder=tmp_path), lambda *at: None)
+    assert (result.pictures, result.false, result.failed, result.within_sigma) == (1, 0, False, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("file,colour,u_px,v_px\n", "no column `radius_px`"),
+        (HEAD + "c.png,red,1,2,3,,\n", "line 2: no picture 'c.png' beside it"),
+        (HEAD + "a.png,blue,1,2,3,,\n", "colour 'blue' is not known; write red, orange, yellow, green"),
+        (HEAD + "a.png,red,one,2,3,,\n", "u_px: 'one' is no number"),
+        (HEAD + "a.png,red,1,nan,3,,\n", "v_px: 'nan' is no number"),
+        (HEAD + "a.png,red,1,2,0,,\n", "radius_px is 0; a ball has a radius above 0"),
+        (HEAD + "a.png,red,1,2,3,-1,\n", "tol_px is -1; write 0 or more"),
+        (HEAD + "a.png,red,1\n", "v_px: '' is no number"),
+    ],
+)
+def test_a_bad_truth_is_one_line(tmp_path, text, complaint):
+    (tmp_path / "a.png").touch()
+    (tmp_path / "truth.csv").write_text(text)
+    with pytest.raises(ConfigError) as error:
+        marked_pictures(tmp_path)
+    assert complaint in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.skipif(
+    not (DATA / "real_water").is_dir(), reason="the real pictures (shared/data/real_water) are not here"
+)
+@pytest.mark.parametrize(
+    ("folder", "name", "colour"),
+    [
+        ("balls", "usc_b_0003.jpg", "yellow"),
+        ("balls", "usc_b_0008.jpg", "orange"),
+        ("balls", "csula_front141.jpg", "red"),
+        ("balls_composite", "comp_018.jpg", "red"),
+        ("balls_composite", "comp_054.jpg", "green"),
+    ],
+)
+def test_real_balls(tmp_path, folder, name, colour):
+    source = DATA / "real_water" / folder
+    rows = [line for line in (source / "truth.csv").read_text().splitlines() if line.startswith(("file", name))]
+    (tmp_path / "truth.csv").write_text("\n".join(rows))
+    (tmp_path / name).symlink_to(source / name)
+    ball = run(Settings(folder=tmp_path), lambda *at: None).balls[colour]
+    assert (ball["marked"], ball["found"]) == (1, 1) and ball["radius_error_median"] < 0.06
+
+
+@pytest.mark.skipif(
+    not (DATA / "real_water").is_dir(), reason="the real pictures (shared/data/real_water) are not here"
+)
+def test_a_vignetted_view_is_no_ball(tmp_path):
+    for name in ("csula_front035.jpg", "csula_front019.jpg"):
+        (tmp_path / name).symlink_to(DATA / "real_water" / "no_balls" / name)
+    assert run(Settings(folder=tmp_path), lambda *at: None).false == 0
