@@ -30,6 +30,7 @@ LEAST_PX = 4.0  # but so far at least: a camera's own blur and JPEG reach 2 px f
 WIDTHS, BEYOND_PX = 2.5, 1.5
 INWARD, OUTWARD = 0.65, 1.2  # of the radius, at most: of a small ball there is not more
 MIN_ARC = 0.28  # share of the whole outline: what is left of 120 deg where it runs into the edge of the frame
+FIRST_ARC = 0.18  # of a first look, whose wide band loses more lines at that edge
 LOOSE_PX, LOOSE = 2.0, 0.04  # an edge agrees with the cone within so many pixels, or this share of the radius:
 TIGHT = 0.1  # of small ones never more than this, or anything would be round
 MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
@@ -79,7 +80,7 @@ def look(image: Image, cone: Cone, origin: Array, camera: CameraFit, width_px: f
         reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
     outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
     seen = lines(image, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
-    return seen if seen.visible.sum() >= MIN_ARC * RAYS else None
+    return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
 
 
 def both_edges(
@@ -125,7 +126,7 @@ def _edge(
     seen: Lines, profile: Array, shaded: bool, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
 ) -> Edge | None:
     found = edges(seen, profile, shaded)
-    if len(found.points) < MIN_ARC * RAYS:
+    if len(found.points) < (MIN_ARC if near else FIRST_ARC) * RAYS:
         return None
     rays = cones.to_rays(found.points + origin, camera)
     cone = cones.refined(near, rays, camera, tolerance_px) if near else cones.consensus(rays, camera, tolerance_px)
@@ -134,7 +135,7 @@ def _edge(
     misses = cones.misses_px(rays, cone, camera)
     agree = np.abs(misses) < tolerance_px
     count = int(agree.sum())
-    if count < 0.2 * RAYS:
+    if count < (0.2 if near else FIRST_ARC) * RAYS:
         return None
     rms_px = math.sqrt(float((misses[agree] ** 2).mean()))
     terms = AROUND[found.on][agree]  # of a radius and a shift of the centre
