@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.kernel.config import Colour
 from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection import cone as cones
-from agent.perception.detection.colour import MIN_STRENGTH, NAMED, ColourModel
+from agent.perception.detection.colour import BURNT, MIN_STRENGTH, NAMED, ColourModel
 from agent.perception.detection.cone import Array, Cone
 from agent.perception.detection.outline import OutlineFit, both_edges, combined, first_guess, look, tolerance_px
 from agent.perception.detection.patch import Patch, patch
@@ -136,7 +136,7 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
         cone, width_px = edge.cone, edge.width_px
         rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
     assert seen is not None  # the loop has seen to it
-    fit = combined(*pair, float(seen.visible.mean()), camera)
+    fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
     if rays is not None:

@@ -100,11 +100,19 @@ def tolerance_px(radius_px: float, last: bool) -> float:
     return max(LOOSE_PX if not last else min(LOOSE_PX, TIGHT * radius_px), LOOSE * radius_px)
 
 
-def combined(colour: Edge | None, lightness: Edge | None, visible: float, camera: CameraFit) -> OutlineFit | None:
-    """One outline of two; of one alone with half of its evidence and twice its uncertainty."""
+def combined(
+    colour: Edge | None, lightness: Edge | None, burnt: bool, visible: float, camera: CameraFit
+) -> OutlineFit | None:
+    """One outline of two; of one alone with half of its evidence and twice its uncertainty.
+
+    `burnt`: the disc is too bright to have a colour, which then ends somewhere within it or in the glow around it, so
+    lightness alone says it all.
+    """
     one, other = colour or lightness, lightness or colour
     if one is None or other is None:
         return None
+    if burnt and other.agree >= one.agree:
+        one = other
     variances = one.sigma_px**2 + COLOUR_PX**2, other.sigma_px**2 + (GAMMA * other.width_px) ** 2
     share = variances[1] / sum(variances)
     axis = share * one.cone.axis + (1.0 - share) * other.cone.axis
@@ -114,7 +122,7 @@ def combined(colour: Edge | None, lightness: Edge | None, visible: float, camera
         axis / np.sqrt((axis * axis).sum()),
         share * radii[0] + (1.0 - share) * radii[1],
         math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
-        0.5 * (one.agree + other.agree) if one is not other else 0.5 * one.agree,
+        0.5 * (one.agree + other.agree) if one is not other or burnt else 0.5 * one.agree,
         max(one, other, key=lambda edge: edge.agree).rms_px,
         max(one.width_px, other.width_px),
         visible,
