@@ -34,7 +34,7 @@ NEARER, NEAREST = 0.003, 0.4  # strength by which a colour has to exceed the lea
 RIM = 1.6
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
-MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.9, 1.2, 0.85, 15.0
+MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
 ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
