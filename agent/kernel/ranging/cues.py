@@ -114,8 +114,10 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     f_px = at_lens_position(camera, outline.lens_position).f_px
     theta = outline.radius_px / f_px
     d = ball.radius_m / math.sin(theta)
-    per_px = d / math.tan(theta) / f_px * outline.share**-ARC_POWER
-    bias_px = max(EDGE_BIAS_PX, (outline.radius_sigma_px or 0.0) * outline.share**ARC_POWER)
+    per_px = d / math.tan(theta) / f_px
+    if outline.radius_sigma_px is None:
+        per_px *= outline.share**-ARC_POWER
+    bias_px = max(EDGE_BIAS_PX, outline.radius_sigma_px or 0.0)
     ff, fa, aa = camera.scale_covariance
     # A longer ahead_m is made up for by a shorter d: both count from the pivot.
     scale = d * d * ff + 2.0 * d * fa + aa
