@@ -29,7 +29,7 @@ SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin
 # of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
 # (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
 REDDER = math.log(0.80**2.2)
-REDDER_FAR, NEAR = 0.8, 2.0  # what water takes of it with the strength of a colour that is weaker than that
+REDDER_FAR, NEAR = 0.8, 2.0  # what water takes of it with the strength of a colour, of colours weaker than that
 ORANGE = 0.5  # red against green light above which no paint is yellow, which reflects both alike
 BURNT = 0.03  # share of the disc
 GLARE = 0.5  # and from which on a hue as blue as red is only white beside water: a red thing burns out to yellow
