@@ -136,7 +136,7 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
             return None
         cone, width_px = edge.cone, edge.width_px
         rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
-    assert seen is not None  # the loop has seen to it
+    assert seen is not None and found is not None  # the loop has seen to it
     fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
