@@ -23,7 +23,7 @@ from agent.kernel.ranging.lens_sag import at_tilt
 # off by 0.05 to 0.12 px (rms), mostly alike from frame to frame: texture at the rim, and blur that gamma makes uneven.
 EDGE_BIAS_PX = 0.09
 EDGE_NOISE_PX = 0.03
-ARC_POWER = 1.5  # an outline with such a score is worse by score ** -1.5: 0.25 px at a half
+ARC_POWER = 1.5  # where vision states no sigma, share ** -1.5 times as much: 0.25 px of half an outline
 WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
 DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
 
@@ -39,7 +39,7 @@ class Outline(NamedTuple):
 
     centre_px: tuple[float, float]  # where the ray to the ball's centre meets the image; middle of the box
     radius_px: float | None  # angular radius times the f_px of that lens position; None: no ball
-    share: float  # vision's score, 0 to 1; in older recordings the share of the outline that was seen
+    share: float  # vision's score, 0 to 1; where no sigma is stated, the share of the outline that was seen
     lens_position: float | None  # of that frame
     size_px: tuple[float, float] | None = None  # width and height of the box; None: a ball
     radius_sigma_px: float | None = None  # standard deviation of the radius, as vision states it; None: it does not
@@ -107,15 +107,18 @@ def focus_range(
 def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     """d = R / sin(theta), theta = radius_px / f_px at the lens position of the frame.
 
-    Systematic: d / tan(theta) times the edge's bias in radians, the twin's or what vision states if that is more, d
-    times the scale's relative error, d / R times the ball's tolerance, and where rays meet.
+    Systematic: d / tan(theta) times the edge's bias in radians, the twin's or what vision states if that is more (it
+    grows as less of the outline is seen), d times the scale's relative error, d / R times the ball's tolerance, and
+    where rays meet.
     """
     assert ball.radius_m is not None and outline.radius_px is not None  # see distance()
     f_px = at_lens_position(camera, outline.lens_position).f_px
     theta = outline.radius_px / f_px
     d = ball.radius_m / math.sin(theta)
-    per_px = d / math.tan(theta) / f_px * outline.share**-ARC_POWER
-    bias_px = max(EDGE_BIAS_PX, (outline.radius_sigma_px or 0.0) * outline.share**ARC_POWER)
+    per_px = d / math.tan(theta) / f_px
+    if outline.radius_sigma_px is None:
+        per_px *= outline.share**-ARC_POWER
+    bias_px = max(EDGE_BIAS_PX, outline.radius_sigma_px or 0.0)
     ff, fa, aa = camera.scale_covariance
     # A longer ahead_m is made up for by a shorter d: both count from the pivot.
     scale = d * d * ff + 2.0 * d * fa + aa

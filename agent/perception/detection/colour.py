@@ -29,14 +29,16 @@ SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin
 # of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
 # (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
 REDDER = math.log(0.80**2.2)
+REDDER_FAR, NEAR = 0.8, 2.0  # what water takes of it with the strength of a colour, of colours weaker than that
 ORANGE = 0.5  # red against green light above which no paint is yellow, which reflects both alike
 BURNT = 0.03  # share of the disc
+GLARE = 0.5  # and from which on a hue as blue as red is only white beside water: a red thing burns out to yellow
 YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
 NEAR_BY = 1.5  # strength from which on the water has not taken much yet
 # Far through water yellow comes near green. A yellow one still shows red where its colour is strong, a green one never
 # does; where both are faint it is the hue alone.
 GREENISH_RAD = (math.radians(50.0), math.radians(84.0))
-LITTLE_RED, STRONG, MIDDLE_RAD = -1.2, 0.75, math.radians(74.0)
+LITTLE_RED, STRONG, MIDDLE_RAD = -1.2, 0.85, math.radians(76.0)
 
 
 class Tone(NamedTuple):
@@ -64,8 +66,15 @@ class ColourModel(NamedTuple):
 
 
 def _warm(tone: Tone) -> bool:
+    if tone.burnt > GLARE and tone.hue_rad < 0.0:
+        return False
     doubtful = tone.hue_rad > YELLOWISH_RAD and (tone.burnt >= BURNT or tone.strength > NEAR_BY)
-    return tone.redder > REDDER or not doubtful
+    return _redder(tone) or not doubtful
+
+
+def _redder(tone: Tone) -> bool:
+    """Whether it has more red light than a yellow thing may have left through as much water."""
+    return tone.redder > REDDER + min(REDDER_FAR * (tone.strength - NEAR), 0.0)
 
 
 def _yellow(tone: Tone) -> bool:
@@ -73,7 +82,7 @@ def _yellow(tone: Tone) -> bool:
     if tone.redder > ORANGE:
         return False
     if tone.hue_rad < FADED_RAD:
-        return not _warm(tone) or (tone.burnt >= BURNT and tone.redder <= REDDER)
+        return not _warm(tone) or (tone.burnt >= BURNT and not _redder(tone))
     return tone.hue_rad < low or not _greenish(tone)
 
 

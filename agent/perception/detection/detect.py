@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.kernel.config import Colour
 from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection import cone as cones
-from agent.perception.detection.colour import MIN_STRENGTH, NAMED, ColourModel
+from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED, ColourModel
 from agent.perception.detection.cone import Array, Cone
 from agent.perception.detection.outline import OutlineFit, both_edges, combined, first_guess, look, tolerance_px
 from agent.perception.detection.patch import Patch, patch
@@ -34,8 +34,8 @@ NEARER, NEAREST = 0.003, 0.4  # strength by which a colour has to exceed the lea
 RIM = 1.6
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
-MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.9, 1.2, 0.85, 15.0
-ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent
+MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
+ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent, but where glow covers these
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
 ARC_PX = 50.0
@@ -99,8 +99,9 @@ def score(found: Patch, fit: OutlineFit) -> float:
     """
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
+    roomy = 1.0 if found.tone.burnt > GLARE else min(1.0, ROOMY_PX / radius_px)
     doubt = (
-        MISSING * (1.0 - fit.agree) * min(1.0, ROOMY_PX / radius_px)
+        MISSING * (1.0 - fit.agree) * roomy
         + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
         + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full))
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
@@ -135,8 +136,8 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
             return None
         cone, width_px = edge.cone, edge.width_px
         rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
-    assert seen is not None  # the loop has seen to it
-    fit = combined(*pair, float(seen.visible.mean()), camera)
+    assert seen is not None and found is not None  # the loop has seen to it
+    fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
     if rays is not None:

@@ -30,6 +30,7 @@ LEAST_PX = 4.0  # but so far at least: a camera's own blur and JPEG reach 2 px f
 WIDTHS, BEYOND_PX = 2.5, 1.5
 INWARD, OUTWARD = 0.65, 1.2  # of the radius, at most: of a small ball there is not more
 MIN_ARC = 0.28  # share of the whole outline: what is left of 120 deg where it runs into the edge of the frame
+FIRST_ARC = 0.18  # of a first look, whose wide band loses more lines at that edge
 LOOSE_PX, LOOSE = 2.0, 0.04  # an edge agrees with the cone within so many pixels, or this share of the radius:
 TIGHT = 0.1  # of small ones never more than this, or anything would be round
 MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
@@ -79,7 +80,7 @@ def look(image: Image, cone: Cone, origin: Array, camera: CameraFit, width_px: f
         reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
     outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
     seen = lines(image, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
-    return seen if seen.visible.sum() >= MIN_ARC * RAYS else None
+    return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
 
 
 def both_edges(
@@ -99,11 +100,19 @@ def tolerance_px(radius_px: float, last: bool) -> float:
     return max(LOOSE_PX if not last else min(LOOSE_PX, TIGHT * radius_px), LOOSE * radius_px)
 
 
-def combined(colour: Edge | None, lightness: Edge | None, visible: float, camera: CameraFit) -> OutlineFit | None:
-    """One outline of two; of one alone with half of its evidence and twice its uncertainty."""
+def combined(
+    colour: Edge | None, lightness: Edge | None, burnt: bool, visible: float, camera: CameraFit
+) -> OutlineFit | None:
+    """One outline of two; of one alone with half of its evidence and twice its uncertainty.
+
+    `burnt`: the disc is too bright to have a colour, which then ends somewhere within it or in the glow around it, so
+    lightness alone says it all.
+    """
     one, other = colour or lightness, lightness or colour
     if one is None or other is None:
         return None
+    if burnt and other.agree >= one.agree:
+        one = other
     variances = one.sigma_px**2 + COLOUR_PX**2, other.sigma_px**2 + (GAMMA * other.width_px) ** 2
     share = variances[1] / sum(variances)
     axis = share * one.cone.axis + (1.0 - share) * other.cone.axis
@@ -113,7 +122,7 @@ def combined(colour: Edge | None, lightness: Edge | None, visible: float, camera
         axis / np.sqrt((axis * axis).sum()),
         share * radii[0] + (1.0 - share) * radii[1],
         math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
-        0.5 * (one.agree + other.agree) if one is not other else 0.5 * one.agree,
+        0.5 * (one.agree + other.agree) if one is not other or burnt else 0.5 * one.agree,
         max(one, other, key=lambda edge: edge.agree).rms_px,
         max(one.width_px, other.width_px),
         visible,
@@ -125,7 +134,7 @@ def _edge(
     seen: Lines, profile: Array, shaded: bool, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
 ) -> Edge | None:
     found = edges(seen, profile, shaded)
-    if len(found.points) < MIN_ARC * RAYS:
+    if len(found.points) < (MIN_ARC if near else FIRST_ARC) * RAYS:
         return None
     rays = cones.to_rays(found.points + origin, camera)
     cone = cones.refined(near, rays, camera, tolerance_px) if near else cones.consensus(rays, camera, tolerance_px)
@@ -134,7 +143,7 @@ def _edge(
     misses = cones.misses_px(rays, cone, camera)
     agree = np.abs(misses) < tolerance_px
     count = int(agree.sum())
-    if count < 0.2 * RAYS:
+    if count < (0.2 if near else FIRST_ARC) * RAYS:
         return None
     rms_px = math.sqrt(float((misses[agree] ** 2).mean()))
     terms = AROUND[found.on][agree]  # of a radius and a shift of the centre

@@ -59,6 +59,8 @@ def test_an_edge_that_vision_is_unsure_of_counts_as_such():
     assert sure == plain, "never surer than the twin has shown"
     assert math.sqrt(unsure.systematic_m2) == pytest.approx(1.0 / (1169 * 0.07) * 3.0, rel=0.01)
     assert (unsure.distance_m, unsure.random_m2) == (plain.distance_m, plain.random_m2)
+    doubtful = outline(1.0, share=0.5)._replace(radius_sigma_px=0.02)
+    assert size_range(CAMERA, doubtful, BALL) == sure, "how sure it is that it is a ball says nothing of its size"
 
 
 def test_part_of_an_outline_a_rough_ball_and_a_rough_scale_are_worth_less():

@@ -1,0 +1,23 @@
+"""What counts for which colour, on tones as real pictures have them."""
+
+import math
+
+from agent.perception.detection.colour import NAMED, Tone
+
+
+def tone(hue_deg: float, strength: float, redder: float, burnt: float = 0.0) -> Tone:
+    return Tone(math.radians(hue_deg), strength, redder, redder, burnt)
+
+
+def test_white_glare_on_blue_water_is_not_red() -> None:
+    """What is burnt white has more red than the water around it; a red thing burns out to yellow, not to pink."""
+    assert not NAMED["red"].fits(tone(-14.0, 0.88, -0.75, burnt=0.95), 0.0)
+    assert NAMED["red"].fits(tone(-14.0, 0.88, -0.75), 0.0)
+    assert NAMED["red"].fits(tone(11.0, 3.0, 0.7, burnt=0.76), 0.0)
+
+
+def test_far_through_water_a_burnt_yellow_and_a_burnt_orange_both_have_less_red() -> None:
+    """By how far their colour has faded: near ones part at -0.5, those of strength 1.5 at -0.9."""
+    near, far = tone(12.0, 2.3, -0.6, burnt=0.7), tone(12.0, 1.5, -0.6, burnt=0.7)
+    assert NAMED["yellow"].fits(near, 0.0) and not NAMED["orange"].fits(near, 0.0)
+    assert NAMED["orange"].fits(far, 0.0) and not NAMED["yellow"].fits(far, 0.0)
