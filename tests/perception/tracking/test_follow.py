@@ -84,7 +84,8 @@ def test_lost_is_said_with_the_last_place_and_no_score():
 
 def test_a_thing_does_not_jump_or_swell_from_frame_to_frame():
     still = Motion(Box(100, 100, 60, 40))
-    assert still.allows(Box(130, 110, 64, 44))
+    assert still.allows(Box(125, 110, 64, 44))
+    assert not still.allows(Box(135, 100, 60, 40))
     assert not still.allows(Box(300, 110, 60, 40))
     assert not still.allows(Box(90, 90, 90, 60))
 
