@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.perception.tracking.box import Box
+from agent.perception.tracking.box import Box, same
 
 STEP = 0.5  # of the diagonal: how far one goes from frame to frame
 SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
@@ -40,3 +40,8 @@ def followed(others: Sequence[LookAlike], boxes: Sequence[Box]) -> list[LookAlik
         if other.unseen < KEPT and not any(other.explains(box) for box in boxes)
     ]
     return now + missing
+
+
+def merged(others: Sequence[LookAlike], box: Box) -> bool:
+    """Whether one of them went out of sight where this box is: in the picture they are one."""
+    return any(other.unseen and same(other.box, box) for other in others)
