@@ -148,6 +148,8 @@ def _found(
 
 
 def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]) -> list[Place]:
+    if not found:
+        return []
     gains, places = gains_of(image), list[Place]()
     for _, box in sorted(found, reverse=True):
         if len(places) < PLACES and not any(same(box, other.box) for other in places):
