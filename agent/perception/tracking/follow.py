@@ -4,7 +4,8 @@ The tracker's own score says nothing: it is as high on the thing, beside it and 
 instead. The box moves on as it moved before, and keeps its size. Most of it lies in the picture. It shows the colours
 that the thing had in its first picture. It looks like that picture, or like the newest that was certain. Else it is
 lost, and the whole picture is searched. What is like it there is taken for it only where it can have got to by now and
-where no look-alike can be; where one can, or two places are equally like it, that is ambiguous.
+where no look-alike can be; where one can, or two places are equally like it, that is ambiguous. So it is from where a
+look-alike that was seen beside it and the box come to be one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Things that are like the one that was lost, and are not it: each is where one was in the frame before.
+"""Things that are like the one that is followed, and are not it: each is where one was in the frame before.
 
-When a thing is lost, whatever else in that frame looks like it cannot be it: it was too far away. From then on these
-others are followed, roughly, from frame to frame; what comes up where none of them can be may be the thing itself.
+While a thing is followed, what looks like it near by is not it, and when it is lost, neither is whatever else in that
+frame looks like it: it was too far away. These others are followed, roughly, from frame to frame; what comes up where
+none of them can be may be the thing itself.
 """
 
 from __future__ import annotations
