@@ -9,7 +9,7 @@ peak is good to a tenth of a step of the sweep where it has texture; a median of
   is any surface over 25 pixels, a step is not. What light of a blurred foreground spills over the part beside it, and
   the contour that a part shares, is seen by the cells on the other side.
 * A block holds one depth if none of its parts is on an edge or away from the block's own peak, and texture shows that
-  in three of its quarters at least. Beside a block of another depth its parts are asked about what lies around them,
+  in each of its quarters. Beside a block of another depth its parts are asked about what lies around them,
   too. A steep slope is away from one peak as well: its parts are what is told.
 
 Limits in peak widths, because how far apart two depths must be is a matter of how blurred one is when the other is
@@ -30,7 +30,7 @@ UNEVEN = 0.1  # of the peak's half width: how far from a plane, or from its cell
 AWAY = 0.25  # the same, of a part's depth from its block's
 STEP_SHARE = 0.4  # of the step between lens positions: no limit is less
 KNOWN = 0.6  # of the cells in and around a part that have a peak, or nothing is known of its surroundings
-QUARTERS = 3  # of a block's four that show its depth
+QUARTERS = 4  # of a block that show its depth: a plain one may have any, as a corner of another surface has
 OWN_CELLS = 3  # of a part's four that have a peak: one in a corner may be the neighbour's contour
 ANY_CELLS = 5  # around a part: fewer do not speak against it
 AROUND = np.array([(1.0, row - 1.5, col - 1.5) for row in range(4) for col in range(4)])  # 4 x 4 cells: 1, y, x

@@ -16,9 +16,7 @@ Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 WARM_DEG = (0.0, 110.0)  # hue: sRGB's red lies at 40 degrees, orange at 70, yellow at 103; crimson is the lower end
-VIVID = (
-    30.0  # chroma from which a colour is vivid: sand and rock of 108 real references stay below, but for 1 % of pixels
-)
+VIVID = 30.0  # chroma from which a colour is vivid: sand and rock of 108 real references have less, but for 1 %
 PALE = 10.0  # chroma below which nothing is left of it
 NEAR_DEG = 25.0  # hue may move by: half of the way from red to yellow is 30
 

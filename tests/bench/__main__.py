@@ -1,4 +1,4 @@
-"""`make bench`: run every bench beside this file, or those that are named, print the table and write bench.json.
+"""`make bench`: run every bench below this folder, or those that are named, print the table and write bench.json.
 
 `python -m tests.bench recording replay` runs bench_recording.py and bench_replay.py; of all other benches bench.json
 keeps the rows it has. `python -m tests.bench board` prints what the firmware costs on the chip, function by function;
@@ -27,7 +27,8 @@ WIDE = 200  # columns of a table that goes into a file: no cell is cut or folded
 def main(names: Sequence[str]) -> int:
     if names[:1] == ["board"]:
         return board.main(names[1:])
-    known = {path.stem.removeprefix("bench_"): path.stem for path in sorted(HERE.glob("bench_*.py"))}
+    files = sorted(HERE.rglob("bench_*.py"), key=lambda path: path.stem)
+    known = {path.stem.removeprefix("bench_"): module_of(path) for path in files}
     if strangers := [name for name in names if name not in known]:
         sys.stderr.write(f"no such bench: {', '.join(strangers)}; choose {', '.join(known)}\n")
         return 2
@@ -36,12 +37,16 @@ def main(names: Sequence[str]) -> int:
     try:
         for name in names or known:
             with console.status(name):
-                rows.update(importlib.import_module(f"tests.bench.{known[name]}").run())
+                rows.update(importlib.import_module(known[name]).run())
     finally:  # a bench that fails does not take the others' figures with it
         console.print(table(rows))
         kept = json.loads(OUT.read_text(encoding="utf-8")) if names and OUT.exists() else {}
         OUT.write_text(json.dumps({**kept, **rows}, indent=1) + "\n", encoding="utf-8")
     return 0
+
+
+def module_of(path: Path) -> str:
+    return ".".join(("tests", "bench", *path.relative_to(HERE).with_suffix("").parts))
 
 
 def table(rows: dict[str, dict]) -> Table:

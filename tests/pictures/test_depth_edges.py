@@ -7,9 +7,9 @@ from agent.pictures.depth_edges import cuts, middle, off_plane, with_edges
 from agent.pictures.depth_peaks import GridPeaks, Reason
 from agent.pictures.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
-from tests.bench.bench_edges import jumps
-from tests.bench.edges.scenes import FRAMES, render
-from tests.bench.edges.score import score
+from tests.bench.pictures.bench_edges import jumps
+from tests.bench.pictures.edges.scenes import FRAMES, render
+from tests.bench.pictures.edges.score import score
 from tests.pictures.planes import quiet
 from tests.places import DATA
 

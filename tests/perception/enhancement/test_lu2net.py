@@ -11,7 +11,7 @@ from agent.perception.enhancement import lu2net  # noqa: E402
 from agent.perception.enhancement.grey_world import white_balance  # noqa: E402
 from agent.perception.enhancement.lu2net import LU2Net  # noqa: E402
 from agent.training.warm import kept_warm  # noqa: E402
-from tests.bench import bench_warm  # noqa: E402
+from tests.bench.pictures import bench_warm  # noqa: E402
 
 
 @pytest.fixture(scope="module")

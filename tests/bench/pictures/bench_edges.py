@@ -11,8 +11,8 @@ import numpy as np
 
 from agent.pictures.depth_sweep import clarity_of, measure
 from hw.picture_files import read_picture
-from tests.bench.edges.scenes import FRAMES, PHOTOGRAPHS, Stack, stacks
-from tests.bench.edges.score import Score, score
+from tests.bench.pictures.edges.scenes import FRAMES, PHOTOGRAPHS, Stack, stacks
+from tests.bench.pictures.edges.score import Score, score
 from tests.places import DATA
 
 BLOCK_PX = 40  # of pictures of 400
