@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.tracking.box import Box, Image, common_px, cut
+from agent.perception.tracking.box import Box, Image, cut, same
 from agent.perception.tracking.colours import Colours, agreement, balanced, chance_of, gains_of, learn
 
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
@@ -29,7 +29,8 @@ FINE_SIZES = (0.8, 0.89, 1.0, 1.12, 1.25)  # between those of a search
 PEAKS = 4  # best places in each size
 PLACES = 8  # that are looked at more closely: each takes a millisecond
 TELLING = 0.15  # least difference in chance between a thing and its surroundings for colours to tell it
-SAME_SHARE = 0.5  # of the smaller box that lies in the larger: they are one place
+BESIDE = 5.0  # boxes: where look-alikes of a followed thing are looked for
+NEARLY = 0.1  # two places that differ by less in likeness are equally like it
 
 
 class Appearance(NamedTuple):
@@ -103,10 +104,33 @@ def _about(box: Box, width: float, height: float) -> Box:
 def search(appearance: Appearance, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES) -> list[Place]:
     """Places of the whole picture that are most like what is remembered, best first, no two of them the same;
     `scales` times as large as `last`. None where the picture is smaller than the thing."""
+    shorter = SEARCH_WIDTH_PX / image.shape[1] * last.width * RIM / _shape(appearance)[0]
+    return _places(appearance, image, _found(appearance, image, last, scales, min(SEARCH_PX / PATCH_PX, shorter)))
+
+
+def beside(appearance: Appearance, image: Image, box: Box, like: Likeness) -> list[Box]:
+    """Other places about a box, up to twice its size away, that are nearly as like what is remembered."""
+    window = box.grown(BESIDE).inside((image.shape[1], image.shape[0]))
+    left, top = int(window.x), int(window.y)
+    part = image[top : int(window.y + window.height), left : int(window.x + window.width)]
+    found = [
+        (shape, there.moved(left, top))
+        for shape, there in _found(appearance, part, box, (1.0,), SEARCH_PX / PATCH_PX)
+        if shape >= like.shape - 2.0 * NEARLY and not same(there.moved(left, top), box)
+    ]
+    return [
+        place.box
+        for place in _places(appearance, image, found)
+        if place.like.shape >= like.shape - NEARLY and place.like.colour >= like.colour - NEARLY
+    ]
+
+
+def _found(
+    appearance: Appearance, image: Image, last: Box, scales: tuple[float, ...], shorter: float
+) -> list[tuple[float, Box]]:
+    """Peaks of the correlation in each size, with patches `shorter` times as long as they are remembered."""
     found: list[tuple[float, Box]] = []
-    width, height = _shape(appearance)
-    shorter = min(SEARCH_PX / PATCH_PX, SEARCH_WIDTH_PX / image.shape[1] * last.width * RIM / width)
-    width, height = max(3, round(width * shorter)), max(3, round(height * shorter))
+    width, height = (max(3, round(side * shorter)) for side in _shape(appearance))
     patches = [cv2.resize(patch, (width, height), interpolation=cv2.INTER_AREA) for patch in _patches(appearance)]
     beyond = [round(side * (1.0 - 1.0 / RIM) / 2.0) for side in (width, height)]  # of a box at the border, its rim
     for scale in scales:
@@ -120,21 +144,18 @@ def search(appearance: Appearance, image: Image, last: Box, scales: tuple[float,
         for shape, x, y in _peaks(alike, width // 2, height // 2):
             corner = (x - beyond[0]) / shrink, (y - beyond[1]) / shrink
             found.append((shape, Box(*corner, width / shrink, last.height * RIM * scale).grown(1.0 / RIM)))
-    return _places(appearance, image, found)
+    return found
 
 
 def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]) -> list[Place]:
+    if not found:
+        return []
     gains, places = gains_of(image), list[Place]()
     for _, box in sorted(found, reverse=True):
-        if len(places) < PLACES and not any(_same(box, other.box) for other in places):
+        if len(places) < PLACES and not any(same(box, other.box) for other in places):
             shape, aligned = _aligned(appearance, image, box)  # the search is too coarse to say how like it is
             places.append(Place(aligned, Likeness(shape, agreement(appearance.colours, image, aligned, gains))))
     return sorted(places, key=lambda place: -place.like.least)
-
-
-def _same(a: Box, b: Box) -> bool:
-    """Whether two boxes show one thing, if not its whole."""
-    return common_px(a, b) >= SAME_SHARE * min(a.area_px, b.area_px)
 
 
 def coloured(appearance: Appearance, image: Image, like: Box) -> list[Box]:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]  # (height, width, 3), blue green red
 
+SAME_SHARE = 0.5  # of the smaller box that lies in the larger: they are one place
+
 
 class Box(NamedTuple):
     """A region of a frame, pixels from the outer corner of its upper left one."""
@@ -54,6 +56,11 @@ def overlap(a: Box, b: Box) -> float:
     """Intersection over union, 0 to 1."""
     both = common_px(a, b)
     return both / (a.area_px + b.area_px - both) if both else 0.0
+
+
+def same(a: Box, b: Box) -> bool:
+    """Whether two boxes show one thing, if not its whole."""
+    return common_px(a, b) >= SAME_SHARE * min(a.area_px, b.area_px)
 
 
 def cut(image: Image, box: Box, size: tuple[int, int]) -> Image:

@@ -4,7 +4,8 @@ The tracker's own score says nothing: it is as high on the thing, beside it and 
 instead. The box moves on as it moved before, and keeps its size. Most of it lies in the picture. It shows the colours
 that the thing had in its first picture. It looks like that picture, or like the newest that was certain. Else it is
 lost, and the whole picture is searched. What is like it there is taken for it only where it can have got to by now and
-where no look-alike can be; where one can, or two places are equally like it, that is ambiguous.
+where no look-alike can be; where one can, or two places are equally like it, that is ambiguous. So it is from where a
+look-alike that was seen beside it and the box come to be one.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from agent.kernel.config import ConfigError
 from agent.perception.tracking.appearance import (
     ANY_SCALE,
     NEAR_SCALES,
+    NEARLY,
     Appearance,
     Likeness,
     Place,
+    beside,
     coloured,
     fitted,
     likeness,
@@ -28,9 +31,9 @@ from agent.perception.tracking.appearance import (
     renewed,
     search,
 )
-from agent.perception.tracking.box import Box, Image
+from agent.perception.tracking.box import Box, Image, same
 from agent.perception.tracking.box_trackers import BoxTracker
-from agent.perception.tracking.look_alikes import LookAlike, explained, followed
+from agent.perception.tracking.look_alikes import LookAlike, explained, followed, merged
 from agent.perception.tracking.motion import Motion
 
 # Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
@@ -40,7 +43,6 @@ SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it 
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
-NEARLY = 0.1  # two places that differ by less in likeness are equally like it
 CLEAR = 0.9  # of the most: a tenth may be hidden
 PATIENCE = 12  # frames in a row that need not be sure: less than half a second
 LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
@@ -73,6 +75,7 @@ class Follower:
         self._unsure = 0  # frames since it was certain
         self._colour = 1.0  # likeness in colour lately
         self._pictures: deque[tuple[float, Image]] = deque(maxlen=PATIENCE)  # the newest, with their likeness in colour
+        self._beside: list[LookAlike] = []  # seen near by while it is followed
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
 
     def expect(self, picture: Image, box: Box) -> None:
@@ -87,7 +90,8 @@ class Follower:
         check_box(box, (image.shape[1], image.shape[0]))
         self._tracker.start(image, box)
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
-        self._lost, self._seen, self._others, self._unsure, self._colour = False, True, None, 0, 1.0
+        self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
+        self._beside, self._others = [], None
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
@@ -107,10 +111,16 @@ class Follower:
         sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
         self._unsure = 0 if sure else self._unsure + 1
         if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
-            self._lost, self._others = True, None
+            self._lost, self._others = True, self._beside or None
             if self._pictures:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
+        near = beside(appearance, image, whole, like)
+        others = followed(self._beside, near)
+        if merged(others, whole):  # from here on the tracker may be on either
+            self._lost, self._others = True, others
+            return self._search(image, appearance)
+        self._beside = others
         self._motion = self._motion.seen(whole)
         if sure:
             self._colour += LATELY * (like.colour - self._colour)
@@ -151,6 +161,7 @@ class Follower:
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
         self._unsure, self._colour = 0, like.colour
         self._pictures.clear()
+        self._beside = [other for other in self._others or () if not same(other.box, box)]
         return Followed(box, like.least, again)
 
 

@@ -1,7 +1,8 @@
-"""Things that are like the one that was lost, and are not it: each is where one was in the frame before.
+"""Things that are like the one that is followed, and are not it: each is where one was in the frame before.
 
-When a thing is lost, whatever else in that frame looks like it cannot be it: it was too far away. From then on these
-others are followed, roughly, from frame to frame; what comes up where none of them can be may be the thing itself.
+While a thing is followed, what looks like it near by is not it, and when it is lost, neither is whatever else in that
+frame looks like it: it was too far away. These others are followed, roughly, from frame to frame; what comes up where
+none of them can be may be the thing itself.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.perception.tracking.box import Box
+from agent.perception.tracking.box import Box, same
 
 STEP = 0.5  # of the diagonal: how far one goes from frame to frame
 SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
@@ -40,3 +41,8 @@ def followed(others: Sequence[LookAlike], boxes: Sequence[Box]) -> list[LookAlik
         if other.unseen < KEPT and not any(other.explains(box) for box in boxes)
     ]
     return now + missing
+
+
+def merged(others: Sequence[LookAlike], box: Box) -> bool:
+    """Whether one of them went out of sight where this box is: in the picture they are one."""
+    return any(other.unseen and same(other.box, box) for other in others)

@@ -1,8 +1,8 @@
 """Whether lost is said on real pictures: three clips of fish, and clips made of them and of real buoys.
 
-`python -m tests.bench track_loss` takes minutes. Reads ../shared/data; where that is absent there are no rows. Limits
-were chosen on the part "tuned"; "held out" has other fish and other cameras, and was looked at while FOUND_LIKE and
-SURE_COLOUR of follow.py were settled.
+`python -m tests.bench track_loss` takes 8 minutes of one core. Reads ../shared/data; where that is absent there are no
+rows. Limits were chosen on the part "tuned"; "held out" has other fish and other cameras, and was looked at while
+FOUND_LIKE and SURE_COLOUR of follow.py and MAX_STEP of motion.py were settled.
 """
 
 from collections.abc import Iterable

@@ -46,8 +46,8 @@ class Scripted:
 
 
 def test_nanotrack_follows_loses_and_finds_again(nano):
-    follower, overlaps, gone = Follower(nano), [], range(60, 75)
-    for k, (image, box) in enumerate(clip(115, gone)):
+    follower, overlaps, gone = Follower(nano), [], range(30, 45)
+    for k, (image, box) in enumerate(clip(75, gone)):
         if k == 0:
             follower.start(image, Box(*box))
             continue
@@ -56,7 +56,7 @@ def test_nanotrack_follows_loses_and_finds_again(nano):
         if box and not now.lost:
             overlaps.append(overlap(now.box, box))
     assert np.mean(overlaps) > 0.85 and min(overlaps) > 0.6
-    assert len(overlaps) > 59 + 20  # all before it went, and most after it came back
+    assert len(overlaps) > 29 + 15  # all before it went, and most after it came back
     assert not now.lost
 
 
@@ -84,7 +84,8 @@ def test_lost_is_said_with_the_last_place_and_no_score():
 
 def test_a_thing_does_not_jump_or_swell_from_frame_to_frame():
     still = Motion(Box(100, 100, 60, 40))
-    assert still.allows(Box(130, 110, 64, 44))
+    assert still.allows(Box(125, 110, 64, 44))
+    assert not still.allows(Box(135, 100, 60, 40))
     assert not still.allows(Box(300, 110, 60, 40))
     assert not still.allows(Box(90, 90, 90, 60))
 

@@ -70,6 +70,14 @@ def test_what_is_hidden_is_lost(water):
     assert all(now.lost for now in seen[15 + GRACE :])
 
 
+def test_what_meets_a_look_alike_is_ambiguous_and_the_look_alike_is_not_taken_for_it(water):
+    places = [min(96 + 3 * k, 150) for k in range(28)]
+    frames = [picture(water, (u, 90, RED), (150, 90, RED), seed=k) for k, u in enumerate(places)]
+    seen = states(frames, around(96, 90))
+    assert all(now.state in FOLLOWED for now in seen[:10])
+    assert all(now.state == "ambiguous" for now in seen[17:])
+
+
 def test_two_places_that_are_equally_like_it_are_ambiguous_until_one_is_gone(water):
     follower = Follower(load_box_tracker(None, None))
     follower.expect(picture(water, (120, 90, RED)), around(120, 90))
