@@ -126,7 +126,7 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
         found = patch(image, outline, centre, rays)
         if found is None or not _worth_a_look(found, model):
             return None
-        seen = look(image, cone, origin, camera, width_px)
+        seen = look(image, outline, centre, _radius(cone, camera), camera, width_px)
         if seen is None:
             return None
         near = tolerance_px(_radius(cone, camera), last)

@@ -70,15 +70,15 @@ def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
     return cones.consensus(cones.to_rays(points + origin, camera), camera, tolerance_px)
 
 
-def look(image: Image, cone: Cone, origin: Array, camera: CameraFit, width_px: float | None) -> Lines | None:
-    """Lines across a predicted outline; `width_px`: of the edge, None while it is not known. None if too little of
-    the outline is in the picture and in the light."""
-    radius = cone.theta_rad * camera.f_px
+def look(
+    image: Image, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
+) -> Lines | None:
+    """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while it is not
+    known. None if too little of the outline is in the picture and in the light."""
     if width_px is None:
         reach = max(min(BAND * radius, BAND_FRAME * camera.width_px), LEAST_PX) / radius
     else:
         reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
-    outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
     seen = lines(image, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
     return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
 
