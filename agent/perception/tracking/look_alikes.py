@@ -1,8 +1,8 @@
-"""Things that are like the one that is followed, and are not it: each is where one was in the frame before.
+"""Things that are like the one that is followed, and are not it: each goes on from where one was in the frame before.
 
 While a thing is followed, what looks like it near by is not it, and when it is lost, neither is whatever else in that
-frame looks like it: it was too far away. These others are followed, roughly, from frame to frame; what comes up where
-none of them can be may be the thing itself.
+frame looks like it: it was too far away. These others are followed, roughly, from frame to frame, each to one place at
+most; what comes up where none of them can be may be the thing itself.
 """
 
 from __future__ import annotations
@@ -12,37 +12,56 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from agent.perception.tracking.box import Box, same
+from agent.perception.tracking.motion import Motion
 
-STEP = 0.5  # of the diagonal: how far one goes from frame to frame
+STEP = 0.5  # of the diagonal: how far one is from where it is expected
 SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
 KEPT = 30  # frames for which one that does not show is remembered: 1 s
 
 
 class LookAlike(NamedTuple):
-    box: Box
-    unseen: int = 0  # frames
+    motion: Motion
 
-    def explains(self, box: Box) -> bool:
-        """Whether what is in this box can be this one."""
-        reach = (STEP + SPREAD * self.unseen) * math.hypot(self.box.width, self.box.height)
-        return math.dist(self.box.centre_px, box.centre_px) <= reach
+    def off(self, box: Box) -> float:
+        """How far from where it is expected, in units of how far it can be; at most 1 where it can be this box."""
+        reach = (STEP + SPREAD * self.motion.unseen) * math.hypot(self.motion.box.width, self.motion.box.height)
+        return math.dist(self.motion.expected.centre_px, box.centre_px) / reach
 
 
-def explained(others: Sequence[LookAlike], box: Box) -> bool:
-    return any(other.explains(box) for other in others)
+def matched(others: Sequence[LookAlike], boxes: Sequence[Box]) -> dict[int, int]:
+    """Which of the boxes each of them has now, by their numbers; the nearest first, none twice."""
+    pairs = sorted((other.off(box), k, n) for k, other in enumerate(others) for n, box in enumerate(boxes))
+    found: dict[int, int] = {}
+    for off, k, n in pairs:
+        if off <= 1.0 and k not in found and n not in found.values():
+            found[k] = n
+    return found
+
+
+def unexplained(others: Sequence[LookAlike], boxes: Sequence[Box]) -> list[Box]:
+    """Those of the boxes in which none of them can be: each is in the one that is nearest to where it is expected, and
+    one that is in none of them can be in every one that it reaches."""
+    found = matched(others, boxes)
+    hidden = [other for k, other in enumerate(others) if k not in found]
+    taken = {*found.values()}
+    return [
+        box
+        for n, box in enumerate(boxes)
+        if n not in taken
+        and not any(other.off(box) <= 1.0 for other in hidden)
+        and not any(same(box, boxes[k]) for k in taken)
+    ]
 
 
 def followed(others: Sequence[LookAlike], boxes: Sequence[Box]) -> list[LookAlike]:
     """The same ones in the next frame, in which `boxes` are like the thing and are not it."""
-    now = [LookAlike(box) for box in boxes]
-    missing = [
-        other._replace(unseen=other.unseen + 1)
-        for other in others
-        if other.unseen < KEPT and not any(other.explains(box) for box in boxes)
-    ]
-    return now + missing
+    found = matched(others, boxes)
+    seen = [LookAlike(others[k].motion.seen(boxes[n])) for k, n in found.items()]
+    new = [LookAlike(Motion(box)) for n, box in enumerate(boxes) if n not in found.values()]
+    missing = [LookAlike(other.motion.missed()) for k, other in enumerate(others) if k not in found]
+    return seen + new + [other for other in missing if other.motion.unseen <= KEPT]
 
 
-def merged(others: Sequence[LookAlike], box: Box) -> bool:
-    """Whether one of them went out of sight where this box is: in the picture they are one."""
-    return any(other.unseen and same(other.box, box) for other in others)
+def merged(others: Sequence[LookAlike], box: Box) -> LookAlike | None:
+    """The one of them that went out of sight where this box is: in the picture they are one."""
+    return next((other for other in others if other.motion.unseen and same(other.motion.box, box)), None)
