@@ -33,7 +33,7 @@ from agent.perception.tracking.appearance import (
 )
 from agent.perception.tracking.box import Box, Image, same
 from agent.perception.tracking.box_trackers import BoxTracker
-from agent.perception.tracking.look_alikes import LookAlike, followed, merged, unexplained
+from agent.perception.tracking.look_alikes import LookAlike, Seen, beginning, followed, merged, unexplained
 from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
 
@@ -117,7 +117,8 @@ class Follower:
             if self._pictures:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
-        others = followed(self._beside, beside(appearance, image, whole, like))
+        near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
+        others = followed(self._beside, near)
         if other := merged(others, whole):  # from here on the tracker may be on either
             self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
             return self._search(image, appearance)
@@ -141,15 +142,16 @@ class Follower:
             if both:
                 return self._part(image, appearance, self._meeting, both)
             self._meeting = None  # neither is seen: whatever comes up is searched for
-        rivals = [place.box for place in places if place.like.least >= RIVAL_LIKE]
-        rivals += [box for box in coloured(appearance, image, self._whole) if not any(same(box, r) for r in rivals)]
+        rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
+        tinted = [box for box in coloured(appearance, image, self._whole) if not any(same(box, r.box) for r in rivals)]
+        rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
         mine = [place for place in near if place.like.least >= FOUND_LIKE and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
             self._motion = self._motion.missed()
-            new = [box for box in rivals if box not in free or not self._motion.reaches(box)]
+            new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
             self._others = followed(self._others or (), new)
         return result
 
@@ -169,7 +171,9 @@ class Follower:
             self._motion = self._motion.missed()
             return Followed(self._motion.box, 0.0, "ambiguous")
         mine, its = parted
-        return self._take(image, appearance, boxes[mine], [LookAlike(Motion(its))])
+        found = self._take(image, appearance, boxes[mine], [beginning(Seen(its, boxes[its].like.least))])
+        self._motion = self._motion._replace(step_px=meeting.thing.step_px)  # they may still be close
+        return found
 
     def _take(self, image: Image, appearance: Appearance, place: Place, others: Collection[LookAlike]) -> Followed:
         """It is here."""

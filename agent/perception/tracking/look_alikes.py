@@ -17,20 +17,39 @@ from agent.perception.tracking.motion import Motion
 STEP = 0.5  # of the diagonal: how far one is from where it is expected
 SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
 KEPT = 30  # frames for which one that does not show is remembered: 1 s
+SLOW = 0.1  # weight of the newest frame in its speed and likeness: it is followed roughly, and turns slowly
+BETTER = 0.2  # a place that is by so much more like the thing than one has been is not that one
+
+
+class Seen(NamedTuple):
+    """A place that is somewhat like the thing."""
+
+    box: Box
+    like: float  # the weaker witness, 0 to 1
 
 
 class LookAlike(NamedTuple):
     motion: Motion
+    like: float  # to the thing, lately
 
-    def off(self, box: Box) -> float:
-        """How far from where it is expected, in units of how far it can be; at most 1 where it can be this box."""
+    def off(self, place: Seen) -> float:
+        """How far from where it is expected, in units of how far it can be; at most 1 where it can be this place."""
+        if place.like > self.like + BETTER:
+            return math.inf
         reach = (STEP + SPREAD * self.motion.unseen) * math.hypot(self.motion.box.width, self.motion.box.height)
-        return math.dist(self.motion.expected.centre_px, box.centre_px) / reach
+        return math.dist(self.motion.expected.centre_px, place.box.centre_px) / reach
+
+    def at(self, place: Seen) -> LookAlike:
+        return LookAlike(self.motion.seen(place.box, SLOW), self.like + SLOW * (place.like - self.like))
 
 
-def matched(others: Sequence[LookAlike], boxes: Sequence[Box]) -> dict[int, int]:
-    """Which of the boxes each of them has now, by their numbers; the nearest first, none twice."""
-    pairs = sorted((other.off(box), k, n) for k, other in enumerate(others) for n, box in enumerate(boxes))
+def beginning(place: Seen) -> LookAlike:
+    return LookAlike(Motion(place.box), place.like)
+
+
+def matched(others: Sequence[LookAlike], places: Sequence[Seen]) -> dict[int, int]:
+    """Which of the places each of them has now, by their numbers; the nearest first, none twice."""
+    pairs = sorted((other.off(place), k, n) for k, other in enumerate(others) for n, place in enumerate(places))
     found: dict[int, int] = {}
     for off, k, n in pairs:
         if off <= 1.0 and k not in found and n not in found.values():
@@ -38,27 +57,27 @@ def matched(others: Sequence[LookAlike], boxes: Sequence[Box]) -> dict[int, int]
     return found
 
 
-def unexplained(others: Sequence[LookAlike], boxes: Sequence[Box]) -> list[Box]:
-    """Those of the boxes in which none of them can be: each is in the one that is nearest to where it is expected, and
+def unexplained(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[Box]:
+    """Those of the places in which none of them can be: each is in the one that is nearest to where it is expected, and
     one that is in none of them can be in every one that it reaches."""
-    found = matched(others, boxes)
+    found = matched(others, places)
     hidden = [other for k, other in enumerate(others) if k not in found]
     taken = {*found.values()}
     return [
-        box
-        for n, box in enumerate(boxes)
+        place.box
+        for n, place in enumerate(places)
         if n not in taken
-        and not any(other.off(box) <= 1.0 for other in hidden)
-        and not any(same(box, boxes[k]) for k in taken)
+        and not any(other.off(place) <= 1.0 for other in hidden)
+        and not any(same(place.box, places[k].box) for k in taken)
     ]
 
 
-def followed(others: Sequence[LookAlike], boxes: Sequence[Box]) -> list[LookAlike]:
-    """The same ones in the next frame, in which `boxes` are like the thing and are not it."""
-    found = matched(others, boxes)
-    seen = [LookAlike(others[k].motion.seen(boxes[n])) for k, n in found.items()]
-    new = [LookAlike(Motion(box)) for n, box in enumerate(boxes) if n not in found.values()]
-    missing = [LookAlike(other.motion.missed()) for k, other in enumerate(others) if k not in found]
+def followed(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[LookAlike]:
+    """The same ones in the next frame, in which `places` are like the thing and are not it."""
+    found = matched(others, places)
+    seen = [others[k].at(places[n]) for k, n in found.items()]
+    new = [beginning(place) for n, place in enumerate(places) if n not in found.values()]
+    missing = [other._replace(motion=other.motion.missed()) for k, other in enumerate(others) if k not in found]
     return seen + new + [other for other in missing if other.motion.unseen <= KEPT]
 
 
