@@ -20,6 +20,7 @@ from agent.perception.tracking.appearance import (
     ANY_SCALE,
     NEAR_SCALES,
     NEARLY,
+    RIM,
     Appearance,
     Likeness,
     Place,
@@ -33,7 +34,7 @@ from agent.perception.tracking.appearance import (
 )
 from agent.perception.tracking.box import Box, Image, same
 from agent.perception.tracking.box_trackers import BoxTracker
-from agent.perception.tracking.look_alikes import LookAlike, Seen, beginning, followed, merged, unexplained
+from agent.perception.tracking.look_alikes import LookAlike, Seen, beginning, followed, merged, touched, unexplained
 from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
 
@@ -126,7 +127,7 @@ class Follower:
         self._motion = self._motion.seen(whole)
         if sure:
             self._colour += LATELY * (like.colour - self._colour)
-        if share > 0.999 and sure:
+        if share > 0.999 and sure and not touched(others, whole.grown(RIM)):
             self._whole = whole
             self._appearance = renewed(appearance, image, box)
             self._pictures.append((like.colour, self._appearance.newest))
@@ -138,7 +139,7 @@ class Follower:
         if not self._seen:
             return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
         if self._meeting is not None:
-            both = [place for place in places if place.like.least >= FOUND_LIKE and self._meeting.reaches(place.box)]
+            both = [place for place in places if place.like.least >= SURE_SHAPE and self._meeting.reaches(place.box)]
             if both:
                 return self._part(image, appearance, self._meeting, both)
             self._meeting = None  # neither is seen: whatever comes up is searched for

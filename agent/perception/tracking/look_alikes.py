@@ -11,13 +11,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.perception.tracking.box import Box, same
+from agent.perception.tracking.box import Box, common_px, same
 from agent.perception.tracking.motion import Motion
 
 STEP = 0.5  # of the diagonal: how far one is from where it is expected
 SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
 KEPT = 30  # frames for which one that does not show is remembered: 1 s
 SLOW = 0.1  # weight of the newest frame in its speed and likeness: it is followed roughly, and turns slowly
+CERTAIN = 3  # frames for which one has been seen before the thing can be said to have met it
 BETTER = 0.2  # a place that is by so much more like the thing than one has been is not that one
 
 
@@ -31,6 +32,7 @@ class Seen(NamedTuple):
 class LookAlike(NamedTuple):
     motion: Motion
     like: float  # to the thing, lately
+    seen: int = 1  # frames
 
     def off(self, place: Seen) -> float:
         """How far from where it is expected, in units of how far it can be; at most 1 where it can be this place."""
@@ -40,7 +42,7 @@ class LookAlike(NamedTuple):
         return math.dist(self.motion.expected.centre_px, place.box.centre_px) / reach
 
     def at(self, place: Seen) -> LookAlike:
-        return LookAlike(self.motion.seen(place.box, SLOW), self.like + SLOW * (place.like - self.like))
+        return LookAlike(self.motion.seen(place.box, SLOW), self.like + SLOW * (place.like - self.like), self.seen + 1)
 
 
 def beginning(place: Seen) -> LookAlike:
@@ -83,4 +85,10 @@ def followed(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[LookAl
 
 def merged(others: Sequence[LookAlike], box: Box) -> LookAlike | None:
     """The one of them that went out of sight where this box is: in the picture they are one."""
-    return next((other for other in others if other.motion.unseen and same(other.motion.box, box)), None)
+    gone = (other for other in others if other.motion.unseen and other.seen >= CERTAIN)
+    return next((other for other in gone if same(other.motion.box, box)), None)
+
+
+def touched(others: Sequence[LookAlike], box: Box) -> bool:
+    """Whether a part of one of them can be in this box."""
+    return any(common_px(other.motion.box, box) for other in others)

@@ -15,7 +15,8 @@ from agent.perception.tracking.box import Box, same
 from agent.perception.tracking.motion import Motion
 
 TREMBLE = 0.2  # of the diagonal: how far even what stands still is off
-TURN = 0.5  # of the way that it would have gone: it may have slowed down, or stopped
+TURN = 1.0  # of the way that it would have gone: it may have stopped, or turned
+REACH = 4.0  # standard deviations
 CLEAR = 4.0  # by so much one reading's squared deviations are less than another's: odds of e to the 2
 APART = 30  # frames for which two places have been seen: from then on the better reading is taken, clear or not
 
@@ -31,7 +32,7 @@ class Meeting(NamedTuple):
 
     def reaches(self, box: Box) -> bool:
         """Whether what is in this box can be one of the two."""
-        return any(motion._replace(unseen=self.frames).reaches(box) for motion in (self.thing, self.other))
+        return any(self._off(motion, box) <= REACH**2 for motion in (self.thing, self.other))
 
     def parted(self, boxes: Sequence[Box]) -> tuple[Box, Box] | None:
         """Where the thing is and where the other is, of places that are like them; None where nobody can tell yet."""
