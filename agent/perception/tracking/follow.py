@@ -34,7 +34,7 @@ from agent.perception.tracking.appearance import (
 )
 from agent.perception.tracking.box import Box, Image, same
 from agent.perception.tracking.box_trackers import BoxTracker
-from agent.perception.tracking.look_alikes import LookAlike, Seen, beginning, followed, merged, touched, unexplained
+from agent.perception.tracking.look_alikes import BETTER, CERTAIN, LookAlike, Seen, beginning, followed, merged, touched, unexplained
 from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
 
@@ -139,7 +139,8 @@ class Follower:
         if not self._seen:
             return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
         if self._meeting is not None:
-            both = [place for place in places if place.like.least >= SURE_SHAPE and self._meeting.reaches(place.box)]
+            least = max(SURE_SHAPE, places[0].like.least - BETTER) if places else 0.0
+            both = [place for place in places if place.like.least >= least and self._meeting.reaches(place.box)]
             if both:
                 return self._part(image, appearance, self._meeting, both)
             self._meeting = None  # neither is seen: whatever comes up is searched for
@@ -172,7 +173,7 @@ class Follower:
             self._motion = self._motion.missed()
             return Followed(self._motion.box, 0.0, "ambiguous")
         mine, its = parted
-        found = self._take(image, appearance, boxes[mine], [beginning(Seen(its, boxes[its].like.least))])
+        found = self._take(image, appearance, boxes[mine], [beginning(Seen(its, boxes[its].like.least), CERTAIN)])
         self._motion = self._motion._replace(step_px=meeting.thing.step_px)  # they may still be close
         return found
 

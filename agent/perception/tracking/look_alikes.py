@@ -45,8 +45,8 @@ class LookAlike(NamedTuple):
         return LookAlike(self.motion.seen(place.box, SLOW), self.like + SLOW * (place.like - self.like), self.seen + 1)
 
 
-def beginning(place: Seen) -> LookAlike:
-    return LookAlike(Motion(place.box), place.like)
+def beginning(place: Seen, seen: int = 1) -> LookAlike:
+    return LookAlike(Motion(place.box), place.like, seen)
 
 
 def matched(others: Sequence[LookAlike], places: Sequence[Seen]) -> dict[int, int]:
