@@ -15,7 +15,7 @@ from agent.perception.tracking.box import Box, same
 from agent.perception.tracking.motion import Motion
 
 TREMBLE = 0.2  # of the diagonal: how far even what stands still is off
-TURN = 1.0  # of the way that it would have gone: it may have stopped, or turned
+TURN = 0.75  # of the way that it would have gone: it may have stopped, or turned
 REACH = 4.0  # standard deviations
 CLEAR = 4.0  # by so much one reading's squared deviations are less than another's: odds of e to the 2
 APART = 30  # frames for which two places have been seen: from then on the better reading is taken, clear or not
