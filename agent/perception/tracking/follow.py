@@ -5,7 +5,7 @@ instead. The box moves on as it moved before, and keeps its size. Most of it lie
 that the thing had in its first picture. It looks like that picture, or like the newest that was certain. Else it is
 lost, and the whole picture is searched. What is like it there is taken for it only where it can have got to by now and
 where no look-alike can be; where one can, or two places are equally like it, that is ambiguous. So it is from where a
-look-alike that was seen beside it and the box come to be one.
+look-alike that was seen beside it and the box come to be one, until both are seen and each goes on as it went.
 """
 
 from __future__ import annotations
@@ -34,7 +34,17 @@ from agent.perception.tracking.appearance import (
 )
 from agent.perception.tracking.box import Box, Image, same
 from agent.perception.tracking.box_trackers import BoxTracker
-from agent.perception.tracking.look_alikes import BETTER, CERTAIN, LookAlike, Seen, beginning, followed, merged, touched, unexplained
+from agent.perception.tracking.look_alikes import (
+    BETTER,
+    CERTAIN,
+    LookAlike,
+    Seen,
+    beginning,
+    followed,
+    merged,
+    touched,
+    unexplained,
+)
 from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
 
@@ -165,7 +175,7 @@ class Follower:
         return self._take(image, appearance, mine[0], self._others or ())
 
     def _part(self, image: Image, appearance: Appearance, meeting: Meeting, both: list[Place]) -> Followed:
-        """It and a look-alike have met, and are at one or more of these places."""
+        """It and a look-alike have met, and are at these places, or one of them behind the other."""
         boxes = {place.box: place for place in both}
         self._meeting = meeting.next(apart=len(boxes) > 1)
         parted = meeting.parted([*boxes])

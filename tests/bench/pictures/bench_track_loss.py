@@ -1,8 +1,8 @@
 """Whether lost is said on real pictures: three clips of fish, and clips made of them and of real buoys.
 
-`python -m tests.bench track_loss` takes 8 minutes of one core. Reads ../shared/data; where that is absent there are no
-rows. Limits were chosen on the part "tuned"; "held out" has other fish and other cameras, and was looked at while
-FOUND_LIKE and SURE_COLOUR of follow.py and MAX_STEP of motion.py were settled.
+Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
+other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of motion.py and
+the limits of meeting.py and look_alikes.py were settled.
 """
 
 from collections.abc import Iterable
@@ -64,8 +64,7 @@ def follow(clip: Clip, files: tuple) -> list[Followed]:
     follower, drawn = Follower(load_box_tracker(*files)), clip.truth[0].box
     assert drawn is not None
     follower.start(clip.images[0], drawn)
-    said = [Followed(drawn, 1.0, "followed"), *(follower.look(image) for image in clip.images[1:])]
-    return said
+    return [Followed(drawn, 1.0, "followed"), *(follower.look(image) for image in clip.images[1:])]
 
 
 def returns(clip: Clip, said: list[Followed]) -> list[float]:
