@@ -32,8 +32,8 @@ from hw.compiled import compiled
 Floats = NDArray[np.float32]
 
 SMALL_PX = 160 * 120  # that the network sees: near what it was trained on (PSNR falls above), and cheap
-RADIUS = 32  # of the windows, small pixels; smaller ones smear the outline of a vivid thing over its surroundings. At 16
-# it is 0.3 dB farther from real references; pairs of our own making, whose veil grows with range, tell no difference
+RADIUS = 32  # of the windows, small pixels; smaller ones smear the outline of a vivid thing over its surroundings. At
+# 16 it is 0.3 dB farther from real references; pairs of our own making, whose veil grows with range, tell no difference
 EPSILON = 1e-3  # variance of a colour (full scale 1) below which a window says little of it, and the balance stands
 MAX_BALANCE = 4.0  # gain: a colour that is weaker in the whole picture is noise
 BRIGHTEST = 0.02  # share of the pixels that tell the light; from 0.01 to 0.1 it makes no difference to real pairs
