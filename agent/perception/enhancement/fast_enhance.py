@@ -37,7 +37,7 @@ RADIUS = 32  # of the windows, small pixels; smaller ones smear the outline of a
 EPSILON = 1e-3  # variance of a colour (full scale 1) below which a window says little of it, and the balance stands
 MAX_BALANCE = 4.0  # gain: a colour that is weaker in the whole picture is noise
 BRIGHTEST = 0.02  # share of the pixels that tell the light; from 0.01 to 0.1 it makes no difference to real pairs
-MANY = 0.5  # share of the brightest that have to be bluish or greenish, or they are things with a colour of their own
+MANY = 0.5  # share of the brightest that have red as their weakest colour; 0.25 to 0.75 makes no difference to them
 
 
 class Colours(NamedTuple):
