@@ -9,8 +9,8 @@ What a window says nothing of, such as a red that only one pixel of it has, the 
 picture says: the filter is fitted to what the network does beyond a gain per colour. So a small vivid thing is not
 painted in the colours of its surroundings.
 
-What is brightest is the light itself, or nearest to it: glitter, white sand. Where it was bluish and would come out
-red, the picture is mostly open water, whose blue the balance takes for a tint, and red is given less for all of it.
+What is brightest is the light itself, or nearest to it: glitter, white sand. Where it was bluish or greenish and would
+come out red, the picture is mostly open water, whose colour the balance takes for a tint: red is given less for all.
 
 The coefficients outlive their frame: while camera and scene stand still, as in a focus sweep, the same ones serve
 every frame and every part of one, for a few milliseconds each.
