@@ -25,9 +25,10 @@ MIN_STRENGTH = 0.12  # of a tone, logarithm of light: noise and caustics stay be
 SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin's waters, and in runs of real pictures
 GLARE = 0.5  # share burnt out from which on a hue as blue as red is only white beside water: red burns out to yellow
 FAR = 2.5  # spreads from which on a hue is of no named colour
-# Green balls near by have less red than a seventh of their green light, yellow and red ones more while their colour is
-# that strong: then it is as unlikely as 2 spreads off that a thing is one of these.
-STRONG, LITTLE_RED, LACKING = 0.9, -2.0, 4.0
+# Paint that reflects red shows some while its colour is strong: logarithm of red against green light, by strength, so
+# that no gamma changes it. Green balls near by have -1.6 and less; a thing with less than that is as unlikely to be of
+# such paint as one 2 spreads off in hue.
+STRONG, LITTLE_RED, LACKING = 1.05, -1.5, 4.0
 
 
 class Tone(NamedTuple):
@@ -48,7 +49,7 @@ class Paint(NamedTuple):
 
     def surprise(self, tone: Tone) -> float:
         """Minus twice the logarithm of the probability density of a tone, but for a constant."""
-        lacks = self.reflects_red and tone.strength > STRONG and tone.redder < LITTLE_RED
+        lacks = self.reflects_red and tone.strength > STRONG and tone.redder < LITTLE_RED * tone.strength
         return self.off(tone) ** 2 + 2.0 * math.log(self.spread_rad) + (LACKING if lacks else 0.0)
 
     def off(self, tone: Tone) -> float:

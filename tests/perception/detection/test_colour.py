@@ -38,7 +38,7 @@ def test_white_glare_on_blue_water_is_not_red() -> None:
 
 def test_a_strong_colour_without_red_is_green_a_weak_one_may_be_a_far_yellow() -> None:
     assert names(tone(55.0, 1.1, -2.1)) == ["green"]
-    assert names(tone(55.0, 1.1, -1.5)) == ["yellow"]
+    assert names(tone(55.0, 1.2, -1.6)) == ["yellow"]
     assert names(tone(55.0, 0.6, -2.5)) == ["yellow"]
 
 
