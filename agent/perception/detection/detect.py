@@ -37,7 +37,7 @@ LARGE_RIM = 0.7
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
-ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent, but where glow covers these
+ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a stone, but where glow covers these
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
 ARC_PX = 50.0
@@ -112,7 +112,7 @@ def score(found: Patch, fit: OutlineFit) -> float:
         + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full))
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
         + DARK * max(found.dark - SHADE, 0.0)
-        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0)
+        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * roomy
         + SOFT * max(fit.width_px - sharp_px, 0.0) / min(radius_px, SOFT_PX)
     )
     return math.exp(-doubt)
