@@ -37,7 +37,8 @@ LARGE_RIM = 0.7
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
-ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a stone, but where glow covers these
+# Radius from which on an outline has room for a neck, a shadow, a stone; glow covers these, and counts so much at least.
+ROOMY_PX, GLOWING = 20.0, 0.6
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
 ARC_PX = 50.0
@@ -104,7 +105,7 @@ def score(found: Patch, fit: OutlineFit) -> float:
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
     glows = found.tone.burnt > GLARE
-    roomy = 1.0 if glows else min(1.0, ROOMY_PX / radius_px)
+    roomy = min(1.0, max(ROOMY_PX / radius_px, GLOWING if glows else 0.0))
     sharp_px = min(SHARP_PX + SHARP * radius_px, BLUR_PX) * (GLOW if glows else 1.0)
     doubt = (
         MISSING * (1.0 - fit.agree) * roomy
