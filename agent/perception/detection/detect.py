@@ -37,7 +37,7 @@ LARGE_RIM = 0.7
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
-# Radius from which on an outline has room for a neck, a shadow, a stone; glow covers these, and counts so much at least.
+# Radius from which on there is room for a neck, a shadow, a stone; glow covers these, so there they count this much.
 ROOMY_PX, GLOWING = 20.0, 0.6
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agent.perception.detection.colour import Tone, hue_and_strength, weights
 from agent.perception.detection.cone import Array
-from agent.perception.detection.picture import LIGHT, Light, Picture
+from agent.perception.detection.picture import BELOW, LIGHT, Light, Picture
 
 Pixels = NDArray[np.uint8]  # (n, 3)
 
@@ -21,7 +21,7 @@ NEAR_RIM = 4  # the first of these that are seen on a ball of which something hi
 BEYOND = np.array([0.30, 0.45, 0.60, 0.80])  # of the radius, samples of the ring outside the outline
 CLEAR_PX, FAR_PX = 2.0, 64.0  # there it is at least so far from the outline, for blur and JPEG, and ends before that
 BURNT = 0.03  # share of the disc with two planes at their limit, from which on that counts
-WHOLE = 0.1  # share without any such plane that says the colour of a burnt one
+COLOURED = 0.1  # share without any such plane that says the colour of a burnt one
 RIM = np.linspace(0.8, 1.3, 10)  # of the radius: there blur mixes a burnt ball with what is around it,
 RIM_PX = 3.0  # and so far out at least
 
@@ -57,17 +57,15 @@ def patch(picture: Picture, outline: Array, centre: Array, rays: NDArray[np.bool
         return None
     around = np.median(picture.log_light[ring], axis=0)
     burnt = float(((disc >= picture.white).sum(axis=1) >= 2).mean())
-    own = LIGHT[disc].mean(axis=0)
+    coloured = disc
     if burnt >= BURNT:
-        whole = disc[(disc < picture.white).all(axis=1)]
-        if len(whole) >= WHOLE * len(disc):
-            own = LIGHT[whole].mean(axis=0)
-        else:
-            reach = 1.0 + (RIM - 1.0) * max(1.0, RIM_PX / ((RIM[-1] - 1.0) * radius))
-            rim, inside = _along(picture, centre, line, np.concatenate([RIM[RIM <= 1.0], reach[RIM > 1.0]]))
-            own = _restored(own, LIGHT[rim[inside & (rim < picture.white).all(axis=2)]], np.exp(around) - picture.dark)
+        coloured = disc[(disc < picture.white).all(axis=1)]
         if burnt < 1.0:
             disc = disc[(disc >= picture.white).sum(axis=1) < 2]  # what is white says nothing for or against the colour
+    if len(coloured) >= COLOURED * inside[:, :n].sum():
+        own = LIGHT[coloured].mean(axis=0)
+    else:
+        own = _restored(picture, centre, line, np.exp(around) - picture.dark)
     return _compared(np.log(own + picture.dark), around, disc, ring, burnt, picture)
 
 
@@ -81,19 +79,23 @@ def _along(picture: Picture, centre: Array, line: Array, reach: Array) -> tuple[
     return np.asarray(seen, np.uint8), inside
 
 
-def _restored(burnt: Light, rim: Light, ring: Light) -> Light:
-    """The light (3,) of a disc that is burnt out, from the pixels of its rim (n, 3) that are not.
+def _restored(picture: Picture, centre: Array, line: Array, ring: Light) -> Light:
+    """The light (3,) that a burnt out disc would have on a sensor without a limit, from the pixels of its rim.
 
-    There a lens mixes it with what is around: the difference from that is the ball's own, in all planes by the same
-    share. It is taken so large that two planes are at their limit, as the disc shows.
+    There a lens mixes it with what is around, the `ring`'s light: the difference from that is the ball's own, in all
+    planes by the same share. It is taken so large that two planes are at their limit, as the disc shows.
     """
+    limit = float(LIGHT[picture.white + BELOW])
+    outward = max(1.0, RIM_PX / ((RIM[-1] - 1.0) * float(np.sqrt((line * line).sum(axis=1)).mean())))
+    seen, inside = _along(picture, centre, line, np.where(RIM > 1.0, 1.0 + (RIM - 1.0) * outward, RIM))
+    rim = LIGHT[seen[inside & (seen < picture.white).all(axis=2)]]
     if len(rim) < FEWEST:
-        return burnt
+        return np.full(3, limit, np.float32)
     more = rim - ring
     bright = more.sum(axis=1)
     mixed = np.maximum(more[bright >= np.median(bright)].mean(axis=0), 1e-4)
     second = int(np.argsort(mixed)[1])
-    restored: Light = ring + mixed * max((1.0 - ring[second]) / mixed[second], 1.0)
+    restored: Light = ring + mixed * max((limit - ring[second]) / mixed[second], 1.0)
     return restored
 
 

@@ -15,7 +15,8 @@ Image = NDArray[np.uint8]
 Light = NDArray[np.float32]
 
 LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(2.2)  # of 8-bit values, as cameras encode it
-BURNT = 5  # bytes below the brightest of all, from which on a plane holds no more than that it is bright
+BELOW = 5  # bytes below the brightest of all: from there on a plane says no more than that it is bright
+FAINT = 150  # where the brightest is below, nothing has been at the sensor's limit
 EVERY = 8  # of rows and columns one is enough to know the exposure
 DARK = 0.01  # of the picture's bright light: vignettes of real cameras end below, what is lit lies above
 BRIGHT = 0.95  # share of the pixels that are darker than what is called bright
@@ -36,4 +37,5 @@ def exposed(image: Image) -> Picture:
     some = image[::EVERY, ::EVERY].reshape(-1, 3)
     brightest = np.sort(some.max(axis=1))
     dark = max(DARK * LIGHT[brightest[int(BRIGHT * (len(brightest) - 1))]], LEAST)
-    return Picture(image, float(dark), np.log(LIGHT + np.float32(dark)), int(brightest[-1]) - BURNT)
+    top = int(brightest[-1])
+    return Picture(image, float(dark), np.log(LIGHT + np.float32(dark)), (top if top >= FAINT else 255) - BELOW)
