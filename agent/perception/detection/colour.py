@@ -3,15 +3,12 @@
 Water and lamp scale each plane of a picture, and a camera's gamma raises them all to a power. In logarithms of light
 the first is a sum and the second a factor: the difference between a thing and its surroundings keeps its direction
 in the plane of chromaticity under both. That direction is the hue here, 0 for red, 60 deg for yellow, 120 for green.
-
-It is what tells colours apart: whatever else was tried beside it (lightness, share burnt out, strength, red against
-blue) told them apart in one camera and water and misled in the next. One thing physics adds: paint that reflects red
-shows some of it as long as water has left its colour strong.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +18,23 @@ from agent.kernel.config import Colour
 from agent.perception.detection.picture import Light, exposed
 
 AXES_RAD = np.radians([240.0, 120.0, 0.0])  # hues of blue, green, red
+
 MIN_STRENGTH = 0.12  # of a tone, logarithm of light: noise and caustics stay below
 SAMPLE_TURN_RAD = math.radians(25.0)  # one ball's hue from 1 to 4 m in the twin's waters, and in runs of real pictures
-GLARE = 0.5  # share burnt out from which on a hue as blue as red is only white beside water: red burns out to yellow
-FAR = 2.5  # spreads from which on a hue is of no named colour
-# Paint that reflects red shows some while its colour is strong: logarithm of red against green light, by strength, so
-# that no gamma changes it. Green balls near by have -1.6 and less; a thing with less than that is as unlikely to be of
-# such paint as one 2 spreads off in hue.
-STRONG, LITTLE_RED, LACKING = 1.05, -1.5, 4.0
+# A burnt out top leaves hue only where little light falls, and there planes still clip: then red against green light
+# of the least white part says whether it is yellow or red. Between yellows (0.33 to 0.74 of green's byte) and oranges
+# (0.82 on) of two real runs; water takes red first, so a yellow thing never has more of it than that.
+REDDER = math.log(0.80**2.2)
+REDDER_FAR, NEAR = 0.8, 2.0  # what water takes of it with the strength of a colour, of colours weaker than that
+ORANGE = 0.5  # red against green light above which no paint is yellow, which reflects both alike
+BURNT = 0.03  # share of the disc
+GLARE = 0.5  # and from which on a hue as blue as red is only white beside water: a red thing burns out to yellow
+YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
+NEAR_BY = 1.5  # strength from which on the water has not taken much yet
+# Far through water yellow comes near green. A yellow one still shows red where its colour is strong, a green one never
+# does; where both are faint it is the hue alone.
+GREENISH_RAD = (math.radians(50.0), math.radians(84.0))
+LITTLE_RED, STRONG, MIDDLE_RAD = -1.2, 0.85, math.radians(76.0)
 
 
 class Tone(NamedTuple):
@@ -36,64 +42,69 @@ class Tone(NamedTuple):
 
     hue_rad: float  # against its surroundings, -pi to pi
     strength: float  # how far from their colour, logarithm of light
-    redder: float  # its own red light against its green, logarithms
+    red: float  # its own red light against the mean of its blue and green, logarithms
+    redder: float  # its own red light against green, logarithms
     burnt: float  # share of it that is too bright to have a colour
 
 
-class Paint(NamedTuple):
-    """Hues in which one paint is seen: a normal distribution, made unlikely by a lack of red where it reflects red."""
-
-    hue_rad: float
-    spread_rad: float
-    reflects_red: bool = False
-
-    def surprise(self, tone: Tone) -> float:
-        """Minus twice the logarithm of the probability density of a tone, but for a constant."""
-        lacks = self.reflects_red and tone.strength > STRONG and tone.redder < LITTLE_RED * tone.strength
-        return self.off(tone) ** 2 + 2.0 * math.log(self.spread_rad) + (LACKING if lacks else 0.0)
-
-    def off(self, tone: Tone) -> float:
-        """Spreads from the mean hue."""
-        return abs(math.remainder(tone.hue_rad - self.hue_rad, 2.0 * math.pi)) / self.spread_rad
-
-
 class ColourModel(NamedTuple):
-    """A colour that is looked for, and the others that may claim a thing with better reason."""
+    """A colour that is looked for."""
 
-    paint: Paint
-    rivals: tuple[Paint, ...] = ()
+    hue_rad: float  # at which spots are looked for
+    low_rad: float  # hues that count for it
+    high_rad: float
+    may_be: Callable[[Tone], bool] = lambda tone: True  # of what the hue does not say
 
     def fits(self, tone: Tone, slack_rad: float) -> bool:
         """Whether a thing of this tone is of this colour; `slack_rad`: where its outline is not known well yet."""
-        if slack_rad > 0.0:
-            return self.paint.off(tone) <= FAR + slack_rad / self.paint.spread_rad
-        if self.paint.off(tone) > FAR or (self.rivals and tone.burnt > GLARE and tone.hue_rad < 0.0):
-            return False
-        own = self.paint.surprise(tone)
-        return all(own <= rival.surprise(tone) for rival in self.rivals)
+        near = self.low_rad - slack_rad <= tone.hue_rad <= self.high_rad + slack_rad
+        return near and (slack_rad > 0.0 or self.may_be(tone))
 
 
-def _paint(hue_deg: float, spread_deg: float, reflects_red: bool) -> Paint:
-    return Paint(math.radians(hue_deg), math.radians(spread_deg), reflects_red)
+def _warm(tone: Tone) -> bool:
+    if tone.burnt > GLARE and tone.hue_rad < 0.0:
+        return False
+    doubtful = tone.hue_rad > YELLOWISH_RAD and (tone.burnt >= BURNT or tone.strength > NEAR_BY)
+    return _redder(tone) or not doubtful
 
 
-# Mean and spread of the hues of 2300 views of marked balls: 4 runs of real and made pictures, each in 11 ways changed
-# as another camera would have changed it, each run and colour with the same weight (`python -m tests.bench eyes`).
-# Green's spread is near that of its middle half (26): a few outliers among the smallest would make it 40.
-PAINTS = {"red": _paint(6.0, 8.0, True), "yellow": _paint(37.0, 18.0, True), "green": _paint(98.0, 29.0, False)}
+def _redder(tone: Tone) -> bool:
+    """Whether it has more red light than a yellow thing may have left through as much water."""
+    return tone.redder > REDDER + min(REDDER_FAR * (tone.strength - NEAR), 0.0)
 
 
-def _named(name: str) -> ColourModel:
-    return ColourModel(PAINTS[name], tuple(paint for other, paint in PAINTS.items() if other != name))
+def _yellow(tone: Tone) -> bool:
+    low, _ = GREENISH_RAD
+    if tone.redder > ORANGE:
+        return False
+    if tone.hue_rad < FADED_RAD:
+        return not _warm(tone) or (tone.burnt >= BURNT and not _redder(tone))
+    return tone.hue_rad < low or not _greenish(tone)
 
 
-# Orange is what the rules of a known contest call its red buoy, and through water nobody can tell one from the other:
-# who looks for either finds both.
+def _green(tone: Tone) -> bool:
+    _, high = GREENISH_RAD
+    return tone.hue_rad > high or _greenish(tone)
+
+
+def _greenish(tone: Tone) -> bool:
+    """Of a hue that yellow and green have: whether it is green."""
+    if tone.red > LITTLE_RED:
+        return False
+    return tone.strength > STRONG or tone.hue_rad > MIDDLE_RAD
+
+
+def _model(hue_deg: float, low_deg: float, high_deg: float, may_be: Callable[[Tone], bool]) -> ColourModel:
+    return ColourModel(math.radians(hue_deg), math.radians(low_deg), math.radians(high_deg), may_be)
+
+
+# Hues of 255 marked balls in real and made pictures: red -8 to 9 deg, orange 2 to 20, yellow 20 to 80, green 56 to 150.
+# Orange is what the rules of a known contest call its red buoy: who looks for red finds it as well.
 NAMED: dict[Colour, ColourModel] = {
-    "red": _named("red"),
-    "orange": _named("red"),
-    "yellow": _named("yellow"),
-    "green": _named("green"),
+    "red": _model(5.0, -20.0, 24.0, _warm),
+    "orange": _model(12.0, -10.0, 24.0, _warm),
+    "yellow": _model(40.0, 4.0, 84.0, _yellow),
+    "green": _model(100.0, 50.0, 170.0, _green),
 }
 
 
@@ -102,7 +113,9 @@ def sampled(sample: NDArray[np.uint8], around: NDArray[np.uint8]) -> ColourModel
     log_light = exposed(np.concatenate([sample, around])[:, None]).log_light
     contrast = np.median(log_light[sample], axis=0) - np.median(log_light[around], axis=0)
     hue_rad, strength = hue_and_strength(np.asarray(contrast, np.float32))
-    return ColourModel(Paint(hue_rad, SAMPLE_TURN_RAD / FAR)) if strength >= MIN_STRENGTH else None
+    if strength < MIN_STRENGTH:
+        return None
+    return ColourModel(hue_rad, hue_rad - SAMPLE_TURN_RAD, hue_rad + SAMPLE_TURN_RAD)
 
 
 def weights(hue_rad: float) -> Light:

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from agent.kernel.config import Colour
 from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection import cone as cones
-from agent.perception.detection.colour import GLARE, MIN_STRENGTH, NAMED, ColourModel
+from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED, ColourModel
 from agent.perception.detection.cone import Array, Cone
 from agent.perception.detection.outline import OutlineFit, both_edges, combined, first_guess, look, tolerance_px
-from agent.perception.detection.patch import BURNT, Patch, patch
+from agent.perception.detection.patch import Patch, patch
 from agent.perception.detection.picture import Image, Picture, exposed
 from agent.perception.detection.spots import Spot, spots
 
@@ -34,6 +34,7 @@ RIM = 1.6
 # What is large is near, and near paint takes so much of one plane that there it is hardly brighter than the water: up
 # to 0.45 of the strength of its colour on real balls. Views that end in the dark have 1.1 and more, under any gamma.
 LARGE_RIM = 0.7
+UNSURE, UNSURE_PX = 0.03, 1.0  # of its radius, and pixels: an outline that is known no better is nobody's
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
@@ -84,7 +85,7 @@ def find_balls(
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
-    candidates = (_ball(picture, spot, camera, origin, model) for spot in spots(picture, model.paint.hue_rad))
+    candidates = (_ball(picture, spot, camera, origin, model) for spot in spots(picture, model.hue_rad))
     sure = [ball for ball in candidates if ball is not None and ball.score >= LIMIT]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
@@ -146,6 +147,8 @@ def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model:
     assert seen is not None and found is not None  # the loop has seen to it
     fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
+        return None
+    if fit.sigma_px > max(UNSURE * fit.radius_px, UNSURE_PX):
         return None
     if rays is not None:
         found = patch(picture, outline, centre, fit.rays)

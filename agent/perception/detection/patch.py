@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.detection.colour import Tone, hue_and_strength, weights
+from agent.perception.detection.colour import BURNT, Tone, hue_and_strength, weights
 from agent.perception.detection.cone import Array
-from agent.perception.detection.picture import BELOW, LIGHT, Light, Picture
+from agent.perception.detection.picture import LIGHT, Light, Picture
 
 Pixels = NDArray[np.uint8]  # (n, 3)
 
@@ -20,10 +20,6 @@ INNER = np.array([0.15, 0.30, 0.45, 0.58, 0.70, 0.80])  # of the radius, samples
 NEAR_RIM = 4  # the first of these that are seen on a ball of which something hides a half
 BEYOND = np.array([0.30, 0.45, 0.60, 0.80])  # of the radius, samples of the ring outside the outline
 CLEAR_PX, FAR_PX = 2.0, 64.0  # there it is at least so far from the outline, for blur and JPEG, and ends before that
-BURNT = 0.03  # share of the disc with two planes at their limit, from which on that counts
-COLOURED = 0.1  # share without any such plane that says the colour of a burnt one
-RIM = np.linspace(0.8, 1.3, 10)  # of the radius: there blur mixes a burnt ball with what is around it,
-RIM_PX = 3.0  # and so far out at least
 
 
 class Patch(NamedTuple):
@@ -59,13 +55,10 @@ def patch(picture: Picture, outline: Array, centre: Array, rays: NDArray[np.bool
     burnt = float(((disc >= picture.white).sum(axis=1) >= 2).mean())
     coloured = disc
     if burnt >= BURNT:
-        coloured = disc[(disc < picture.white).all(axis=1)]
+        coloured = disc[np.argsort(disc.min(axis=1), kind="stable")[: max(len(disc) // 5, 1)]]
         if burnt < 1.0:
             disc = disc[(disc >= picture.white).sum(axis=1) < 2]  # what is white says nothing for or against the colour
-    if len(coloured) >= COLOURED * inside[:, :n].sum():
-        own = LIGHT[coloured].mean(axis=0)
-    else:
-        own = _restored(picture, centre, line, np.exp(around) - picture.dark)
+    own = LIGHT[coloured].mean(axis=0)
     return _compared(np.log(own + picture.dark), around, disc, ring, burnt, picture)
 
 
@@ -79,26 +72,6 @@ def _along(picture: Picture, centre: Array, line: Array, reach: Array) -> tuple[
     return np.asarray(seen, np.uint8), inside
 
 
-def _restored(picture: Picture, centre: Array, line: Array, ring: Light) -> Light:
-    """The light (3,) that a burnt out disc would have on a sensor without a limit, from the pixels of its rim.
-
-    There a lens mixes it with what is around, the `ring`'s light: the difference from that is the ball's own, in all
-    planes by the same share. It is taken so large that two planes are at their limit, as the disc shows.
-    """
-    limit = float(LIGHT[picture.white + BELOW])
-    outward = max(1.0, RIM_PX / ((RIM[-1] - 1.0) * float(np.sqrt((line * line).sum(axis=1)).mean())))
-    seen, inside = _along(picture, centre, line, np.where(RIM > 1.0, 1.0 + (RIM - 1.0) * outward, RIM))
-    rim = LIGHT[seen[inside & (seen < picture.white).all(axis=2)]]
-    if len(rim) < FEWEST:
-        return np.full(3, limit, np.float32)
-    more = rim - ring
-    bright = more.sum(axis=1)
-    mixed = np.maximum(more[bright >= np.median(bright)].mean(axis=0), 1e-4)
-    second = int(np.argsort(mixed)[1])
-    restored: Light = ring + mixed * max((limit - ring[second]) / mixed[second], 1.0)
-    return restored
-
-
 def _compared(own: Light, around: Light, disc: Pixels, ring: Pixels, burnt: float, picture: Picture) -> Patch:
     """`own`, `around`: logarithms of light (3,); `disc`, `ring`: the pixels."""
     hue_rad, strength = hue_and_strength(own - around)
@@ -107,7 +80,7 @@ def _compared(own: Light, around: Light, disc: Pixels, ring: Pixels, burnt: floa
     level = 0.5 * float(np.median(inner) + np.median(outer))
     return Patch(
         ring=np.asarray(np.exp(around) - picture.dark, np.float32),
-        tone=Tone(hue_rad, strength, float(own[2] - own[1]), burnt),
+        tone=Tone(hue_rad, strength, float(own[2] - 0.5 * (own[0] + own[1])), float(own[2] - own[1]), burnt),
         dark=-float((own - around).max()),
         bright=float((own - around).min()),
         full=float((inner > level).mean()),
