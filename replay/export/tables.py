@@ -37,7 +37,7 @@ TELEMETRY = (
 )
 SIGHTINGS = (
     *("time_s", "target", "frame", "sweep", "index", "lens_position", "found", "u_px", "v_px", "radius_px"),
-    *("width_px", "height_px", "clarity", "area_px", "score"),
+    *("radius_sigma_px", "width_px", "height_px", "clarity", "area_px", "score"),
 )
 SWEEPS = (
     *("time_s", "target", "sweep", "peak_lens_position", "peak_sigma", "peak_half_width", "quality"),
@@ -138,7 +138,7 @@ def _sighting_row(seen: Sighting, start_ns: int) -> Sequence[Any]:
     return (
         *(_s((seen.t_ns - start_ns) * 1e-9), seen.target, seen.frame, *sweep, seen.focus, int(seen.found)),
         *(seen.centre_px or (None, None)),
-        seen.radius_px,
+        *(seen.radius_px, seen.radius_sigma_px),
         *(seen.size_px or (None, None)),
         *(seen.clarity, seen.area_px, seen.score),
     )

@@ -22,7 +22,10 @@ PLOTS: dict[str, tuple[str, ...]] = {
         *(f"sensor{n}_depth_m" for n in range(1, 5)),
     ),
     "Thrusters": (*(f"pwm{n}_us" for n in range(1, 9)), *(f"servo{n}_us" for n in range(1, 5))),
-    "Focus": ("position", "clarity", "score", "found", "u_px", "v_px", "radius_px", "area_px", "sweep", "index"),
+    "Focus": (
+        *("position", "clarity", "score", "found", "u_px", "v_px", "radius_px", "radius_sigma_px"),
+        *("area_px", "sweep", "index"),
+    ),
     "Protocol": (
         *("iteration", "knows", "measurements", "alpha", "prior_sigma_m", "posterior_sigma_m", "valid_robots"),
         *(f"prior_{axis}_m" for axis in XYZ),

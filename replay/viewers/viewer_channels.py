@@ -203,6 +203,7 @@ def focus(sighting: Sighting) -> Any:
         u_px=u_px,
         v_px=v_px,
         radius_px=sighting.radius_px,
+        radius_sigma_px=sighting.radius_sigma_px,
         area_px=sighting.area_px,
         sweep=sighting.sweep,
         index=sighting.index,

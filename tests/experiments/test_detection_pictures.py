@@ -60,6 +60,7 @@ def test_a_folder_without_truth_holds_no_ball(tmp_path):
     assert marked_pictures(tmp_path) == [(tmp_path / "a.png", [])]
     result = run(Settings(folder=tmp_path), lambda *at: None)
     assert (result.pictures, result.false, result.failed, result.within_sigma) == (1, 0, False, None)
+    assert "nothing is said of found ones" in table(result).renderables[-1]
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from agent.kernel.config import Colour
 from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection.detect import Ball, find_balls
 from agent.progress import Progress, step_by_step
+from hw.camera.camera import Image
 from hw.picture_files import read_picture
 
 NEAR_ENOUGH = 0.2  # of the radius, in centre and in radius, as on the twin
@@ -81,7 +82,7 @@ def run(settings: Settings, progress: Progress) -> Result:
     step = step_by_step(progress, len(pictures))
     seen = []
     for path, marked in pictures:
-        seen.append(look(path, marked))
+        seen.append(look(path, read_picture(path), marked))
         step()
     outcomes = [one for picture in seen for one in picture.outcomes]
     false = sum(len(picture.false) for picture in seen)
@@ -98,9 +99,8 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
 
 
-def look(path: Path, marked: Sequence[MarkedBall]) -> Seen:
+def look(path: Path, image: Image, marked: Sequence[MarkedBall]) -> Seen:
     """One picture, searched for each colour."""
-    image = read_picture(path)
     camera = pinhole(image.shape[1], image.shape[0])
     outcomes: list[Outcome] = []
     false: list[tuple[Colour, Ball]] = []

@@ -20,9 +20,16 @@ def table(result: Result) -> Group:
     if result.within_sigma is not None:
         shares = " / ".join(f"{100 * share:.0f} %" for share in result.within_sigma)
         lines.append(f"radius within 1 / 2 / 3 of its stated sigma: {shares}")
-    wanted = f"found {100 * FOUND_SHARE:.0f} % from {JUDGED_PX:g} px on, radius within {100 * RADIUS_ERROR:.0f} %"
-    lines += [f"missed: {text}" for text in result.missed] or [f"targets kept: {wanted}, none false"]
+    lines += [f"missed: {text}" for text in result.missed] or [f"targets kept: {_kept(result)}"]
     return Group(shown, *lines)
+
+
+def _kept(result: Result) -> str:
+    """What a folder has shown: of balls nothing where none is marked that large."""
+    if not any(row["radius_px"][0] >= JUDGED_PX for row in result.by_radius):
+        return f"none false; no ball from {JUDGED_PX:g} px radius on is marked, so nothing is said of found ones"
+    found, radius = f"found {100 * FOUND_SHARE:.0f} %", f"radius within {100 * RADIUS_ERROR:.0f} %"
+    return f"{found} from {JUDGED_PX:g} px on, {radius}, none false"
 
 
 def _stretch(row: Row) -> str:

@@ -15,12 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.kernel.config import Colour
+from agent.perception.detection.picture import Light, exposed
 
-Light = NDArray[np.float32]
-
-DARK = 0.0055  # light of the 8-bit value 24, below which a pixel's noise counts as no colour
-LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(2.2)  # of 8-bit values, as cameras encode it
-LOG_LIGHT = np.log(LIGHT + np.float32(DARK))
 AXES_RAD = np.radians([240.0, 120.0, 0.0])  # hues of blue, green, red
 
 MIN_STRENGTH = 0.12  # of a tone, logarithm of light: noise and caustics stay below
@@ -114,8 +110,9 @@ NAMED: dict[Colour, ColourModel] = {
 
 def sampled(sample: NDArray[np.uint8], around: NDArray[np.uint8]) -> ColourModel | None:
     """The colour of pixels (n, 3) of a thing against others (m, 3) around it; None where it is as grey as these."""
-    contrast = np.median(LOG_LIGHT[sample], axis=0) - np.median(LOG_LIGHT[around], axis=0)
-    hue_rad, strength = hue_and_strength(contrast)
+    log_light = exposed(np.concatenate([sample, around])[:, None]).log_light
+    contrast = np.median(log_light[sample], axis=0) - np.median(log_light[around], axis=0)
+    hue_rad, strength = hue_and_strength(np.asarray(contrast, np.float32))
     if strength < MIN_STRENGTH:
         return None
     return ColourModel(hue_rad, hue_rad - SAMPLE_TURN_RAD, hue_rad + SAMPLE_TURN_RAD)
@@ -124,11 +121,6 @@ def sampled(sample: NDArray[np.uint8], around: NDArray[np.uint8]) -> ColourModel
 def weights(hue_rad: float) -> Light:
     """(3,) for blue, green, red: their sum so weighed is nought for grey and largest for that hue."""
     return np.cos(hue_rad - AXES_RAD).astype(np.float32)
-
-
-def light(image: NDArray[np.uint8]) -> Light:
-    """8-bit blue green red -> light of the same shape, 1 is white."""
-    return LIGHT[image]
 
 
 def hue_and_strength(log_contrast: NDArray[np.float32]) -> tuple[float, float]:

@@ -19,9 +19,8 @@ from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED,
 from agent.perception.detection.cone import Array, Cone
 from agent.perception.detection.outline import OutlineFit, both_edges, combined, first_guess, look, tolerance_px
 from agent.perception.detection.patch import Patch, patch
+from agent.perception.detection.picture import Image, Picture, exposed
 from agent.perception.detection.spots import Spot, spots
-
-Image = NDArray[np.uint8]
 
 MIN_RADIUS_PX = 5.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 16 m
 ROUGH = 0.4  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
@@ -32,10 +31,15 @@ NEARER, NEAREST = 0.003, 0.4  # strength by which a colour has to exceed the lea
 # Logarithm of light: what is brighter by more even in its weakest plane is a view that ends in the dark, by a vignette
 # or a port's rim. Sunlit balls have up to 1.1.
 RIM = 1.6
+# What is large is near, and near paint takes so much of one plane that there it is hardly brighter than the water: up
+# to 0.45 of the strength of its colour on real balls. Views that end in the dark have 1.1 and more, under any gamma.
+LARGE_RIM = 0.7
+UNSURE, UNSURE_PX = 0.03, 1.0  # of its radius, and pixels: an outline that is known no better is nobody's
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
-ROOMY_PX = 20.0  # radius from which on an outline has room for a neck, a shadow, a dent, but where glow covers these
+# Radius from which on there is room for a neck, a shadow, a stone; glow covers these, so there they count this much.
+ROOMY_PX, GLOWING = 20.0, 0.6
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
 WHOLE = 0.7  # share of the outline that says all; less of it is a flaw where it is short:
 ARC_PX = 50.0
@@ -43,6 +47,7 @@ SHADE = 0.4  # logarithm of light: a ball is no darker than that in its own colo
 CALM = 0.2  # unrest of the twin's mottled ball, and of real ones that are well lit
 # An edge is as wide as the lens makes it: a camera's own blur and some of the radius, at most twice the twin's worst.
 SHARP_PX, SHARP, BLUR_PX, SOFT_PX = 3.0, 0.06, 8.0, 40.0
+GLOW = 1.5  # times as wide around what is burnt out
 LIMIT = 0.5  # of the score, for who has no reason to take another
 
 
@@ -79,7 +84,8 @@ def find_balls(
     """All balls of that colour, the most convincing first; of two that overlap only that one."""
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
-    candidates = (_ball(image, spot, camera, origin, model) for spot in spots(image, model.hue_rad))
+    picture = exposed(image)
+    candidates = (_ball(picture, spot, camera, origin, model) for spot in spots(picture, model.hue_rad))
     sure = [ball for ball in candidates if ball is not None and ball.score >= LIMIT]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
@@ -99,20 +105,22 @@ def score(found: Patch, fit: OutlineFit) -> float:
     """
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
-    roomy = 1.0 if found.tone.burnt > GLARE else min(1.0, ROOMY_PX / radius_px)
+    glows = found.tone.burnt > GLARE
+    roomy = min(1.0, max(ROOMY_PX / radius_px, GLOWING if glows else 0.0))
+    sharp_px = min(SHARP_PX + SHARP * radius_px, BLUR_PX) * (GLOW if glows else 1.0)
     doubt = (
         MISSING * (1.0 - fit.agree) * roomy
         + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
         + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full))
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
         + DARK * max(found.dark - SHADE, 0.0)
-        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0)
-        + SOFT * max(fit.width_px - min(SHARP_PX + SHARP * radius_px, BLUR_PX), 0.0) / min(radius_px, SOFT_PX)
+        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * roomy
+        + SOFT * max(fit.width_px - sharp_px, 0.0) / min(radius_px, SOFT_PX)
     )
     return math.exp(-doubt)
 
 
-def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel) -> Ball | None:
+def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel) -> Ball | None:
     """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
     if spot.rough > ROUGH:
         return None
@@ -123,14 +131,14 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
         outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
         if _radius(cone, camera) > LARGE_PX:
             rays = _near(outline, spot.points) if rays is None else rays
-        found = patch(image, outline, centre, rays)
+        found = patch(picture, outline, centre, rays)
         if found is None or not _worth_a_look(found, model):
             return None
-        seen = look(image, outline, centre, _radius(cone, camera), camera, width_px)
+        seen = look(picture, outline, centre, _radius(cone, camera), camera, width_px)
         if seen is None:
             return None
         near = tolerance_px(_radius(cone, camera), last)
-        pair = both_edges(seen, found, origin, camera, near, cone if last else None)
+        pair = both_edges(seen, found, picture.dark, origin, camera, near, cone if last else None)
         edge = max((one for one in pair if one), key=lambda one: one.agree, default=None)
         if edge is None:
             return None
@@ -140,8 +148,10 @@ def _ball(image: Image, spot: Spot, camera: CameraFit, origin: Array, model: Col
     fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
+    if fit.sigma_px > max(UNSURE * fit.radius_px, UNSURE_PX):
+        return None
     if rays is not None:
-        found = patch(image, outline, centre, fit.rays)
+        found = patch(picture, outline, centre, fit.rays)
     if found is None or not _is(found, fit.radius_px, model):
         return None
     u, v = cones.project(fit.axis, camera)
@@ -165,7 +175,10 @@ def _worth_a_look(found: Patch, model: ColourModel) -> bool:
 def _is(found: Patch, radius_px: float, model: ColourModel) -> bool:
     """Whether it is of the colour. What looks large is near by, where water leaves a colour its strength."""
     least = MIN_STRENGTH + min(NEARER * radius_px, NEAREST)
-    return found.tone.strength >= least and min(found.full, found.clear) >= HALF and model.fits(found.tone, 0.0)
+    rim = radius_px > LARGE_PX and found.bright > LARGE_RIM * found.tone.strength
+    if found.tone.strength < least or rim or min(found.full, found.clear) < HALF:
+        return False
+    return model.fits(found.tone, 0.0)
 
 
 def _radius(cone: Cone, camera: CameraFit) -> float:

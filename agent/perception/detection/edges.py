@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.detection.colour import DARK, Light, light
 from agent.perception.detection.cone import RAYS, Array
+from agent.perception.detection.picture import LIGHT, Light, Picture
 
-Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 SAMPLES = 49  # along each line
@@ -35,8 +34,9 @@ class Lines(NamedTuple):
     visible: Mask  # (RAYS,) within the picture, and where there is light outside
 
 
-def lines(image: Image, outline: Array, centre: Array, inward: float, outward: float) -> Lines:
+def lines(picture: Picture, outline: Array, centre: Array, inward: float, outward: float) -> Lines:
     """Sample a picture across an outline (RAYS, 2), from 1 - `inward` to 1 + `outward` of its radius."""
+    image = picture.image
     height, width = image.shape[:2]
     reach = np.linspace(1.0 - inward, 1.0 + outward, SAMPLES)
     line = outline - centre
@@ -44,9 +44,9 @@ def lines(image: Image, outline: Array, centre: Array, inward: float, outward: f
     map_y = (centre[1] + line[:, 1:] * reach).astype(np.float32)
     inside = (map_x >= 0) & (map_x <= width - 1) & (map_y >= 0) & (map_y <= height - 1)
     seen = np.asarray(cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
-    sampled = light(seen)
+    sampled = LIGHT[seen]
     # A view that ends in black, by a vignette or the rim of a port, ends there as at the frame's edge.
-    lit = sampled[:, -QUARTER:].max(axis=2).mean(axis=1) > DARK
+    lit = sampled[:, -QUARTER:].max(axis=2).mean(axis=1) > picture.dark
     return Lines(centre, line, reach, sampled, inside[:, QUARTER:-QUARTER].all(axis=1) & lit)
 
 

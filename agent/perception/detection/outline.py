@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection import cone as cones
-from agent.perception.detection.colour import DARK, weights
+from agent.perception.detection.colour import weights
 from agent.perception.detection.cone import RAYS, Array, Cone
 from agent.perception.detection.edges import AROUND, Lines, colour_profile, edges, lines, local_profile
 from agent.perception.detection.patch import Patch
-
-Image = NDArray[np.uint8]
+from agent.perception.detection.picture import Picture
 
 BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess,
 BAND_FRAME = 0.05  # and within this share of the frame's width: twice the largest blur's radius;
@@ -71,7 +70,7 @@ def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
 
 
 def look(
-    image: Image, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
+    picture: Picture, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
 ) -> Lines | None:
     """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while it is not
     known. None if too little of the outline is in the picture and in the light."""
@@ -79,15 +78,16 @@ def look(
         reach = max(min(BAND * radius, BAND_FRAME * camera.width_px), LEAST_PX) / radius
     else:
         reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
-    seen = lines(image, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
+    seen = lines(picture, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
     return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
 
 
 def both_edges(
-    seen: Lines, found: Patch, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
+    seen: Lines, found: Patch, dark: float, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
 ) -> tuple[Edge | None, Edge | None]:
-    """By colour and by lightness. `near`: a cone within a pixel or two; None: any may be right."""
-    gain = np.clip(found.ring.mean() / (found.ring + DARK), 1.0 / MAX_GAIN, MAX_GAIN)
+    """By colour and by lightness. `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be
+    right."""
+    gain = np.clip(found.ring.mean() / (found.ring + dark), 1.0 / MAX_GAIN, MAX_GAIN)
     coloured = colour_profile(seen, weights(found.tone.hue_rad) * gain)
     return (
         _edge(seen, coloured, True, origin, camera, tolerance_px, near),

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.detection.colour import LOG_LIGHT, Light, weights
+from agent.perception.detection.colour import weights
+from agent.perception.detection.picture import Light, Picture
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 FINEST = 2  # the first octave is this much smaller than the picture: a ball of 5 px radius is 5 px across
 SMALLEST = 12  # pixels, of the last octave's shorter side
@@ -37,13 +37,14 @@ class Spot(NamedTuple):
     circle: tuple[float, float, float]  # u, v, radius of that circle, pixels
 
 
-def spots(image: Image, hue_rad: float) -> list[Spot]:
+def spots(picture: Picture, hue_rad: float) -> list[Spot]:
     """The most promising spots, best first."""
+    image = picture.image
     height, width = image.shape[0] // FINEST, image.shape[1] // FINEST
     if min(height, width) < SMALLEST:
         return []
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    plane = np.asarray(cv2.transform(cv2.LUT(small, LOG_LIGHT), weights(hue_rad)[None]), np.float32)
+    plane = np.asarray(cv2.transform(cv2.LUT(small, picture.log_light), weights(hue_rad)[None]), np.float32)
     found: list[Spot] = []
     octave = 0
     while min(plane.shape) >= SMALLEST:

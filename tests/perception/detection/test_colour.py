@@ -1,8 +1,14 @@
-"""What counts for which colour, on tones as real pictures have them."""
+"""What counts for which colour, on tones as real pictures have them; and what exposure does to them."""
 
 import math
 
+import cv2
+import numpy as np
+
 from agent.perception.detection.colour import NAMED, Tone
+from agent.perception.detection.detect import find_ball
+from agent.perception.detection.picture import exposed
+from tests.perception.painted import CAMERA, ball_light, expose
 
 
 def tone(hue_deg: float, strength: float, redder: float, burnt: float = 0.0) -> Tone:
@@ -21,3 +27,15 @@ def test_far_through_water_a_burnt_yellow_and_a_burnt_orange_both_have_less_red(
     near, far = tone(12.0, 2.3, -0.6, burnt=0.7), tone(12.0, 1.5, -0.6, burnt=0.7)
     assert NAMED["yellow"].fits(near, 0.0) and not NAMED["orange"].fits(near, 0.0)
     assert NAMED["orange"].fits(far, 0.0) and not NAMED["yellow"].fits(far, 0.0)
+
+
+def test_a_picture_with_a_tenth_of_the_light_has_the_same_ball() -> None:
+    frame = expose(0.1 * ball_light((0.05, 0.02, 0.8)), 4)
+    ball = find_ball(frame, CAMERA)
+    assert ball is not None and ball.score > 0.8
+
+
+def test_what_a_camera_multiplies_afterwards_is_burnt_out_below_white() -> None:
+    image = np.full((80, 80, 3), 90, np.uint8)
+    cv2.circle(image, (40, 40), 20, (217, 217, 217), -1)
+    assert exposed(image).white == 212
