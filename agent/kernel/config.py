@@ -14,6 +14,7 @@ Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
 Colour = Literal["red", "orange", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
+Face = Literal["x0", "x1", "y0", "y1", "floor"]  # walls at x = 0 and the far end of x, likewise y
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 
 
@@ -127,6 +128,26 @@ class Robot(Struct, frozen=True, kw_only=True):
     calibration: str
 
 
+class Tag(Struct, frozen=True, kw_only=True):
+    """One square of the family 36h11, flat on a face of the tank, printed side towards the water."""
+
+    id: Annotated[int, Meta(ge=0, le=586)]
+    face: Face
+    position_m: tuple[float, float, float]  # of its middle, world frame, on that face
+    # Anticlockwise as the camera sees it, from: its top towards the surface on a wall, towards +y on the floor.
+    turn_deg: float = 0.0
+
+
+class Landmarks(Struct, frozen=True, kw_only=True):
+    """AprilTags in the tank, where a survey found them."""
+
+    family: Literal["36h11"] = "36h11"
+    size_m: Positive  # black edge to black edge
+    sigma_m: Annotated[float, Meta(ge=0)] = 0.0005  # of the survey: each coordinate of a tag's middle
+    sigma_deg: Annotated[float, Meta(ge=0)] = 0.1  # and each angle by which it lies otherwise than said
+    tag: tuple[Tag, ...]
+
+
 class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
@@ -147,4 +168,5 @@ class Fleet(Struct, frozen=True, kw_only=True):
     camera: Camera = Camera()
     body: Body = Body()
     robot: dict[Name, Robot]
+    landmarks: Landmarks | None = None
     twin: Twin = Twin()
