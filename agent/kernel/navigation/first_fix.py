@@ -15,7 +15,8 @@ from agent.kernel.messages import Vector
 from agent.kernel.navigation.dense import backward, cholesky, forward
 from agent.kernel.navigation.layout import Marker
 from agent.kernel.navigation.projection import Theta, View, ray_in_level
-from agent.kernel.navigation.tag_fix import Map, NoFix, Priors, TagFix, tag_fix, whole, wrap
+from agent.kernel.navigation.tag_fix import Map, NoFix, TagFix, tag_fix, whole, wrap
+from agent.kernel.navigation.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
 
 LARGEST = 3  # tags to begin from: the nearest say most

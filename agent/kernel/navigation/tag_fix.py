@@ -22,32 +22,13 @@ from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward
 from agent.kernel.navigation.layout import Marker
 from agent.kernel.navigation.projection import Gaze, Seen, Theta, View, gaze, seen
 from agent.kernel.navigation.tag_noise import TagNoise, tag_noise
+from agent.kernel.navigation.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
 
 HUBER = 4.0  # whitened norm of a tag's eight residuals, whose mean is 2.8 where all is well
 ROUNDS = 12  # Gauss-Newton from a good start needs 3
 SETTLED = 2e-8  # m and rad: a last step, after which less than 1e-9 is left to go
 STRAY_M = 50.0  # a step longer than this has left the tank, and will not come back
-
-
-class Prior(NamedTuple):
-    """What is known of one angle or of the depth without tags, rad or m."""
-
-    value: float
-    fluctuates: float  # sigma of what differs from frame to frame
-    stays: float = 0.0  # sigma of what is the same in every frame
-
-    @property
-    def variance(self) -> float:
-        return self.fluctuates * self.fluctuates + self.stays * self.stays
-
-
-class Priors(NamedTuple):
-    depth: Prior
-    roll: Prior
-    pitch: Prior
-    pan: Prior
-    tilt: Prior
 
 
 class Map(NamedTuple):

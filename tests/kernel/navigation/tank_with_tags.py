@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 from agent.kernel.config import Landmarks, Tag
 from agent.kernel.navigation.layout import markers
 from agent.kernel.navigation.projection import View
-from agent.kernel.navigation.tag_fix import Map, Prior, Priors
+from agent.kernel.navigation.tag_fix import Map
+from agent.kernel.navigation.tag_priors import Prior, Priors
 from agent.kernel.step_io import SeenTag
 
 TANK_M = (3.0, 2.0, 0.8)

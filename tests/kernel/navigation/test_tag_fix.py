@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from agent.kernel.control.attitude import Attitude
 from agent.kernel.messages import upper
 from agent.kernel.navigation.first_fix import first_fix
 from agent.kernel.navigation.layout import survey_jacobian
 from agent.kernel.navigation.projection import by_survey, gaze, seen, slope
-from agent.kernel.navigation.tag_fix import HUBER, NoFix, Prior, TagFix, tag_fix, wrap
+from agent.kernel.navigation.tag_fix import HUBER, NoFix, TagFix, tag_fix, wrap
+from agent.kernel.navigation.tag_priors import Prior
+from agent.kernel.navigation.tag_priors import priors as known_before
 from agent.kernel.step_io import SeenTag
 from tests.kernel.navigation.tank_with_tags import (
     DEPTH_M,
@@ -238,3 +241,12 @@ def test_a_first_fix_that_may_be_its_mirror_image_is_none() -> None:
         if isinstance(first, TagFix):
             d = np.subtract(first.theta[:3], theta[:3])
             assert d @ np.linalg.solve(full(first.covariance), d) < 25.0
+
+
+def test_what_is_known_before_a_tag_is_seen() -> None:
+    rest = known_before(Attitude(0.3, 1.0, -2.0), (10.0, -5.0), 0.0, turning=False, zero_deg=0.05)
+    np.testing.assert_allclose([p.value for p in rest], [0.3, *np.radians([1.0, -2.0, 10.0, -5.0])])
+    np.testing.assert_allclose(np.degrees(np.sqrt([rest.roll.variance, rest.pitch.variance])), 0.1, rtol=0.01)
+    np.testing.assert_allclose(np.degrees([rest.pan.fluctuates, rest.tilt.stays]), [0.02, 0.05])
+    swims = known_before(Attitude(0.3, 0.0, 0.0), (0.0, 0.0), 0.25, turning=True)
+    np.testing.assert_allclose(np.degrees([swims.pitch.fluctuates, swims.pan.fluctuates]), [1.0, 0.3])
