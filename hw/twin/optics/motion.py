@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hw.twin.optics.view import Moment
 
@@ -13,7 +14,7 @@ During = Callable[[float], Moment]  # the world at a share of the exposure, from
 
 PART_PX = 1.5  # motion within a part, which is not drawn: below what a lens at its sharpest blurs
 MOST = 8  # parts; what moves by more than 12 px is drawn a little coarser
-CLOSEST_M = 0.05  # nothing comes closer to a port
+CLOSEST_M, LARGEST_M = 0.05, 0.14  # nothing comes closer to a port; the radius of a hull, and more than most solids'
 
 
 def parts_of(during: During, focal_px: float, nearest_m: float) -> int:
@@ -26,11 +27,13 @@ def parts_of(during: During, focal_px: float, nearest_m: float) -> int:
     turn = np.asarray(before.eye.rotation).T @ np.asarray(after.eye.rotation)
     angle_rad = math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0))
     moved_rad = angle_rad + float(np.linalg.norm(shift_m)) / max(nearest_m, CLOSEST_M)
-    around = [(b.position_m, a.position_m, max(b.radii_m)) for b, a in zip(before.solids, after.solids, strict=True)]
-    around += [(b.position_m, a.position_m, 0.0) for b, a in zip(before.hulls, after.hulls, strict=True)]
     of_others = 0.0
-    for start_m, end_m, radius_m in around:
-        range_m = float(np.linalg.norm(np.asarray(start_m) - np.asarray(before.eye.position_m))) - radius_m
-        way_m = float(np.linalg.norm(np.asarray(end_m) - np.asarray(start_m)))
-        of_others = max(of_others, way_m / max(range_m, CLOSEST_M))
+    for start_m, end_m in zip(_places_m(before), _places_m(after), strict=True):
+        range_m = float(np.linalg.norm(start_m - np.asarray(before.eye.position_m))) - LARGEST_M
+        of_others = max(of_others, float(np.linalg.norm(end_m - start_m)) / max(range_m, CLOSEST_M))
     return min(max(math.ceil((moved_rad + of_others) * focal_px / PART_PX), 1), MOST)
+
+
+def _places_m(moment: Moment) -> list[NDArray[np.float64]]:
+    solids = [np.asarray(solid.position_m, float) for solid in moment.solids]
+    return solids + [np.asarray(hull.position_m, float) for hull in moment.hulls]
