@@ -1,8 +1,8 @@
 """The water and what moves in it: every robot as a rigid body with six degrees of freedom, 500 steps a second.
 
 (M_RB + M_A) nu' + C(nu) nu + (D_l + D_q |nu|) nu + g(R) = thrust + mooring + tether + contact + push, after Fossen,
-Handbook of Marine Craft Hydrodynamics, in still water. Drag is signed: the paper's k v^2 drives a body that moves
-backwards. Semi-implicit Euler: velocities first, then the pose with the new velocities.
+Handbook of Marine Craft Hydrodynamics; where there is a current, nu is through the water. Drag is signed: the paper's
+k v^2 drives a body that moves backwards. Semi-implicit Euler: velocities first, then the pose with the new velocities.
 """
 
 from __future__ import annotations
@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from agent.kernel.messages import Vector
 from hw.compiled import compiled
 from hw.twin.physics.contact import add_contacts
-from hw.twin.physics.forces import add_force, add_lines, add_thrust, add_water, add_weight
+from hw.twin.physics.forces import (
+    add_current,
+    add_force,
+    add_lines,
+    add_tether_water,
+    add_thrust,
+    add_water,
+    add_weight,
+)
 from hw.twin.physics.rotation import to_body, to_world, turned
 from hw.twin.physics.servo import motor_deg_after, shaft_deg_after
 from hw.twin.physics.thruster import lagged_thrust_n, static_thrust_n
@@ -37,6 +45,9 @@ STATE = np.dtype(
         ("push_n", "f8", 3),  # world frame
         ("push_at_m", "f8", 3),  # body frame
         ("push_s", "f8"),  # time left
+        ("water_m_s", "f8", 3),  # current, world frame, and how it speeds up
+        ("water_m_s2", "f8", 3),
+        ("pull_n", "f8", 3),  # at the tether, world frame
     ],
     align=True,
 )
@@ -79,6 +90,8 @@ def advance(
                     dt_s,
                 )
                 s.shaft_deg[k] = shaft_deg_after(s.shaft_deg[k], s.motor_deg[k])
+            for k in range(3):
+                s.water_m_s[k] += dt_s * s.water_m_s2[k]
             if s.held:
                 continue
             q = (s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3])
@@ -86,10 +99,21 @@ def advance(
             v = (s.velocity_m_s[0], s.velocity_m_s[1], s.velocity_m_s[2])
             w = (s.rates_rad_s[0], s.rates_rad_s[1], s.rates_rad_s[2])
             v_world = to_world(q, v)
-            add_water(body, v, w, wrench[i])
+            flow = (s.water_m_s[0], s.water_m_s[1], s.water_m_s[2])
+            through = v
+            if flow != (0.0, 0.0, 0.0):
+                water = to_body(q, flow)
+                through = (v[0] - water[0], v[1] - water[1], v[2] - water[2])
+                speeding = to_body(q, (s.water_m_s2[0], s.water_m_s2[1], s.water_m_s2[2]))
+                add_current(body, v, w, water, speeding, wrench[i])
+            else:
+                add_water(body, v, w, wrench[i])
             add_weight(body, p[2], q, surface_m, wrench[i])
             add_thrust(body, s.thrust_n, wrench[i])
             add_lines(body, p, q, v_world, w, wrench[i])
+            pull = (s.pull_n[0], s.pull_n[1], s.pull_n[2])
+            if body.tether_drag > 0.0 or pull != (0.0, 0.0, 0.0):
+                add_tether_water(body, q, through, w, pull, wrench[i])
             add_contacts(states, i, q, v, v_world, w, size_m, wrench[i])
             if s.push_s > 0:
                 push = (s.push_n[0], s.push_n[1], s.push_n[2])
