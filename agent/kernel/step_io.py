@@ -104,6 +104,7 @@ class Inputs(Message, frozen=True, kw_only=True):
     sightings: tuple[Sighting, ...] = ()
     heard: tuple[Heard, ...] = ()
     refused: tuple[DroppedPayloads, ...] = ()
+    landmarks: tuple[SeenTags, ...] | UnsetType = UNSET  # whole frames that were searched for them; unset: none was
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
 
