@@ -12,10 +12,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 from agent.kernel.messages import Vector
+from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, forward
 from agent.kernel.navigation.layout import Marker
 from agent.kernel.navigation.projection import Theta, View, ray_in_level
-from agent.kernel.navigation.tag_fix import Map, NoFix, TagFix, tag_fix, whole, wrap
+from agent.kernel.navigation.tag_fix import Map, NoFix, TagFix, tag_fix, whole
 from agent.kernel.navigation.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 from agent.kernel.config import Landmarks
 from agent.kernel.estimation.matrix import ZERO, minus, plus
 from agent.kernel.messages import Symmetric
+from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, inverse
 from agent.kernel.navigation.layout import Marker
 from agent.kernel.navigation.projection import Gaze, Seen, Theta, View, gaze, seen
@@ -106,11 +107,6 @@ def whole(start: tuple[float, float, float], priors: Priors) -> Theta:
 def _moved(theta: Theta, step: Sequence[float]) -> Theta:
     x, y, psi, depth, roll, pitch, pan, tilt = (a + b for a, b in zip(theta, step, strict=True))
     return x, y, wrap(psi), depth, roll, pitch, pan, tilt
-
-
-def wrap(angle: float) -> float:
-    """The same angle within -pi to pi."""
-    return math.remainder(angle, 2.0 * math.pi)
 
 
 def _used(of: View, known: Map, tags: Sequence[SeenTag], theta: Theta) -> list[_Used]:

@@ -5,10 +5,11 @@ import pytest
 
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.messages import upper
+from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.first_fix import first_fix
 from agent.kernel.navigation.layout import survey_jacobian
 from agent.kernel.navigation.projection import by_survey, gaze, seen, slope
-from agent.kernel.navigation.tag_fix import HUBER, NoFix, TagFix, tag_fix, wrap
+from agent.kernel.navigation.tag_fix import HUBER, NoFix, TagFix, tag_fix
 from agent.kernel.navigation.tag_priors import Prior
 from agent.kernel.navigation.tag_priors import priors as known_before
 from agent.kernel.step_io import SeenTag
