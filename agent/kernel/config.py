@@ -148,6 +148,23 @@ class Landmarks(Struct, frozen=True, kw_only=True):
     tag: tuple[Tag, ...]
 
 
+class Limits(Struct, frozen=True, kw_only=True):
+    """What a swimming robot keeps to, whatever it is asked for."""
+
+    speed_m_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
+    turn_deg_s: Annotated[float, Meta(gt=0, le=90)] = 57.0
+    wall_m: Annotated[float, Meta(ge=0.15)] = 0.20  # from its centre to a wall
+    force_n: Annotated[float, Meta(gt=0, le=10)] = 6.0
+    moment_nm: Annotated[float, Meta(gt=0, le=2)] = 0.8
+
+
+class Navigation(Struct, frozen=True, kw_only=True):
+    """Robots that swim: `pose` of a robot is then where it shall be, and landmarks tell it where it is."""
+
+    limits: Limits = Limits()
+    follow_hz: Annotated[float, Meta(ge=2, le=20)] = 10.0  # at most so many frames a second are searched for landmarks
+
+
 class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
@@ -169,4 +186,5 @@ class Fleet(Struct, frozen=True, kw_only=True):
     body: Body = Body()
     robot: dict[Name, Robot]
     landmarks: Landmarks | None = None
+    navigation: Navigation | None = None  # none: every robot is moored where `pose` says
     twin: Twin = Twin()

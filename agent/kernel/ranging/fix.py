@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.kernel.config import Cues, Target
+from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.ranging.calibration import Calibration, at_lens_position
 from agent.kernel.ranging.camera_model import Eye, apply, ray, slopes_per_px
@@ -25,6 +26,13 @@ HEADING_SIGMA_DEG = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
 LEVEL_SIGMA_DEG = 0.1  # roll and pitch: drift and noise of pressure over a base of 0.26 m
 BOX_NOISE = 0.05  # of a box's width and height: trackers tremble by so much, and people draw no better
 CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
+
+
+class OwnError(NamedTuple):
+    """How well a robot knows its own (x, y, yaw), m and rad, in two parts as of a Fix."""
+
+    random: Symmetric
+    systematic: Symmetric
 
 
 class Fix(NamedTuple):
@@ -49,10 +57,12 @@ def locate(
     sigma_rho: float,
     ball: Target,
     cues: Cues = "both",
+    own: OwnError | None = None,
 ) -> Fix | NoRange:
     """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
 
-    Of what is in a box: the point of its surface behind the middle of the box.
+    Of what is in a box: the point of its surface behind the middle of the box. `own`: how well the robot knows where
+    it is; None: as a moored one does, by survey.
 
     NoRange where the wanted cues have no range, or contradict each other.
     """
@@ -74,19 +84,34 @@ def locate(
     boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
     arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
     level, heading = math.radians(LEVEL_SIGMA_DEG) ** 2, math.radians(HEADING_SIGMA_DEG) ** 2
+    surveyed = own is None
     attitude = [
-        (_cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
+        (_cross(e, arm), s)
+        for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading * surveyed))
     ]
     place = [
-        ((1.0, 0.0, 0.0), PLACE_SIGMA_M**2),
-        ((0.0, 1.0, 0.0), PLACE_SIGMA_M**2),
+        ((1.0, 0.0, 0.0), PLACE_SIGMA_M**2 * surveyed),
+        ((0.0, 1.0, 0.0), PLACE_SIGMA_M**2 * surveyed),
         ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2),
     ]
-    return Fix(
-        (x, y, z),
-        _sum([(r, d.random_m2), *turns, *shifts]),
-        _sum([(r, d.systematic_m2), *attitude, *place, *boxed]),
-        d.focus_share,
+    random = _sum([(r, d.random_m2), *turns, *shifts])
+    systematic = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
+    if own is not None:
+        random, systematic = plus(random, _shown(own.random, arm)), plus(systematic, _shown(own.systematic, arm))
+    return Fix((x, y, z), random, systematic, d.focus_share)
+
+
+def _shown(own: Symmetric, arm: Vector) -> Symmetric:
+    """J P J' for a covariance P of (x, y, yaw): J = [e_x, e_y, e_z x arm], m^2."""
+    xx, xy, xp, yy, yp, pp = own
+    u, v = -arm[1], arm[0]  # e_z x arm
+    return (
+        xx + 2.0 * u * xp + u * u * pp,
+        xy + v * xp + u * yp + u * v * pp,
+        0.0,
+        yy + 2.0 * v * yp + v * v * pp,
+        0.0,
+        0.0,
     )
 
 
