@@ -36,9 +36,7 @@ SHARP_PX2 = 1.0 / 12.0 + 1.0 / 6.0 + STEP_PX**2 / 12.0  # variance of a perfect 
 
 
 @kernel
-def fit_edge(
-    plane: Plane, light: Array, start: Array, end: Array, reach_px: float, lens: Array, line: Array
-) -> float:
+def fit_edge(plane: Plane, light: Array, start: Array, end: Array, reach_px: float, lens: Array, line: Array) -> float:
     """Line (4,), in slopes: a point of it and the unit vector along it from start to end.
 
     plane: one colour of the picture, a byte a pixel; light (256,): linear, of each byte, 1 at the sensor's limit. start,
@@ -51,7 +49,7 @@ def fit_edge(
     out_x, out_y = along_y / length, -along_x / length
     steps = int(reach_px / STEP_PX)
     seen = np.empty(2 * steps + 1)
-    rise = np.empty((PROFILES, 2 * steps))
+    rise, counted = np.empty((PROFILES, 2 * steps)), np.empty((PROFILES, 2 * steps))
     foot = np.empty((PROFILES, 2))  # where each profile crosses the rough edge
     burnt = 0
     for p in range(PROFILES):
@@ -66,20 +64,20 @@ def fit_edge(
                 burnt += 1
         for k in range(2 * steps):
             rise[p, k] = seen[k + 1] - seen[k]
+            counted[p, k] = max(rise[p, k], 0.0)
     if burnt > PROFILES * steps // 4:
         return -1.0
-    first = np.maximum(rise, 0.0)
     at_px, good = np.zeros(PROFILES), np.zeros(PROFILES, np.bool_)
-    if not _line_up(first, foot, out_x, out_y, lens, at_px, good, line):
-        return -1.0
-    half_width_px = _half_width_px(rise, at_px, good)
-    for p in range(PROFILES):
-        for k in range(2 * steps):
-            if abs(_place_px(k, steps) - at_px[p]) > half_width_px:
-                rise[p, k] = 0.0
-    if not _line_up(rise, foot, out_x, out_y, lens, at_px, good, line):
-        return -1.0
-    return _spread_px2(rise, at_px, good)
+    for again in range(2):
+        if again:
+            half_width_px = _half_width_px(rise, at_px, good)
+            for p in range(PROFILES):
+                for k in range(2 * steps):
+                    near = abs(_place_px(k, steps) - at_px[p]) <= half_width_px
+                    counted[p, k] = rise[p, k] if near else 0.0
+        if not _line_up(counted, foot, out_x, out_y, lens, at_px, good, line):
+            return -1.0
+    return _spread_px2(counted, at_px, good)
 
 
 @kernel
@@ -107,10 +105,11 @@ def _line_up(
 ) -> bool:
     """Fit the line; at_px becomes where it runs on each profile, good which of them have the edge."""
     steps = rise.shape[1] // 2
-    contrast = np.empty(PROFILES)
+    contrast = np.zeros(PROFILES)
     for p in range(PROFILES):
-        contrast[p] = rise[p].sum()
-    least = WEAK * max(np.median(contrast), 0.0)
+        for k in range(2 * steps):
+            contrast[p] += rise[p, k]
+    least = WEAK * max(_median(contrast, PROFILES), 0.0)
     slopes = np.zeros((PROFILES, 2))
     count = 0
     for p in range(PROFILES):
@@ -149,7 +148,7 @@ def fit_line(points: Array, good: Mask, line: Array) -> Array:
     Returns how far each good point lies to the left of the line, 0 for the others.
     """
     n = len(points)
-    kept, residual = good.copy(), np.zeros(n)
+    kept, residual, off = good.copy(), np.zeros(n), np.empty(n)
     for round_ in range(ROUNDS + 1):
         count, x, y = 0, 0.0, 0.0
         for p in range(n):
@@ -170,10 +169,26 @@ def fit_line(points: Array, good: Mask, line: Array) -> Array:
             if good[p]:
                 residual[p] = (points[p, 0] - x) * v - (points[p, 1] - y) * u
         if round_ < ROUNDS:
-            limit = OUTLIER * np.median(np.abs(residual[good]))
+            count = 0
+            for p in range(n):
+                if good[p]:
+                    off[count] = abs(residual[p])
+                    count += 1
+            limit = OUTLIER * _median(off, count)
             for p in range(n):
                 kept[p] = good[p] and abs(residual[p]) <= limit
     return residual
+
+
+@kernel
+def _median(values: Array, count: int) -> float:
+    """Of the first so many; of two in the middle the lower one. np.median takes seconds to compile."""
+    ranked = values.copy()
+    for i in range(count // 2 + 1):
+        for j in range(i + 1, count):
+            if ranked[j] < ranked[i]:
+                ranked[i], ranked[j] = ranked[j], ranked[i]
+    return float(ranked[(count - 1) // 2])
 
 
 @kernel
@@ -188,10 +203,11 @@ def _half_width_px(rise: Array, at_px: Array, good: Mask) -> float:
                 if away <= steps:
                     total[away] += rise[p, k]
                     count[away] += 1.0
-    mean = total / np.maximum(count, 1.0)
-    peak = mean[:3].max()
+    peak = 0.0
+    for away in range(3):
+        peak = max(peak, total[away] / max(count[away], 1.0))
     away = 2
-    while away < steps and mean[away] >= FAINT * peak:
+    while away < steps and total[away] >= FAINT * peak * count[away]:
         away += 1
     return STEP_PX * away + MARGIN_PX
 

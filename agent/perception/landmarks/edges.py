@@ -38,13 +38,13 @@ def fit_corners(plane: Plane, light: Array, rough_px: Array, camera: CameraFit) 
     if module < NARROWEST_PX:
         return None
     lens = np.array([camera.f_px, camera.cx_px, camera.cy_px, camera.bend])
-    reach, lines, blur_px2 = min(REACH * module, MOST_PX), np.empty((4, 4)), 0.0
+    reach, lines, most_px2 = min(REACH * module, MOST_PX), np.empty((4, 4)), 0.0
     for k in range(4):
         spread = fit_edge(plane, light, rough_px[k], rough_px[(k + 1) % 4], reach, lens, lines[k])
         if spread < 0.0:
             return None
-        blur_px2 += spread / 4.0
-    blur_px = 4.0 * float(np.sqrt(blur_px2))  # a disc's edge has a variance of a quarter of its radius squared
+        most_px2 = max(most_px2, spread)
+    blur_px = 4.0 * float(np.sqrt(most_px2))  # a disc's edge has a variance of a quarter of its radius squared
     corners = meeting_points(lines)
     if corners is None or blur_px > 2.0 * MIXED * module:
         return None
