@@ -16,7 +16,7 @@ from agent.kernel.estimation.matrix import ZERO
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import STEP_NS, Hull, Wrench, motion
-from agent.kernel.navigation.dense import Rows, backward, cholesky, dot, forward
+from agent.kernel.navigation.dense import Rows, cholesky, dot, inverse
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
 REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
@@ -26,6 +26,7 @@ FIRST = (1e-3, 1e-3, 1e-2, 4e-3, 4e-3, 1e-1)  # variances of v, r and d before a
 
 State = tuple[float, ...]
 Covariance = tuple[tuple[float, ...], ...]
+Sparse = tuple[tuple[int, float], ...]  # a row of H: (index, weight) where it is not zero
 
 
 class Drift(NamedTuple):
@@ -122,7 +123,7 @@ def _times_F(P: Rows, h: float, v_by_v: float, vx_by_yaw: float, vy_by_yaw: floa
 def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Belief:
     """Corrected by a fix of now; one that cannot be is refused, and after five in a row it all starts again from it."""
     xx, xy, xp, yy, yp, pp = fluctuates
-    H = [_unit(i, len(belief.x)) for i in range(3)]
+    H = ((0, 1.0),), ((1, 1.0),), ((2, 1.0),)
     misses = pose[0] - belief.x[0], pose[1] - belief.x[1], wrap(pose[2] - belief.x[2])
     corrected = _correct(belief, H, misses, ((xx, xy, xp), (xy, yy, yp), (xp, yp, pp)))
     if corrected.nis <= GATE:
@@ -153,10 +154,11 @@ def add_flow(belief: Belief, since_ns: int, moved: Vector, sigma_m: float, sigma
     c, s = math.cos(key_psi), math.sin(key_psi)
     east, north = belief.x[0] - key_x, belief.x[1] - key_y
     ahead, left = c * east + s * north, c * north - s * east
-    H = [[0.0] * len(belief.x) for _ in range(3)]
-    H[0][:2], H[0][n:] = [c, s], [-c, -s, left]
-    H[1][:2], H[1][n:] = [-s, c], [s, -c, -ahead]
-    H[2][2], H[2][n + 2] = 1.0, -1.0
+    H = (
+        ((0, c), (1, s), (n, -c), (n + 1, -s), (n + 2, left)),
+        ((0, -s), (1, c), (n, s), (n + 1, -c), (n + 2, -ahead)),
+        ((2, 1.0), (n + 2, -1.0)),
+    )
     turned = wrap(belief.x[2] - key_psi)
     misses = moved[0] - ahead, moved[1] - left, wrap(moved[2] - turned)
     m2, rad2 = sigma_m * sigma_m, sigma_rad * sigma_rad
@@ -166,37 +168,35 @@ def add_flow(belief: Belief, since_ns: int, moved: Vector, sigma_m: float, sigma
 
 def add_rate(belief: Belief, rate_rad_s: float) -> Belief:
     """Corrected by a gyro's yaw rate of now."""
-    H = [0.0] * len(belief.x)
-    H[5] = H[9] = 1.0
-    return _correct(belief, [H], (rate_rad_s - belief.x[5] - belief.x[9],), ((RATE_RAD_S * RATE_RAD_S,),))
+    H = (((5, 1.0), (9, 1.0)),)
+    return _correct(belief, H, (rate_rad_s - belief.x[5] - belief.x[9],), ((RATE_RAD_S * RATE_RAD_S,),))
 
 
-def _correct(belief: Belief, H: Sequence[Sequence[float]], misses: Sequence[float], R: Covariance) -> Belief:
+def _correct(belief: Belief, H: Sequence[Sparse], misses: Sequence[float], R: Covariance) -> Belief:
     """Joseph's form: P stays positive whatever is rounded off."""
     P = belief.P
-    HP = [[dot(h, row) for row in P] for h in H]
-    S = [[dot(hp, h) + r for h, r in zip(H, noise, strict=True)] for hp, noise in zip(HP, R, strict=True)]
+    HP = [[_along(h, row) for row in P] for h in H]
+    S = [[_along(h, hp) + r for h, r in zip(H, noise, strict=True)] for hp, noise in zip(HP, R, strict=True)]
     L = cholesky(S)
     if L is None:
         raise ValueError("the covariance of the pose is not positive")
-    nis = dot(misses, backward(L, forward(L, misses)))
-    K = [backward(L, forward(L, column)) for column in zip(*HP, strict=True)]  # n x m
+    W = inverse(L)
+    nis = dot(misses, [dot(row, misses) for row in W])
+    K = [[dot(row, column) for row in W] for column in zip(*HP, strict=True)]  # n x m
     x = [a + dot(gain, misses) for a, gain in zip(belief.x, K, strict=True)]
     x[2] = wrap(x[2])
-    left = []  # (I - K H) P
-    for row, gain in zip(P, K, strict=True):
-        new = list(row)
+    columns = tuple(zip(*K, strict=True))
+    rows: list[tuple[float, ...]] = []
+    for i, (before, gain) in enumerate(zip(P, K, strict=True)):
+        kept: Sequence[float] = before  # row i of (I - K H) P
         for k, hp in zip(gain, HP, strict=True):
-            new = [a - k * b for a, b in zip(new, hp, strict=True)]
-        left.append(new)
-    # ... (I - K H)' + K R K': of row i, what is left of H, less what noise brings, goes with the gains of column j.
-    rows: list[list[float]] = []
-    for i, (kept, gain) in enumerate(zip(left, K, strict=True)):
-        pull = [dot(kept, h) - dot(gain, noise) for h, noise in zip(H, R, strict=True)]
-        rows.append([a - dot(pull, k) for a, k in zip(kept[: i + 1], K[: i + 1], strict=True)])
-    n = len(rows)
-    mirrored = [[rows[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
-    return belief._replace(x=tuple(x), P=_frozen(mirrored), nis=nis)
+            kept = [a - k * b for a, b in zip(kept, hp, strict=True)]
+        # ... (I - K H)' + K R K': what H sees of it, less the noise that K lets in, goes by the gains.
+        pulls = [_along(h, kept) - dot(gain, noise) for h, noise in zip(H, R, strict=True)]
+        for pull, column in zip(pulls, columns, strict=True):
+            kept = [a - pull * k for a, k in zip(kept, column, strict=True)]
+        rows.append((*[row[i] for row in rows], *kept[i:]))  # symmetric to the bit
+    return belief._replace(x=tuple(x), P=tuple(rows), nis=nis)
 
 
 def _own(belief: Belief) -> int:
@@ -208,10 +208,12 @@ def _has_gyro(belief: Belief) -> bool:
     return _own(belief) == 10
 
 
-def _unit(i: int, n: int) -> list[float]:
-    row = [0.0] * n
-    row[i] = 1.0
-    return row
+def _along(h: Sparse, row: Sequence[float]) -> float:
+    """h row"""
+    total = 0.0
+    for i, weight in h:
+        total += weight * row[i]
+    return total
 
 
 def _frozen(rows: Sequence[Sequence[float]]) -> Covariance:
