@@ -32,6 +32,7 @@ class Whereabouts(NamedTuple):
 
     pose: Pose
     velocity: Vector  # m/s, m/s, rad/s, world frame
+    push: Vector  # what tether and water do to it: m/s^2, m/s^2, rad/s^2
     fluctuates: Symmetric
     stays: Symmetric  # the same whenever the same landmarks are seen
 
@@ -102,4 +103,4 @@ class OwnPose:
 def whereabouts(belief: Belief) -> Whereabouts:
     x, y, psi = belief.pose
     pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(psi))
-    return Whereabouts(pose, (belief.x[3], belief.x[4], belief.x[5]), belief.covariance, belief.stays)
+    return Whereabouts(pose, (belief.x[3], belief.x[4], belief.x[5]), (belief.x[6], belief.x[7], belief.x[8]), belief.covariance, belief.stays)
