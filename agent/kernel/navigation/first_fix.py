@@ -15,7 +15,7 @@ from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, forward
 from agent.kernel.navigation.layout import Marker
-from agent.kernel.navigation.projection import Theta, View, ray_in_level
+from agent.kernel.navigation.projection import Theta, View, direction, upright
 from agent.kernel.navigation.tag_fix import Map, NoFix, TagFix, tag_fix, whole
 from agent.kernel.navigation.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
@@ -63,12 +63,13 @@ def closed_form(of: View, theta: Theta, marker: Marker, tag: SeenTag) -> Start |
     """x, y and psi of the robot from one tag, by least squares; x, y and psi of theta do not count."""
     H, g = [[0.0] * 4 for _ in range(4)], [0.0] * 4
     mx, my, _ = marker.middle_m  # which all are counted from
-    height_m = of.surface_m - theta[3]
+    at = upright(of, theta)
+    ox, oy, _ = at.origin_m
     for corner, slope in zip(marker.corners_m, tag.corners, strict=True):
-        (ox, oy, oz), d = ray_in_level(of, theta, slope)
+        d = direction(at, slope)
         length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         dx, dy, dz = d[0] / length, d[1] / length, d[2] / length
-        cx, cy, h = corner[0] - mx, corner[1] - my, corner[2] - height_m - oz
+        cx, cy, h = corner[0] - mx, corner[1] - my, corner[2] - at.height_m
         # Unknown: cos psi, sin psi, and t = Rz(psi)' p; the corner from the ray's origin is (v - o, h) with
         # v = (cx cos + cy sin - t_x, cy cos - cx sin - t_y).
         equations = (

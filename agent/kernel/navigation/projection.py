@@ -119,17 +119,27 @@ def by_survey(of: Seen, middle_m: Vector, corner_m: Vector) -> tuple[tuple[float
     return u, v
 
 
-def ray_in_level(of: View, theta: Theta, at: Slope) -> tuple[Vector, Vector]:
-    """(origin, direction) of a slope's ray in the frame of theta's body that has its yaw but stands upright.
+class Upright(NamedTuple):
+    """A camera in the frame of its body made upright, with yaw and place as they are: depth, level and gimbal count."""
 
-    psi, x and y do not count; the direction is no unit vector.
-    """
-    _, _, _, _, roll, pitch, pan, tilt = theta
+    origin_m: Vector  # where rays meet
+    height_m: float  # of that above the floor
+    rotation: tuple[Vector, Vector, Vector]  # rows: gimbal -> that frame
+
+
+def upright(of: View, theta: Theta) -> Upright:
+    """x, y and psi of theta do not count."""
+    _, _, _, depth, roll, pitch, pan, tilt = theta
     level_body = _times(_ry(pitch), _rx(roll))
     level_gimbal = _times(_times(level_body, _rz(pan)), _ry(-tilt))
     forward, arm = _column(level_gimbal, 0), _apply(level_body, of.arm_m)
     origin = arm[0] + of.ahead_m * forward[0], arm[1] + of.ahead_m * forward[1], arm[2] + of.ahead_m * forward[2]
-    return origin, _apply(level_gimbal, (1.0, -at[0], -at[1]))
+    return Upright(origin, of.surface_m - depth + origin[2], level_gimbal)
+
+
+def direction(at: Upright, slope: Slope) -> Vector:
+    """Along which a slope is seen; as long as makes it 1 along the optical axis."""
+    return _apply(at.rotation, (1.0, -slope[0], -slope[1]))
 
 
 def _in_camera(at: Gaze, point_m: Vector) -> Vector:
