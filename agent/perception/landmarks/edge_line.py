@@ -15,6 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.kernel.ranging.camera_model import UNBEND
 from agent.perception.landmarks.slopes import Array
 from hw.compiled import compiled
 
@@ -39,8 +40,8 @@ SHARP_PX2 = 1.0 / 12.0 + 1.0 / 6.0 + STEP_PX**2 / 12.0  # variance of a perfect 
 def fit_edge(plane: Plane, light: Array, start: Array, end: Array, reach_px: float, lens: Array, line: Array) -> float:
     """Line (4,), in slopes: a point of it and the unit vector along it from start to end.
 
-    plane: one colour of the picture, a byte a pixel; light (256,): linear, of each byte, 1 at the sensor's limit. start,
-    end (2,): roughly where the edge ends, pixels; the square is on the right of who goes there, y pointing down.
+    plane: one colour of the picture, a byte a pixel; light (256,): linear, of each byte, 1 at the sensor's limit.
+    start, end (2,): roughly where the edge ends, pixels; the square is on the right of who goes there, y pointing down.
     reach_px: how far the edge is looked for to either side. lens: f_px, cx_px, cy_px, bend. Returns the variance of the
     blur, px2, or -1 where the edge leaves the picture, is covered or burnt out; then `line` means nothing.
     """
@@ -135,7 +136,7 @@ def _slope(lens: Array, x_px: float, y_px: float) -> tuple[float, float]:
     """As `to_slopes`, for one point."""
     seen_x, seen_y = (x_px - lens[1]) / lens[0], (y_px - lens[2]) / lens[0]
     x, y = seen_x, seen_y
-    for _ in range(8):
+    for _ in range(UNBEND):
         bend = 1.0 + lens[3] * (x * x + y * y)
         x, y = seen_x / bend, seen_y / bend
     return x, y

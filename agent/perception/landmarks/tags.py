@@ -47,10 +47,10 @@ def seen_tags(image: Image, camera: CameraFit, lens_position: int | None, t_ns: 
 def find_tags(image: Image, camera: CameraFit) -> list[Found]:
     """All tags of a whole frame (height, width, 3), by id. camera: at the frame's lens position.
 
-    A tag in a mirror is none: read backwards, no code is within 4 bits of another, and 3 are corrected. Of two with the same id one is a picture or a copy, and which
-    one nobody can tell, so neither counts. Nor do grazing views.
+    A tag in a mirror is none: read backwards, no code is within 4 bits of another, and 3 are corrected. Of two with the
+    same id one is a picture or a copy, and which one nobody can tell, so neither counts. Nor do grazing views.
     """
-    plane = np.ascontiguousarray(image[..., GREEN])
+    plane = green(image)
     corners, ids, _ = _detector().detectMarkers(plane)
     if ids is None:
         return []
@@ -62,6 +62,11 @@ def find_tags(image: Image, camera: CameraFit) -> list[Found]:
         if number in seen_once
     ]
     return [one for one in found if one is not None]
+
+
+def green(image: Image) -> Plane:
+    """(height, width): the one colour that landmarks are looked for in."""
+    return np.asarray(cv2.extractChannel(image, GREEN), np.uint8)
 
 
 def _found(plane: Plane, light: Array, number: int, rough_px: Array, camera: CameraFit) -> Found | None:

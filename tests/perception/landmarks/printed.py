@@ -13,8 +13,8 @@ from tests.perception.painted import defocus
 SIZE_M = 0.08  # black edge to black edge
 BLACK, PAPER, WALL = 0.03, 0.70, 0.30  # of the light that a perfect white would give
 
-# tag36h11.c of AprilRobotics/apriltag: codes by id, and the module (x, y) of each bit from the highest on. The border is
-# module 0 and 7; a set bit is white.
+# tag36h11.c of AprilRobotics/apriltag: codes by id, and the module (x, y) of each bit from the highest on. The border
+# is module 0 and 7; a set bit is white.
 CODES = {0: 0xD7E00984B, 1: 0xDDA664CA7, 2: 0xDC4A1C821, 3: 0xE17B470E9, 4: 0xEF91D01B1, 586: 0xE8B772FE0}
 BIT_X = (1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4, 3, 4, 1, 1, 1, 1, 1, 2, 2, 2, 3)
 BIT_Y = (1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4, 3, 4)
@@ -62,7 +62,7 @@ def tag_light(
     j, i = np.mgrid[: (high[1] - low[1]) * SAMPLES, : (high[0] - low[0]) * SAMPLES]
     x = low[0] - 0.5 + (i + (j % SAMPLES + 0.5) / SAMPLES) / SAMPLES
     y = low[1] - 0.5 + (j + (i % SAMPLES + 0.5) / SAMPLES) / SAMPLES
-    slopes = _straighten(camera, (np.stack([x, y], axis=-1) - (camera.cx_px, camera.cy_px)) / camera.f_px)
+    slopes = straighten(camera, (np.stack([x, y], axis=-1) - (camera.cx_px, camera.cy_px)) / camera.f_px)
     rays = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1) @ rotation  # in the tag's frame
     eye = -rotation.T @ middle_m
     on_paper = eye[:2] - rays[..., :2] * (eye[2] / rays[..., 2:])
@@ -76,7 +76,7 @@ def tag_light(
     part[:] = drawn.reshape(part.shape[0], SAMPLES, part.shape[1], SAMPLES).mean(axis=(1, 3))
 
 
-def _straighten(camera: CameraFit, seen: np.ndarray) -> np.ndarray:
+def straighten(camera: CameraFit, seen: np.ndarray) -> np.ndarray:
     """Newton's way from bent to straight slopes, along the radius."""
     radius = np.sqrt((seen**2).sum(-1, keepdims=True)) + 1e-12
     r = radius

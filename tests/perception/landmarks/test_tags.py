@@ -1,8 +1,8 @@
 """Which tags a frame shows, and that their first corner is the upper left one of the picture as it is published."""
 
 import cv2
-import numpy as np
 import msgspec
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
