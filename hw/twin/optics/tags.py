@@ -1,8 +1,9 @@
 """AprilTags in the picture: the squares of the family 36h11, painted over the faces that they are on.
 
 16 samples a pixel, of which no two lie in one row or column, say how much of it is which square: edges along rows and
-columns keep their place to 1/32 px, others to 0.06 px rms at worst. Within a pixel the tag's plane is taken for linear. A tag is paint on its face:
-as far away, as lit and as blurred as the face is there. Grain on the paper gives its squares' insides a focus.
+columns keep their place to 1/32 px, others to 0.06 px rms at worst. Within a pixel the tag's plane is taken for linear.
+A tag is paint on its face: as far away, as lit and as blurred as the face is there. The paper has a grain, so that the
+insides of its squares have a focus.
 """
 
 from __future__ import annotations

@@ -20,10 +20,11 @@ class Notebook:
     """Stands in for the painter and for the lens's motor."""
 
     def __init__(self):
-        self.frames, self.asked = [], []
+        self.frames, self.asked, self.moments = [], [], []
 
     def expose(self, middle, image_distance_m, roi=None, tick=0, during=None):
         self.frames.append((middle.eye, image_distance_m, middle.hulls, roi, tick))
+        self.moments.append(middle)
         self.during = during
         return np.zeros((2, 2, 3), np.uint8)
 
