@@ -23,6 +23,7 @@ class Glance:
     def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float) -> None:
         self._markers, self._body, self._surface_m = tuple(markers), body, surface_m
         self._step = 0
+        self._way: tuple[float, float] | None = None  # of this step: a gimbal that is told another angle never rests
         self._until_ns: int | None = None
 
     def direction_deg(self, pose: Pose | None, level: Attitude, steady: bool, now_ns: int) -> tuple[float, float]:
@@ -31,12 +32,14 @@ class Glance:
         if steady and self._until_ns is None:
             self._until_ns = now_ns + WAIT_NS
         if self._until_ns is not None and now_ns >= self._until_ns:
-            self._step, self._until_ns = self._step + 1, None
-        ways = SEARCH_DEG if pose is None else self._in_reach(pose, level) or SEARCH_DEG
-        return ways[self._step % len(ways)]
+            self._step, self._way, self._until_ns = self._step + 1, None, None
+        if self._way is None:
+            ways = SEARCH_DEG if pose is None else self._in_reach(pose, level) or SEARCH_DEG
+            self._way = ways[self._step % len(ways)]
+        return self._way
 
     def reset(self) -> None:
-        self._step, self._until_ns = 0, None
+        self._step, self._way, self._until_ns = 0, None, None
 
     def _in_reach(self, pose: Pose, level: Attitude) -> tuple[tuple[float, float], ...]:
         """Directions of landmarks that the gimbal can turn to, the nearest first."""

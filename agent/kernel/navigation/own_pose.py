@@ -32,7 +32,6 @@ class Whereabouts(NamedTuple):
 
     pose: Pose
     velocity: Vector  # m/s, m/s, rad/s, world frame
-    push: Vector  # what tether and water do to it: m/s^2, m/s^2, rad/s^2
     fluctuates: Symmetric
     stays: Symmetric  # the same whenever the same landmarks are seen
 
@@ -55,7 +54,7 @@ class OwnPose:
         assert fleet.landmarks is not None  # a rule of the fleet file
         self._camera, self._body, self._surface_m = camera, fleet.body, fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
-        self._hull = Hull()
+        self.hull = Hull()
         self._ring: EventRing | None = None
         self._asked = STILL
         self.refused = ""  # why the newest frame with landmarks gave no pose
@@ -79,7 +78,7 @@ class OwnPose:
         self.refused = ""
         pose = found.theta[0], found.theta[1], found.theta[2]
         if self._ring is None:
-            self._ring = EventRing(begin(frame.t_ns, pose, found.fluctuates, found.stays), self._hull, Drift())
+            self._ring = EventRing(begin(frame.t_ns, pose, found.fluctuates, found.stays), self.hull, Drift())
         else:
             self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays))
 
@@ -96,11 +95,15 @@ class OwnPose:
 
     def at(self, t_ns: int) -> Whereabouts | None:
         """Where it was or is; None: nobody knows."""
-        belief = None if self._ring is None else self._ring.at(t_ns)
+        belief = self.belief(t_ns)
         return None if belief is None else whereabouts(belief)
+
+    def belief(self, t_ns: int) -> Belief | None:
+        """The same with all that the filter has."""
+        return None if self._ring is None else self._ring.at(t_ns)
 
 
 def whereabouts(belief: Belief) -> Whereabouts:
     x, y, psi = belief.pose
     pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(psi))
-    return Whereabouts(pose, (belief.x[3], belief.x[4], belief.x[5]), (belief.x[6], belief.x[7], belief.x[8]), belief.covariance, belief.stays)
+    return Whereabouts(pose, (belief.x[3], belief.x[4], belief.x[5]), belief.covariance, belief.stays)

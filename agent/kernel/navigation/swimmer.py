@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 
-from agent.kernel.config import Fleet, Pose, Robot
+from agent.kernel.config import Fleet, Robot
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
-from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.barrier import safe_velocity
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.glance import Glance
 from agent.kernel.navigation.layout import markers
 from agent.kernel.navigation.own_pose import LOST_DEG, LOST_M, STILL, SURE_DEG, SURE_M, OwnPose, Whereabouts
+from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
+from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import SeenTags
 
@@ -25,6 +27,7 @@ class Swimmer:
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         self._robot, self._limits = robot, fleet.navigation.limits
+        self._tank_m = fleet.tank.size_m
         self.own = OwnPose(fleet, calibration.camera)
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
         self._lost_since_ns: int | None = None
@@ -67,39 +70,25 @@ class Swimmer:
 
     def thrust(self, allowed: bool, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m."""
-        here = self.own.at(now_ns)
-        wrench = STILL if here is None or self.lost or not allowed else _hold(here, self._robot.pose)
-        self.own.sent(wrench, now_ns)
-        return wrench
+        belief = self.own.belief(now_ns)
+        asked = STILL if belief is None or self.lost or not allowed else self._towards(belief)
+        self.own.sent(asked, now_ns)
+        return asked
+
+    def _towards(self, belief: Belief) -> Wrench:
+        there, limits = self._robot.pose, self._limits
+        to = Reference(
+            (there.x_m, there.y_m),
+            math.radians(there.yaw_deg),
+            speed_m_s=limits.speed_m_s,
+            turn_rad_s=math.radians(limits.turn_deg_s),
+        )
+        xx, xy, _, yy, _, _ = belief.covariance
+        velocity = safe_velocity(wanted_velocity(belief, to), belief.pose[:2], (xx, xy, yy), self._tank_m)
+        return wrench(belief, self.own.hull, to, velocity)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
         lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
         return SURFACE_M if lost else self._robot.depth_m
 
-
-def _hold(here: Whereabouts, at: Pose) -> Wrench:
-    """Temporary."""
-    w, z, m = 3.0, 0.9, 6.0
-    kp, kv = w / (2 * z), 2 * z * w
-    ex, ey = at.x_m - here.pose.x_m, at.y_m - here.pose.y_m
-    vd = [kp * ex, kp * ey]
-    size = math.hypot(*vd)
-    if size > 0.25:
-        vd = [v * 0.25 / size for v in vd]
-    dx, dy, dpsi = here.push
-    v = here.velocity
-    k = (2.0 + 20.0 * math.hypot(v[0], v[1])) / m
-    fx = m * (kv * (vd[0] - v[0]) + k * v[0] - dx)
-    fy = m * (kv * (vd[1] - v[1]) + k * v[1] - dy)
-    psi = math.radians(here.pose.yaw_deg) + v[2] * 0.115
-    c, s = math.cos(psi), math.sin(psi)
-    f, g = c * fx + s * fy, -s * fx + c * fy
-    size = math.hypot(f, g)
-    if size > 6.0:
-        f, g = f * 6 / size, g * 6 / size
-    e = wrap(math.radians(at.yaw_deg - here.pose.yaw_deg))
-    wp = 1.3 * w
-    rd = max(-1.0, min(1.0, wp / (2 * z) * e))
-    n = 0.09 * (2 * z * wp * (rd - v[2]) + (0.03 + 0.1 * abs(v[2])) / 0.09 * v[2] - dpsi)
-    return f, g, max(-0.8, min(0.8, n))
