@@ -148,6 +148,37 @@ class Landmarks(Struct, frozen=True, kw_only=True):
     tag: tuple[Tag, ...]
 
 
+class Hold(Struct, frozen=True, kw_only=True, tag_field="kind", tag="hold"):
+    """Stay where it is told to, looking as it does then."""
+
+
+class Goto(Struct, frozen=True, kw_only=True, tag_field="kind", tag="goto"):
+    """Swim to a place and stay there."""
+
+    x_m: float
+    y_m: float
+    depth_m: Positive | None = None  # none: as deep as before
+    yaw_deg: float | None = None  # none: towards the target that is watched, else along the way
+
+
+class Turn(Struct, frozen=True, kw_only=True, tag_field="kind", tag="turn"):
+    """Turn the body on the spot."""
+
+    yaw_deg: float
+
+
+class Orbit(Struct, frozen=True, kw_only=True, tag_field="kind", tag="orbit"):
+    """Swim around something and face it; back the other way before the tether is wound up."""
+
+    x_m: float
+    y_m: float
+    radius_m: Positive
+    speed_m_s: float = 0.1  # positive: anticlockwise, seen from above
+
+
+Behaviour = Hold | Goto | Turn | Orbit
+
+
 class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
