@@ -148,14 +148,42 @@ class Landmarks(Struct, frozen=True, kw_only=True):
     tag: tuple[Tag, ...]
 
 
+class Hold(Struct, frozen=True, kw_only=True, tag_field="kind", tag="hold"):
+    """Stay where it is told to, looking as it does then."""
+
+
+class Goto(Struct, frozen=True, kw_only=True, tag_field="kind", tag="goto"):
+    """Swim to a place and stay there."""
+
+    x_m: float
+    y_m: float
+    depth_m: Positive | None = None  # none: as deep as before
+    yaw_deg: float | None = None  # none: towards the target that is watched, else along the way
+
+
+class Turn(Struct, frozen=True, kw_only=True, tag_field="kind", tag="turn"):
+    """Turn the body on the spot."""
+
+    yaw_deg: float
+
+
+class Orbit(Struct, frozen=True, kw_only=True, tag_field="kind", tag="orbit"):
+    """Swim around something and face it; back the other way before the tether is wound up."""
+
+    x_m: float
+    y_m: float
+    radius_m: Positive
+    speed_m_s: float = 0.1  # positive: anticlockwise, seen from above
+
+
+Behaviour = Hold | Goto | Turn | Orbit
+
+
 class Limits(Struct, frozen=True, kw_only=True):
     """What a swimming robot keeps to, whatever it is asked for."""
 
     speed_m_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
     turn_deg_s: Annotated[float, Meta(gt=0, le=90)] = 57.0
-    wall_m: Annotated[float, Meta(ge=0.15)] = 0.20  # from its centre to a wall
-    force_n: Annotated[float, Meta(gt=0, le=10)] = 6.0
-    moment_nm: Annotated[float, Meta(gt=0, le=2)] = 0.8
 
 
 class Navigation(Struct, frozen=True, kw_only=True):

@@ -23,7 +23,8 @@ from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.net import Net
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.cues import NoRange
-from agent.kernel.ranging.fix import Fix, OwnError, locate
+from agent.kernel.ranging.fix import Fix, locate
+from agent.kernel.ranging.own_pose import OwnPose
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
@@ -128,7 +129,7 @@ class Agent:
             there = self.swimmer.measured_at(peak.t_ns)
             if there is None:
                 return NoRange("its own place at the time of its sharpest frame is not known")
-            pose, own = there.pose, OwnError(there.fluctuates, there.stays)
+            pose, own = there.pose, OwnPose(there.fluctuates, there.stays)
         eye, ball, cues = self.seek.eye(level, pose), self.current.ball, self._fleet.ranging.cues
         fix = locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):

@@ -18,8 +18,11 @@ from agent.kernel.navigation.barrier import STILL, Planar
 from agent.kernel.navigation.body_model import Hull, Wrench, damping, turn_damping
 from agent.kernel.navigation.pose_filter import Belief
 
-W_RAD_S = 3.2  # stiffer holds no better: the filter is slower; softer lets a pull of the tether through
-YAW_W_RAD_S = 1.3 * W_RAD_S
+# As stiff as is damped by 0.3 and more where thrusters lag by 0.08 to 0.15 s, mass and inertia are 0.75 to 1.3 times
+# what is believed and fixes are 0.2 s late. At 3.0 the lightest and fastest body with the latest fixes swings for ever;
+# so does its yaw at 1.3 times 2.5 (planar).
+W_RAD_S = 2.8
+YAW_W_RAD_S = 2.5
 Z = 0.9
 TURN_RAD_S = 1.0
 LEAD = 1.4  # hurries the thrusters' lag; more makes noise of it

@@ -34,7 +34,7 @@ class Drift(NamedTuple):
 
     speed: float = 0.01  # m/s: what drag is not known to
     rate: float = 0.06  # rad/s
-    push: float = 0.01  # m/s^3: tether and current; twice as much where the tether pulls by 0.15 N
+    push: float = 0.02  # m/s^3: tether, current, and a drag that is not as believed
     twist: float = 0.06  # rad/s^3
     bias: float = 2e-5  # rad/s
 

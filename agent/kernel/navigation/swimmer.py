@@ -11,7 +11,7 @@ from agent.kernel.navigation.barrier import safe_velocity
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.glance import Glance
 from agent.kernel.navigation.layout import markers
-from agent.kernel.navigation.own_pose import LOST_DEG, LOST_M, STILL, SURE_DEG, SURE_M, OwnPose, Whereabouts
+from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, STILL, SURE_DEG, SURE_M, Localizer, Whereabouts
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.ranging.calibration import Calibration
@@ -28,7 +28,7 @@ class Swimmer:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         self._robot, self._limits = robot, fleet.navigation.limits
         self._tank_m = fleet.tank.size_m
-        self.own = OwnPose(fleet, calibration.camera)
+        self.own = Localizer(fleet, calibration.camera)
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
         self._lost_since_ns: int | None = None
 

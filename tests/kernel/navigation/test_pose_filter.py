@@ -95,7 +95,7 @@ def oracle_step(x, force, u, h, hull=HULL):
 
 def noise(h, n=9):
     q = np.zeros(n)
-    q[3:9] = h * np.array([0.01, 0.01, 0.06, 0.01, 0.01, 0.06]) ** 2
+    q[3:9] = h * np.array([0.01, 0.01, 0.06, 0.02, 0.02, 0.06]) ** 2
     if n == 10:
         q[9] = h * 2e-5**2
     return np.diag(q)

@@ -47,7 +47,7 @@ class Whereabouts(NamedTuple):
         return self.place_sigma_m <= place_m and self.yaw_sigma_deg <= yaw_deg
 
 
-class OwnPose:
+class Localizer:
     """Of one robot."""
 
     def __init__(self, fleet: Fleet, camera: CameraFit) -> None:
