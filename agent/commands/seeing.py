@@ -60,7 +60,8 @@ def tags(
     source: Annotated[str, typer.Argument(help="Image, folder, video, or a camera such as v4l2:/dev/video0.")],
     calibration: Annotated[Path | None, typer.Option(help="Calibration file of the camera that took them.")] = None,
     fleet: Annotated[
-        Path | None, typer.Option(help=r"Fleet file: says which ids its \[landmarks] do not have, and which are missing.")
+        Path | None,
+        typer.Option(help=r"Fleet file: says which ids its \[landmarks] do not have, and which are missing."),
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many; a camera needs it.")] = None,
     out: Annotated[Path | None, typer.Option(help="Pictures with the tags: new folder, or .mp4, .avi.")] = None,

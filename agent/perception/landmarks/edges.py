@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.kernel.ranging.calibration import CameraFit
-from agent.perception.landmarks.edge_line import Plane, fit_edge
+from agent.perception.landmarks.edge_line import Plane, fit_edge, room
 from agent.perception.landmarks.slopes import Array, cross
 
 MODULES = 8  # along the square's side: six of code between two of border
@@ -38,9 +38,9 @@ def fit_corners(plane: Plane, light: Array, rough_px: Array, camera: CameraFit) 
     if module < NARROWEST_PX:
         return None
     lens = np.array([camera.f_px, camera.cx_px, camera.cy_px, camera.bend])
-    reach, lines, most_px2 = min(REACH * module, MOST_PX), np.empty((4, 4)), 0.0
+    work, lines, most_px2 = room(min(REACH * module, MOST_PX)), np.empty((4, 4)), 0.0
     for k in range(4):
-        spread = fit_edge(plane, light, rough_px[k], rough_px[(k + 1) % 4], reach, lens, lines[k])
+        spread = fit_edge(plane, light, rough_px[k], rough_px[(k + 1) % 4], lens, work, lines[k])
         if spread < 0.0:
             return None
         most_px2 = max(most_px2, spread)

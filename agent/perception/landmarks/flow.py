@@ -86,7 +86,9 @@ def flow(tracked: Tracked, camera: CameraFit) -> Flow:
     (k,) = np.nonzero(tracked.left)
     k = k[:MOST]
     pairs = np.hstack([tracked.key.slopes[k], to_slopes(camera, tracked.points_px[k].astype(np.float64))])
-    return Flow(t_ns=tracked.t_ns, since_ns=tracked.key.t_ns, pairs=tuple((a, b, c, d) for a, b, c, d in pairs.tolist()))
+    return Flow(
+        t_ns=tracked.t_ns, since_ns=tracked.key.t_ns, pairs=tuple((a, b, c, d) for a, b, c, d in pairs.tolist())
+    )
 
 
 def _look(then: Plane, now: Plane, points: Points, guess: Points, levels: int) -> tuple[Points, Mask]:
