@@ -7,6 +7,7 @@ import json
 import signal
 import sys
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -26,7 +27,7 @@ from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
 from hw.twin.devices.twin_folder import clock_path, locked, twin_dir
 from hw.twin.dive import Dive
-from hw.twin.landmarks import true_tags
+from hw.twin.landmarks import PaintedTag, true_tags
 from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.pace import run_by_clock
@@ -87,7 +88,8 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
     scene = scene_of(fleet)
     solids = target_solids(fleet, scene, fleet_path)
-    optics = [_optics(fleet, scene, name) for name in robots]
+    tags = true_tags(fleet.landmarks, fleet.twin.seed)
+    optics = [_optics(fleet, scene, name, tags) for name in robots]
     Dive(fleet, robots, 0, scene=scene).move()  # compiles the physics before the clock starts
     clock = RunClock(clock_path(fleet))
     dive = Dive(fleet, robots, clock.now_ns(), scene=scene)
@@ -123,7 +125,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
-    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing stands before the chessboard
+    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing but the chessboard
     bench = Bench(fleet, robot, *_optics(fleet, empty, robot), RunClock(clock_path(fleet)).now_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)
@@ -132,11 +134,11 @@ def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, st
     serve(bench, folder / f"{robot}.bench", stop, lambda: _be_ready(folder, stop))
 
 
-def _optics(fleet: Fleet, scene: Scene, robot: str) -> tuple[Lens, Vcm, Painter]:
+def _optics(fleet: Fleet, scene: Scene, robot: str, tags: Sequence[PaintedTag] = ()) -> tuple[Lens, Vcm, Painter]:
     """The camera that this robot has in this world, the same on the bench and in the dive."""
     seed = fleet.twin.seed
     lens = draw_lens(scene.camera, generator(seed, robot, "lens"))
-    painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot)
+    painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot, tags)
     painter.prepare()
     return lens, Vcm(lens, generator(seed, robot, "vcm")), painter
 

@@ -62,9 +62,8 @@ class Dive:
             x_m, y_m, yaw_deg = put_off(scene.start_sigma, (pose.x_m, pose.y_m, pose.yaw_deg), seed, name)
             start = (x_m, y_m, surface_m - depth_m, yaw_deg)
             self.bodies[i] = draw_body(seed, name, start, fleet.tank, fleet.body)
-            if not scene.moored:
-                cast_off(self.bodies[i], fleet.tank)
             set_body(self.bodies[i], rows[i])
+        self._tank, self._waves = fleet.tank, scene.waves
         self.states["held"] = 1
         self.states["position_m"] = self.bodies["home_m"]
         self.states["quaternion"] = [quaternion(0.0, 0.0, yaw) for yaw in self.bodies["home_yaw_rad"]]
@@ -83,7 +82,6 @@ class Dive:
         self._start_ns = start_ns
         self._mounting = fleet.body
         self._size_m, self._surface_m = np.array(fleet.tank.size_m), surface_m
-        self._tank, self._waves = fleet.tank, scene.waves
         self._flow = Flow(seed, self.robots, scene.current, scene.tether_pull)
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
         self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, whose
@@ -91,6 +89,8 @@ class Dive:
         self._water_pa = np.zeros((len(robots), 4))
         self._to_come = sorted(scene.event, key=lambda event: event.at_s, reverse=True)  # the next is the last
         tags = [tag.id for tag in fleet.landmarks.tag] if fleet.landmarks else []
+        for name in () if scene.moored else robots:
+            self.cast_off(name)
         faults.check(scene.event, self.robots, movable(fleet, scene), tags)
         self._measure()
 
@@ -227,7 +227,9 @@ class Dive:
 
     def cast_off(self, robot: str) -> None:
         """Take the mooring off a robot: it swims."""
-        cast_off(self.bodies[self._index(robot)], self._tank)
+        i = self._index(robot)
+        cast_off(self.bodies[i], self._tank)
+        self.states["stirred"][i] = 1
 
     def pull_tether(self, robot: str, force_n: float, correlation_s: float, for_s: float) -> None:
         """Tug at a tether at random, force_n in the root of the mean square."""

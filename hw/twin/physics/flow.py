@@ -46,6 +46,7 @@ class Flow:
         if self._gust_m_s:
             self._drive_m_s[:2] = _wandered(self._drive_m_s[:2], self._gust_m_s, GUST_S, dt_s, self._gusts)
         speeding_m_s2 = (self._mean_m_s + self._drive_m_s - self._now_m_s) / LAG_S
+        states["stirred"] = 1
         states["water_m_s"], states["water_m_s2"] = self._now_m_s, speeding_m_s2
         self._now_m_s += speeding_m_s2 * dt_s
         for i, pulls in enumerate(self._pulls):

@@ -13,15 +13,7 @@ from numpy.typing import NDArray
 from agent.kernel.messages import Vector
 from hw.compiled import compiled
 from hw.twin.physics.contact import add_contacts
-from hw.twin.physics.forces import (
-    add_current,
-    add_force,
-    add_lines,
-    add_tether_water,
-    add_thrust,
-    add_water,
-    add_weight,
-)
+from hw.twin.physics.forces import add_force, add_lines, add_stirred_water, add_thrust, add_water, add_weight
 from hw.twin.physics.rotation import to_body, to_world, turned
 from hw.twin.physics.servo import motor_deg_after, shaft_deg_after
 from hw.twin.physics.thruster import lagged_thrust_n, static_thrust_n
@@ -45,6 +37,7 @@ STATE = np.dtype(
         ("push_n", "f8", 3),  # world frame
         ("push_at_m", "f8", 3),  # body frame
         ("push_s", "f8"),  # time left
+        ("stirred", "i8"),  # 1: the water flows, the tether drags or is pulled; 0 leaves this out
         ("water_m_s", "f8", 3),  # current, world frame, and how it speeds up
         ("water_m_s2", "f8", 3),
         ("pull_n", "f8", 3),  # at the tether, world frame
@@ -90,8 +83,6 @@ def advance(
                     dt_s,
                 )
                 s.shaft_deg[k] = shaft_deg_after(s.shaft_deg[k], s.motor_deg[k])
-            for k in range(3):
-                s.water_m_s[k] += dt_s * s.water_m_s2[k]
             if s.held:
                 continue
             q = (s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3])
@@ -99,21 +90,13 @@ def advance(
             v = (s.velocity_m_s[0], s.velocity_m_s[1], s.velocity_m_s[2])
             w = (s.rates_rad_s[0], s.rates_rad_s[1], s.rates_rad_s[2])
             v_world = to_world(q, v)
-            flow = (s.water_m_s[0], s.water_m_s[1], s.water_m_s[2])
-            through = v
-            if flow != (0.0, 0.0, 0.0):
-                water = to_body(q, flow)
-                through = (v[0] - water[0], v[1] - water[1], v[2] - water[2])
-                speeding = to_body(q, (s.water_m_s2[0], s.water_m_s2[1], s.water_m_s2[2]))
-                add_current(body, v, w, water, speeding, wrench[i])
+            if s.stirred:
+                add_stirred_water(body, s, q, v, w, dt_s, wrench[i])
             else:
                 add_water(body, v, w, wrench[i])
             add_weight(body, p[2], q, surface_m, wrench[i])
             add_thrust(body, s.thrust_n, wrench[i])
             add_lines(body, p, q, v_world, w, wrench[i])
-            pull = (s.pull_n[0], s.pull_n[1], s.pull_n[2])
-            if body.tether_drag > 0.0 or pull != (0.0, 0.0, 0.0):
-                add_tether_water(body, q, through, w, pull, wrench[i])
             add_contacts(states, i, q, v, v_world, w, size_m, wrench[i])
             if s.push_s > 0:
                 push = (s.push_n[0], s.push_n[1], s.push_n[2])

@@ -22,7 +22,9 @@ CURRENT = (0.06, -0.04, 0.01)
 
 def free(**changes):
     """As hull, with three different added masses, and nothing that holds it."""
-    return hull(mooring=0.0, added_kg=(2.0, 3.0, 4.0), **changes)
+    body, state = hull(mooring=0.0, added_kg=(2.0, 3.0, 4.0), **changes)
+    state["stirred"] = 1
+    return body, state
 
 
 def test_to_who_drifts_along_a_current_is_still_water():
@@ -60,7 +62,7 @@ def test_a_free_hull_ends_up_as_fast_as_the_current_and_a_moored_one_leans_on_it
     run(body, state, 12.0)
     assert state["velocity_m_s"][0, 1] == pytest.approx(0.1, rel=0.05)
     body, state = hull()
-    state["water_m_s"] = (0.0, 0.1, 0.0)
+    state["stirred"], state["water_m_s"] = 1, (0.0, 0.1, 0.0)
     run(body, state, 5.0)
     assert state["position_m"][0, 1] - 2.0 == pytest.approx((2 * 0.1 + 20 * 0.01) / 300.0, rel=0.02)
 
