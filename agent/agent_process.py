@@ -124,8 +124,8 @@ class AgentProcess:
         fleet, name = self._setup.fleet, self._setup.name
         enhancer = self._open_enhancer() if fleet.camera.enhance else None
         self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer)
-        swims = fleet.navigation
-        self._landmarks = LandmarkWatch(self._setup.calibration.camera, swims.follow_hz) if swims else None
+        swims, known = fleet.navigation, self._setup.calibration
+        self._landmarks = LandmarkWatch(known.camera, known.focus, swims.follow_hz) if swims else None
         self._eyes = Vision(
             lambda: open_camera(self._setup.robot.camera, self._sockets, self._size, self._clock),
             fleet,
@@ -176,7 +176,7 @@ class AgentProcess:
             resume=self._module.arm if arm else lambda: None,
             sign=keys.sign,
             keys=keys.changed,
-            landmarks=self._landmarks.drain if self._landmarks else tuple,
+            landmarks=self._landmarks.drain if self._landmarks else lambda: ((), ()),
         )
 
     def _open_enhancer(self) -> OnDemandEnhancer:

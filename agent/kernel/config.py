@@ -117,37 +117,6 @@ class Look(Struct, frozen=True, kw_only=True):
     tilt_deg: float = 0.0
 
 
-class Robot(Struct, frozen=True, kw_only=True):
-    neighbours: tuple[Name, ...] = ()
-    listen: str
-    serial: Device
-    camera: Device
-    pose: Pose
-    depth_m: Positive = 0.40  # hover set-point
-    look: Look = Look()
-    calibration: str
-
-
-class Tag(Struct, frozen=True, kw_only=True):
-    """One square of the family 36h11, flat on a face of the tank, printed side towards the water."""
-
-    id: Annotated[int, Meta(ge=0, le=586)]
-    face: Face
-    position_m: tuple[float, float, float]  # of its middle, world frame, on that face
-    # Anticlockwise as the camera sees it, from: its top towards the surface on a wall, towards +y on the floor.
-    turn_deg: float = 0.0
-
-
-class Landmarks(Struct, frozen=True, kw_only=True):
-    """AprilTags in the tank, where a survey found them."""
-
-    family: Literal["36h11"] = "36h11"
-    size_m: Positive  # black edge to black edge
-    sigma_m: Annotated[float, Meta(ge=0)] = 0.0005  # of the survey: each coordinate of a tag's middle
-    sigma_deg: Annotated[float, Meta(ge=0)] = 0.1  # and each angle by which it lies otherwise than said
-    tag: tuple[Tag, ...]
-
-
 class Hold(Struct, frozen=True, kw_only=True, tag_field="kind", tag="hold"):
     """Stay where it is told to, looking as it does then."""
 
@@ -177,6 +146,38 @@ class Orbit(Struct, frozen=True, kw_only=True, tag_field="kind", tag="orbit"):
 
 
 Behaviour = Hold | Goto | Turn | Orbit
+
+
+class Robot(Struct, frozen=True, kw_only=True):
+    neighbours: tuple[Name, ...] = ()
+    listen: str
+    serial: Device
+    camera: Device
+    pose: Pose
+    depth_m: Positive = 0.40  # hover set-point
+    look: Look = Look()
+    calibration: str
+    behaviour: Behaviour | None = None  # of a robot that swims; none: it goes to its pose and stays there
+
+
+class Tag(Struct, frozen=True, kw_only=True):
+    """One square of the family 36h11, flat on a face of the tank, printed side towards the water."""
+
+    id: Annotated[int, Meta(ge=0, le=586)]
+    face: Face
+    position_m: tuple[float, float, float]  # of its middle, world frame, on that face
+    # Anticlockwise as the camera sees it, from: its top towards the surface on a wall, towards +y on the floor.
+    turn_deg: float = 0.0
+
+
+class Landmarks(Struct, frozen=True, kw_only=True):
+    """AprilTags in the tank, where a survey found them."""
+
+    family: Literal["36h11"] = "36h11"
+    size_m: Positive  # black edge to black edge
+    sigma_m: Annotated[float, Meta(ge=0)] = 0.0005  # of the survey: each coordinate of a tag's middle
+    sigma_deg: Annotated[float, Meta(ge=0)] = 0.1  # and each angle by which it lies otherwise than said
+    tag: tuple[Tag, ...]
 
 
 class Limits(Struct, frozen=True, kw_only=True):

@@ -19,12 +19,11 @@ from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
-from agent.kernel.navigation.swimmer import Swimmer
+from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix, locate
-from agent.kernel.ranging.own_pose import OwnPose
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
@@ -90,8 +89,7 @@ class Agent:
         for sighting in inputs.sightings:
             self.seek.add_sighting(sighting)
         if self.swimmer is not None:
-            frames = () if inputs.landmarks is UNSET else inputs.landmarks
-            self.swimmer.see(frames, self.attitude, self.seek, now_ns)
+            self.swimmer.see(inputs.landmarks or (), inputs.flow or (), self.attitude, self.seek, now_ns)
         self.status.devices(self._with_faults(inputs, now_ns), self.attitude, now_ns)
         outcome = self._measure(now_ns)
         self._iterate(now_ns)
@@ -112,24 +110,24 @@ class Agent:
         if isinstance(result, Rejected):
             self._note("info", f"sweep rejected: {result.reason}", now_ns)
             return sweep_outcome(self.current.name, result)
-        fix = self._fix(result)
+        fix = self._fix(result, now_ns)
         if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
             self.current.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
         return sweep_outcome(self.current.name, result, fix)
 
-    def _fix(self, peak: Measurement) -> Fix | NoRange:
+    def _fix(self, peak: Measurement, now_ns: int) -> Fix | NoRange:
         """Where a sweep's peak puts the target."""
         level = self.attitude.at(peak.t_ns)
         if level is None:
             return NoRange("no telemetry at the time of its sharpest frame")
         pose, own = None, None
         if self.swimmer is not None:
-            there = self.swimmer.measured_at(peak.t_ns)
-            if there is None:
-                return NoRange("its own place at the time of its sharpest frame is not known")
-            pose, own = there.pose, OwnPose(there.fluctuates, there.stays)
+            known = self.swimmer.localizer.of_sample(peak.t_ns, now_ns)
+            if known is None:
+                return NoRange("where it was itself at the time of its sharpest frame is not known")
+            pose, own = pose_of(known[0]), known[1]
         eye, ball, cues = self.seek.eye(level, pose), self.current.ball, self._fleet.ranging.cues
         fix = locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):

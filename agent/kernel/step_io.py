@@ -105,6 +105,7 @@ class Inputs(Message, frozen=True, kw_only=True):
     heard: tuple[Heard, ...] = ()
     refused: tuple[DroppedPayloads, ...] = ()
     landmarks: tuple[SeenTags, ...] | UnsetType = UNSET  # whole frames that were searched for them; unset: none was
+    flow: tuple[Flow, ...] | UnsetType = UNSET  # points of key frames in these frames; unset: none
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
 

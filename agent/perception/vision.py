@@ -70,7 +70,6 @@ class Vision:
         self._on_frame = on_frame
         self._enhancer = enhancer or OnDemandEnhancer()
         self._landmarks = landmarks
-        self._idle_s = min(IDLE_PERIOD_S, landmarks.period_s) if landmarks else IDLE_PERIOD_S
         self._changed = Condition()  # guards the next three
         self._plan: SweepPlan | None = None
         self._closing = False
@@ -88,6 +87,8 @@ class Vision:
         self.frozen: str | None = None  # why its pictures are not believed to be of now
 
     def start(self) -> None:
+        if self._landmarks is not None:
+            self._landmarks.prepare()
         prepare()  # a dive's clock would wait for the thread, and on a busy machine give it up
         self._thread.start()
 
@@ -162,8 +163,11 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
+            if self._landmarks is not None and self._lens_position != self._landmarks.rest:
+                self._lens_position = camera.set_focus(self._landmarks.rest)
             self._look(camera, tuple(self._detectors))
-            self._wait(part, self._idle_s, until_plan=True)
+            idle_s = self._landmarks.wait_s(self._clock.now_ns()) if self._landmarks else IDLE_PERIOD_S
+            self._wait(part, idle_s, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
         else:
@@ -197,7 +201,7 @@ class Vision:
         """
         last = self._last.get(targets[0])
         whole = self._settings.enhance and self._enhancer.wants_whole(machine.monotonic_ns())
-        searched = self._landmarks is not None and self._landmarks.due(self._clock.now_ns())
+        searched = self._landmarks is not None and self._landmarks.wait_s(self._clock.now_ns()) <= 0.0
         part = sweep and not (whole or searched)
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)

@@ -1,50 +1,37 @@
 """What a swimming robot knows of where it is, between steps: landmarks in, poses at any time of the last seconds out.
 
-Until landmarks have said once where it is, it knows nothing: the fleet file's pose is where it shall be, not where it is.
+Until landmarks have said once where it is, it knows nothing: the fleet file's pose is where it shall be.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections import deque
 
-from agent.kernel.config import Fleet, Pose
+from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import EventRing, asked, fix
+from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
 from agent.kernel.navigation.first_fix import first_fix
 from agent.kernel.navigation.layout import markers
+from agent.kernel.navigation.planes import odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
 from agent.kernel.navigation.projection import view
-from agent.kernel.navigation.tag_fix import Map, TagFix, tag_fix
-from agent.kernel.navigation.tag_priors import priors
+from agent.kernel.navigation.tag_fix import Map, TagFix, tag_fix, whole
+from agent.kernel.navigation.tag_priors import Priors, priors
 from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import SeenTags
+from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
+from agent.kernel.step_io import Flow, SeenTags
 
-STILL: Wrench = (0.0, 0.0, 0.0)
-SURE_M, SURE_DEG = 0.015, 1.0  # beyond this it is worth a look at landmarks
+STILL: Wrench = (*AT_REST, 0.0)
+UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
+SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
 LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
 
+Gimbal = tuple[float, float]  # pan and tilt as the servos really do them, degrees
 
-class Whereabouts(NamedTuple):
-    """A robot's pose at one moment; covariances of (x, y, yaw), m and rad."""
-
-    pose: Pose
-    velocity: Vector  # m/s, m/s, rad/s, world frame
-    fluctuates: Symmetric
-    stays: Symmetric  # the same whenever the same landmarks are seen
-
-    @property
-    def place_sigma_m(self) -> float:
-        return math.sqrt(self.fluctuates[0] + self.fluctuates[3])
-
-    @property
-    def yaw_sigma_deg(self) -> float:
-        return math.degrees(math.sqrt(self.fluctuates[5]))
-
-    def within(self, place_m: float, yaw_deg: float) -> bool:
-        return self.place_sigma_m <= place_m and self.yaw_sigma_deg <= yaw_deg
+Carriage = tuple[Attitude, Gimbal]  # of the camera, at one moment
 
 
 class Localizer:
@@ -57,21 +44,22 @@ class Localizer:
         self.hull = Hull()
         self._ring: EventRing | None = None
         self._asked = STILL
+        self._fixes_ns: deque[int] = deque()
+        self._sampled_ns: int | None = None
         self.refused = ""  # why the newest frame with landmarks gave no pose
 
-    def see(self, frame: SeenTags, level: Attitude, gimbal_deg: tuple[float, float]) -> None:
+    def see(self, frame: SeenTags, level: Attitude, gimbal_deg: Gimbal) -> None:
         """The landmarks of a frame, exposed while the gimbal was at rest at those angles."""
         if not frame.tags:
             return
         of = view(self._camera, self._body, self._surface_m, frame.focus)
-        before = None if self._ring is None else self._ring.at(frame.t_ns)
+        before = self.at(frame.t_ns)
         if self._ring is None:
             found = first_fix(of, priors(level, gimbal_deg, 0.0, turning=False), self._map, frame.tags)
         elif before is None:
             return  # a frame from before what is still remembered
         else:
-            known = priors(level, gimbal_deg, math.hypot(before.x[3], before.x[4]), turning=False)
-            found = tag_fix(of, known, self._map, frame.tags, before.pose)
+            found = tag_fix(of, _priors(level, gimbal_deg, before), self._map, frame.tags, before.pose)
         if not isinstance(found, TagFix):
             self.refused = found.reason
             return
@@ -81,6 +69,18 @@ class Localizer:
             self._ring = EventRing(begin(frame.t_ns, pose, found.fluctuates, found.stays), self.hull, Drift())
         else:
             self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays))
+        self._fixes_ns.append(frame.t_ns)
+
+    def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
+        """Points of a key frame in a later one; level and gimbal, at rest, at either exposure."""
+        before = self.at(seen.t_ns)
+        if self._ring is None or before is None:
+            return
+        of = view(self._camera, self._body, self._surface_m, focus)
+        start, end = (whole((0.0, 0.0, 0.0), _priors(level, gimbal, before)) for level, gimbal in (then, now))
+        moved = odometry(of, start, end, seen.pairs)
+        if moved is not None:
+            self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad))
 
     def sent(self, wrench: Wrench, now_ns: int) -> None:
         """What the thrusters are asked for from now on; zeros while motors may not turn."""
@@ -92,18 +92,29 @@ class Localizer:
         """Let go of what is old."""
         if self._ring is not None:
             self._ring.advance(now_ns)
+        while self._fixes_ns and self._fixes_ns[0] < now_ns - round(MEMORY_S * 1e9):
+            self._fixes_ns.popleft()
 
-    def at(self, t_ns: int) -> Whereabouts | None:
+    def at(self, t_ns: int) -> Belief | None:
         """Where it was or is; None: nobody knows."""
-        belief = self.belief(t_ns)
-        return None if belief is None else whereabouts(belief)
-
-    def belief(self, t_ns: int) -> Belief | None:
-        """The same with all that the filter has."""
         return None if self._ring is None else self._ring.at(t_ns)
 
+    def of_sample(self, t_ns: int, now_ns: int) -> tuple[Belief, OwnPose] | None:
+        """Where it was when a target was measured, and how well it knew; None: not well enough to tell anybody."""
+        there = self.at(t_ns)
+        if there is None or not within(there, LOST_M, LOST_DEG):
+            return None
+        since_s = MEMORY_S if self._sampled_ns is None else (t_ns - self._sampled_ns) * 1e-9
+        self._sampled_ns = t_ns
+        factor = kappa(max(since_s, 0.1), longest_gap_s(self._fixes_ns, now_ns))
+        return there, OwnPose(there.covariance, there.stays, factor)
 
-def whereabouts(belief: Belief) -> Whereabouts:
-    x, y, psi = belief.pose
-    pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(psi))
-    return Whereabouts(pose, (belief.x[3], belief.x[4], belief.x[5]), belief.covariance, belief.stays)
+
+def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
+    """Whether it knows where it is that well: one standard deviation."""
+    xx, _, _, yy, _, pp = belief.covariance
+    return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
+
+
+def _priors(level: Attitude, gimbal_deg: Gimbal, moving: Belief) -> Priors:
+    return priors(level, gimbal_deg, math.hypot(moving.x[3], moving.x[4]), turning=False)
