@@ -58,8 +58,8 @@ def differences(f, at, step=1e-6):
 
 
 def test_slopes_and_their_derivatives() -> None:
-    for _, theta in places(0, 3):
-        for tag in sight(theta, most=2):
+    for _, theta in places(0, 2):
+        for tag in sight(theta, most=1):
             marker = MAP.markers[tag.id]
             for corner in marker.corners_m:
                 point = seen(VIEW, gaze(VIEW, theta), corner)
@@ -142,17 +142,23 @@ def test_the_minimum_and_its_covariance_are_those_of_gtsam(monkeypatch) -> None:
 
 
 def test_errors_are_as_large_as_said() -> None:
-    squared, off_m, off_deg = [], [], []
-    for rng, theta in places(2, 310):
-        fix = tag_fix(VIEW, priors(theta, rng), MAP, sight(theta, rng, most=4), beside(theta))
+    """Tags, survey and all drawn anew for each fix; of a hundred about three are refused: tags that disagree."""
+    rng, squared, off_m, off_deg, refused = np.random.default_rng(2), [], [], [], 0
+    while len(squared) < 300:
+        theta = somewhere(rng)
+        tags = sight(theta, rng, most=3)
+        if len(tags) < 2:
+            continue
+        fix = tag_fix(VIEW, priors(theta, rng), MAP, tags, theta[:3])
         if isinstance(fix, NoFix):
+            refused += 1
             continue
         d = np.subtract(fix.theta[:3], theta[:3])
         d[2] = wrap(d[2])
         squared.append(d @ np.linalg.solve(full(fix.covariance), d))
         off_m.append(np.hypot(d[0], d[1]))
         off_deg.append(abs(np.degrees(d[2])))
-    assert len(squared) >= 300
+    assert refused < 20
     assert 0.8 < np.mean(squared) / 3 < 1.3
     assert np.percentile(off_m, 90) < 0.005 and np.percentile(off_deg, 90) < 0.25
 
