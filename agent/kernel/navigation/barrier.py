@@ -1,11 +1,13 @@
-"""A velocity that keeps a robot clear of others, of walls and of things, near to the one that it would like.
+"""The velocity that keeps a robot clear of others, of walls and of things: the safe one nearest to the wanted one.
 
 For each thing to keep clear of, with u the unit vector from it to the robot and s the distance left to spare:
 
     u . v >= -c(s) + u . v_j / 2 ;   c(s) = min(1.0 s, (-a T + sqrt(a^2 T^2 + 2 a s)) / 2) for s > 0, 1.5 s else
 
-so that of two robots that come towards each other, each with speed c, both can brake in time: after T, with a. These
-half-planes are projected on in turn, round after round, neighbours last in each (after Wang et al., arXiv 1609.00651).
+so that of two robots that come towards each other, each with speed c, both can brake in time: after T, with a (after
+Wang et al., arXiv 1609.00651). The nearest point of such half-planes is found one by one: where the best so far breaks
+the next, the new best lies on its edge (Seidel 1991). Where no velocity is safe, they are projected on in turn, round
+after round, neighbours last in each.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ TARGET_M = 0.35
 BRAKE_M_S2 = 0.5
 DELAY_S = 0.35  # until a robot brakes: its step, its thrusters, and the age of what it heard
 NEAR_1_S, APART_1_S = 1.0, 1.5  # speed for each metre left, and for each metre too near
-ROUNDS = 20  # 6 were not enough among three robots in a small tank
+ROUNDS = 20  # where nothing is safe; 6 were not enough among three robots in a small tank
+PARALLEL = 1e-9
 STILL: Planar = (0.0, 0.0)
 
 
@@ -65,7 +68,7 @@ def safe_velocity(
     things: Iterable[Disc] = (),
     robots: Iterable[Disc] = (),
 ) -> Planar:
-    """A safe velocity near the wanted one; where none is, what is found is safe with regard to the last of the robots.
+    """The safe velocity nearest to the wanted one; where none is, one that keeps clear of the last of the robots.
 
     at_m, spread_m2: of the robot itself; tank_m: length and breadth; things: stones, the target; robots: in the order
     of their names.
@@ -75,6 +78,33 @@ def safe_velocity(
         *(clear_of(at_m, spread_m2, disc) for disc in things),
         *(clear_of(at_m, spread_m2, disc) for disc in robots),
     ]
+    return nearest(planes, wanted) or _in_turn(planes, wanted)
+
+
+def nearest(planes: Sequence[HalfPlane], wanted: Planar) -> Planar | None:
+    """The point of all half-planes that is nearest to the wanted one; None where they have none in common."""
+    x, y = wanted
+    for k, ((ux, uy), least) in enumerate(planes):
+        if ux * x + uy * y >= least:
+            continue
+        along, lowest, highest = ux * wanted[1] - uy * wanted[0], -math.inf, math.inf
+        for (px, py), other in planes[:k]:  # where the edge runs through the half-planes before
+            slope, rest = ux * py - uy * px, other - least * (ux * px + uy * py)
+            if abs(slope) < PARALLEL:
+                if rest > 0.0:
+                    return None
+            elif slope > 0.0:
+                lowest = max(lowest, rest / slope)
+            else:
+                highest = min(highest, rest / slope)
+        if lowest > highest:
+            return None
+        along = min(max(along, lowest), highest)
+        x, y = least * ux - along * uy, least * uy + along * ux
+    return x, y
+
+
+def _in_turn(planes: Sequence[HalfPlane], wanted: Planar) -> Planar:
     x, y = wanted
     for _ in range(ROUNDS):
         for (ux, uy), least in planes:

@@ -27,8 +27,8 @@ from agent.kernel.navigation.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
 
 HUBER = 4.0  # whitened norm of a tag's eight residuals, whose mean is 2.8 where all is well
-ROUNDS = 12  # Gauss-Newton from a good start needs 3
-SETTLED = 2e-8  # m and rad: a last step, after which less than 1e-9 is left to go
+ROUNDS = 12  # Gauss-Newton from a filter's prediction needs 3
+SETTLED = 1e-5  # m and rad: a last step, after which less than a hundredth of that is left to go
 STRAY_M = 50.0  # a step longer than this has left the tank, and will not come back
 
 

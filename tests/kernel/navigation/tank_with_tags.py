@@ -18,7 +18,7 @@ DEPTH_M, LEVEL_DEG, GIMBAL_DEG = 0.0007, 0.1, 0.02
 SIGMA_M, SIGMA_DEG = 0.0005, 0.1
 
 
-def grid(sigma_m=SIGMA_M, sigma_deg=SIGMA_DEG):
+def grid():
     """Tags of 8 cm every 25 cm, on all faces."""
     along = lambda length: np.arange(0.25, length - 0.1, 0.25)  # noqa: E731
     places = [("floor", (x, y, 0.0)) for x in along(TANK_M[0]) for y in along(TANK_M[1])]
@@ -29,18 +29,22 @@ def grid(sigma_m=SIGMA_M, sigma_deg=SIGMA_DEG):
         Tag(id=k, face=face, position_m=tuple(map(float, at)), turn_deg=15.0 * (k % 5))
         for k, (face, at) in enumerate(places)
     )
-    landmarks = Landmarks(size_m=0.08, sigma_m=sigma_m, sigma_deg=sigma_deg, tag=tags)
+    landmarks = Landmarks(size_m=0.08, sigma_m=SIGMA_M, sigma_deg=SIGMA_DEG, tag=tags)
     return Map(landmarks, markers(landmarks))
 
 
-def project(theta, points, view=VIEW):
+MAP = grid()
+CORNERS_M = np.array([marker.corners_m for marker in MAP.markers.values()]).reshape(-1, 3)
+
+
+def project(theta, points):
     """Slopes (n, 2) and depths (n,) of points (n, 3)."""
     x, y, psi, depth, roll, pitch, pan, tilt = theta
     body = Rotation.from_euler("ZYX", [psi, pitch, roll])
-    pivot = np.array([x, y, view.surface_m - depth]) + body.apply(view.arm_m)
+    pivot = np.array([x, y, VIEW.surface_m - depth]) + body.apply(VIEW.arm_m)
     gimbal = body * Rotation.from_euler("ZY", [pan, -tilt])
     ahead, left, up = gimbal.inv().apply(np.asarray(points) - pivot).T
-    depths = ahead - view.ahead_m
+    depths = ahead - VIEW.ahead_m
     return np.stack([-left, -up], axis=1) / depths[:, None], depths
 
 
@@ -51,30 +55,30 @@ def priors(theta, rng=None, level_deg=LEVEL_DEG):
     return Priors(*(Prior(float(v + e), float(s)) for v, e, s in zip(theta[3:], errors, sigmas, strict=True)))
 
 
-def sight(theta, known, rng=None, view=VIEW, most=5):
+def sight(theta, rng=None, most=5):
     """The largest tags that a camera at theta sees wholly; rng: with survey and corners as wrong as may be."""
-    landmarks, all_of_them = known.landmarks, list(known.markers.values())
-    slopes, depths = project(theta, np.array([m.corners_m for m in all_of_them]).reshape(-1, 3), view)
+    all_of_them = list(MAP.markers.values())
+    slopes, depths = project(theta, CORNERS_M)
     slopes, depths = slopes.reshape(-1, 4, 2), depths.reshape(-1, 4)
     inside = np.all((depths > 0.15) & (depths < 1.5) & np.all(np.abs(slopes) < HALF, axis=2), axis=1)
     found = []
     for k in np.flatnonzero(inside):
         marker, true = all_of_them[k], slopes[k]
-        size_px = view.f_px * np.linalg.norm(np.roll(true, 1, axis=0) - true, axis=1).min()
+        size_px = VIEW.f_px * np.linalg.norm(np.roll(true, 1, axis=0) - true, axis=1).min()
         (ax, ay), (bx, by) = true[1] - true[0], true[2] - true[1]
         if size_px >= 20.0 and ax * by > ay * bx:
             found.append((float(size_px), marker, true))
     seen = []
     for size_px, marker, true in sorted(found, key=lambda each: -each[0])[:most]:
-        rho_px = view.f_px * float(np.linalg.norm(true.mean(axis=0)))
+        rho_px = VIEW.f_px * float(np.linalg.norm(true.mean(axis=0)))
         if rng is not None:
             arms = np.subtract(marker.corners_m, marker.middle_m)
-            shift = rng.normal(0.0, landmarks.sigma_m, 3)
-            turned = arms + np.cross(np.radians(rng.normal(0.0, landmarks.sigma_deg, 3)), arms)
-            true, _ = project(theta, np.add(marker.middle_m, shift) + turned, view)
-            offset = 0.10 + 0.5 * (rho_px / (0.55 * view.width_px)) ** 3
+            shift = rng.normal(0.0, SIGMA_M, 3)
+            turned = arms + np.cross(np.radians(rng.normal(0.0, SIGMA_DEG, 3)), arms)
+            true, _ = project(theta, np.add(marker.middle_m, shift) + turned)
+            offset = 0.10 + 0.5 * (rho_px / (0.55 * VIEW.width_px)) ** 3
             noise = rng.normal(0.0, EDGE_SIGMA_PX, (4, 2)) + rng.normal(0.0, offset, 2)
-            true = true + (true - true.mean(axis=0)) * rng.normal(0.0, STRETCH) + noise / view.f_px
+            true = true + (true - true.mean(axis=0)) * rng.normal(0.0, STRETCH) + noise / VIEW.f_px
         corners = tuple((float(u), float(v)) for u, v in true)
         seen.append(SeenTag(marker.id, corners, size_px, rho_px, True))
     return seen

@@ -21,6 +21,7 @@ from agent.kernel.navigation.barrier import (
     Disc,
     approach_m_s,
     clear_of,
+    nearest,
     robot,
     safe_velocity,
     walls,
@@ -88,20 +89,30 @@ def test_a_robot_comes_no_nearer_to_a_wall_and_slides_along_it() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_point_is_found_wherever_a_grid_finds_one(seed) -> None:
+def test_a_grid_has_no_safe_velocity_that_is_nearer(seed) -> None:
     rng = np.random.default_rng(seed)
     at = tuple(rng.uniform([0.4, 0.4], [2.6, 1.6]).tolist())
     around = [np.add(at, rng.uniform(0.3, 0.9) * np.array([np.cos(a), np.sin(a)])) for a in rng.uniform(0, 7, 3)]
     others = [robot(tuple(p.tolist()), tuple(rng.uniform(-0.15, 0.15, 2).tolist()), KNOWN) for p in around]
     planes = [*walls(at, TANK), *(clear_of(at, KNOWN, other) for other in others)]
     normals, least = np.array([p.normal for p in planes]), np.array([p.least for p in planes])
+    wanted = rng.uniform(-0.3, 0.3, 2)
+    velocity = safe_velocity(tuple(wanted.tolist()), at, KNOWN, TANK, [], others)
     grid = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 61)] * 2), axis=-1).reshape(-1, 2)
-    room = (grid @ normals.T - least).min(axis=1).max()  # of the roomiest point of the grid
-    velocity = safe_velocity(tuple(rng.uniform(-0.3, 0.3, 2).tolist()), at, KNOWN, TANK, [], others)
-    short = (least - normals @ velocity).max()
-    if room > 0.02:
-        assert short < 0.002
-    assert normals[-1] @ velocity >= least[-1] - 1e-12  # whatever else
+    safe = grid[(grid @ normals.T >= least).all(axis=1)]
+    if len(safe):
+        assert (normals @ velocity - least).min() > -1e-9
+        assert np.hypot(*(velocity - wanted)) <= np.hypot(*(safe - wanted).T).min() + 1e-9
+    else:
+        assert normals[-1] @ velocity >= least[-1] - 1e-9  # whatever else
+
+
+def test_where_nothing_is_safe_the_last_of_the_robots_is_kept_clear_of() -> None:
+    close = [robot(place, STILL, KNOWN) for place in ((1.2, 1.0), (1.0, 1.2), (0.85, 0.85))]
+    planes = [clear_of((1.0, 1.0), KNOWN, other) for other in close]
+    assert nearest(planes, (0.0, 0.0)) is None
+    velocity = safe_velocity((0.0, 0.0), (1.0, 1.0), KNOWN, TANK, [], close)
+    assert np.dot(planes[-1].normal, velocity) >= planes[-1].least - 1e-9
 
 
 def swim(robots, goals, seconds, things=(), age_steps=2):

@@ -79,7 +79,7 @@ def test_it_holds_against_a_pull_of_the_tether() -> None:
         one = Piloted(swimmer, rng, Fixes(200_000_000, 80_000_000, (0.002, 0.002, 0.0025)))
         sigma = np.array([0.05, 0.05, 0.0015])
         pull, keeps = rng.normal(0.0, sigma), math.exp(-0.05 / 4.0)
-        for k in range(400):
+        for k in range(280):
             pull = keeps * pull + math.sqrt(1.0 - keeps * keeps) * rng.normal(0.0, sigma)
             one.cycle(lambda t, belief: Reference((1.0, 1.0), 0.0), pull=pull)
             if k > 80:
@@ -180,7 +180,7 @@ def test_an_orbit_s_velocity_is_that_of_its_place_and_it_turns_back_in_time() ->
     what, h = Orbit(x_m=1.5, y_m=1.0, radius_m=0.6, speed_m_s=0.1), 1_000_000
     progress = start((1.5, 0.4, 2.0), 0.0, 0)
     looks = []
-    for t_ns in range(0, 200 * S, S // 3):
+    for t_ns in range(0, 200 * S, S):
         three = (reference(what, progress, (1.5, 0.4, 2.0), t) for t in (t_ns, t_ns + h, t_ns + 2 * h))
         before, to, after = (each for each, _ in three)
         assert math.dist(to.place_m, (1.5, 1.0)) == pytest.approx(0.6)
@@ -193,15 +193,15 @@ def test_an_orbit_s_velocity_is_that_of_its_place_and_it_turns_back_in_time() ->
         inwards = math.atan2(1.0 - to.place_m[1], 1.5 - to.place_m[0])
         assert wrap(inwards - to.yaw) == pytest.approx(0.0, abs=1e-9)
         looks.append(to.rate_rad_s)
-    turned = np.cumsum(looks) / 3.0
+    turned = np.cumsum(looks)
     assert max(looks) > 0 > min(looks) and np.ptp(turned) <= 2.0 * MOST_TURNED_RAD
 
 
 def test_an_orbit_is_swum() -> None:
     what = Orbit(x_m=1.5, y_m=1.0, radius_m=0.5, speed_m_s=0.1)
-    _, path, _, _ = swum(what, 16.0, (1.0, 1.0, 0.0), rng=np.random.default_rng(4))
+    _, path, _, _ = swum(what, 13.0, (1.0, 1.0, 0.0), rng=np.random.default_rng(4))
     radius = np.hypot(*(path[60:, :2] - [1.5, 1.0]).T)
     assert np.sqrt(np.mean((radius - 0.5) ** 2)) < 0.008
     facing = np.arctan2(1.0 - path[60:, 1], 1.5 - path[60:, 0]) - path[60:, 2]
     assert np.degrees(np.abs((facing + np.pi) % (2 * np.pi) - np.pi)).max() < 5.0
-    assert abs(path[-1, 2] - path[60, 2]) > 2.0  # it got round
+    assert abs(path[-1, 2] - path[60, 2]) > 1.8  # it got round

@@ -18,18 +18,17 @@ from tests.kernel.navigation.tank_with_tags import (
     EDGE_SIGMA_PX,
     GIMBAL_DEG,
     LEVEL_DEG,
+    MAP,
     SIGMA_DEG,
     SIGMA_M,
     STRETCH,
     VIEW,
-    grid,
     priors,
     project,
     sight,
     somewhere,
 )
 
-MAP = grid()
 SIGMAS = np.array([DEPTH_M, *np.radians([LEVEL_DEG, LEVEL_DEG, GIMBAL_DEG, GIMBAL_DEG])])
 
 
@@ -43,7 +42,7 @@ def places(seed, n, least=2):
     rng = np.random.default_rng(seed)
     while n:
         theta = somewhere(rng)
-        if len(sight(theta, MAP)) >= least:
+        if len(sight(theta)) >= least:
             n -= 1
             yield rng, theta
 
@@ -59,8 +58,8 @@ def differences(f, at, step=1e-6):
 
 
 def test_slopes_and_their_derivatives() -> None:
-    for _, theta in places(0, 3):
-        for tag in sight(theta, MAP, most=2):
+    for _, theta in places(0, 2):
+        for tag in sight(theta, most=1):
             marker = MAP.markers[tag.id]
             for corner in marker.corners_m:
                 point = seen(VIEW, gaze(VIEW, theta), corner)
@@ -101,11 +100,12 @@ def astray(tags, k, by=0.02):
     return [*tags[:k], SeenTag(tag.id, moved, tag.size_px, tag.rho_px, tag.edges), *tags[k + 1 :]]
 
 
-def test_the_minimum_and_its_covariance_are_those_of_gtsam() -> None:
+def test_the_minimum_and_its_covariance_are_those_of_gtsam(monkeypatch) -> None:
     gtsam = pytest.importorskip("gtsam", reason="comes with the extra `oracles`")
+    monkeypatch.setattr("agent.kernel.navigation.tag_fix.SETTLED", 2e-8)  # to the minimum itself
     weighed = 0
     for n, (rng, theta) in enumerate(places(1, 3, least=4)):
-        tags, known = sight(theta, MAP, rng), priors(theta, rng)
+        tags, known = sight(theta, rng), priors(theta, rng)
         tags = astray(tags, 0) if n == 0 else tags
         fix, start = tag_fix(VIEW, known, MAP, tags, beside(theta)), (*beside(theta), *(p.value for p in known))
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -142,24 +142,30 @@ def test_the_minimum_and_its_covariance_are_those_of_gtsam() -> None:
 
 
 def test_errors_are_as_large_as_said() -> None:
-    squared, off_m, off_deg = [], [], []
-    for rng, theta in places(2, 310):
-        fix = tag_fix(VIEW, priors(theta, rng), MAP, sight(theta, MAP, rng, most=4), beside(theta))
+    """Tags, survey and all drawn anew for each fix; of a hundred about three are refused: tags that disagree."""
+    rng, squared, off_m, off_deg, refused = np.random.default_rng(2), [], [], [], 0
+    while len(squared) < 300:
+        theta = somewhere(rng)
+        tags = sight(theta, rng, most=3)
+        if len(tags) < 2:
+            continue
+        fix = tag_fix(VIEW, priors(theta, rng), MAP, tags, theta[:3])
         if isinstance(fix, NoFix):
+            refused += 1
             continue
         d = np.subtract(fix.theta[:3], theta[:3])
         d[2] = wrap(d[2])
         squared.append(d @ np.linalg.solve(full(fix.covariance), d))
         off_m.append(np.hypot(d[0], d[1]))
         off_deg.append(abs(np.degrees(d[2])))
-    assert len(squared) >= 300
+    assert refused < 20
     assert 0.8 < np.mean(squared) / 3 < 1.3
     assert np.percentile(off_m, 90) < 0.005 and np.percentile(off_deg, 90) < 0.25
 
 
 def test_what_stays_is_what_survey_and_zeros_do_to_a_fix() -> None:
     _, theta = next(places(3, 1, least=3))
-    tags, stays = sight(theta, MAP), np.array([0.0005, 0.0, 0.001, 0.002, 0.0])
+    tags, stays = sight(theta), np.array([0.0005, 0.0, 0.001, 0.002, 0.0])
     known = [Prior(p.value, p.fluctuates, s) for p, s in zip(priors(theta), stays.tolist(), strict=True)]
     known = type(priors(theta))(*known)
     fix = tag_fix(VIEW, known, MAP, tags, theta[:3])
@@ -189,7 +195,7 @@ def test_what_stays_is_what_survey_and_zeros_do_to_a_fix() -> None:
 
 def test_one_tag_seen_elsewhere_does_little() -> None:
     for rng, theta in places(4, 3, least=4):
-        tags, known = sight(theta, MAP, rng), priors(theta, rng)
+        tags, known = sight(theta, rng), priors(theta, rng)
         without = tag_fix(VIEW, known, MAP, tags[1:], beside(theta))
         fix = tag_fix(VIEW, known, MAP, astray(tags, 0, 0.1), beside(theta))  # by 90 px
         assert fix.odd == 1 and fix.tags == len(tags)
@@ -198,7 +204,7 @@ def test_one_tag_seen_elsewhere_does_little() -> None:
 
 def test_there_is_no_fix_without_reason() -> None:
     rng, theta = next(places(5, 1, least=4))
-    tags, known = sight(theta, MAP, rng), priors(theta)
+    tags, known = sight(theta, rng), priors(theta)
     strangers = [SeenTag(586, tag.corners, tag.size_px, tag.rho_px, True) for tag in tags[:1]]
     assert "no tag of the map" in tag_fix(VIEW, known, MAP, strangers, theta[:3]).reason
     assert "no tag of the map" in tag_fix(VIEW, known, MAP, [tags[0], tags[0]], theta[:3]).reason
@@ -213,7 +219,7 @@ def test_there_is_no_fix_without_reason() -> None:
 def test_the_first_fix_needs_no_start() -> None:
     refused = 0
     for rng, theta in places(6, 12, least=1):
-        tags, known = sight(theta, MAP, rng, most=2), priors(theta, rng)
+        tags, known = sight(theta, rng, most=2), priors(theta, rng)
         first, fix = first_fix(VIEW, known, MAP, tags), tag_fix(VIEW, known, MAP, tags, theta[:3])
         if isinstance(first, TagFix) and isinstance(fix, TagFix):
             off = np.subtract(first.theta, fix.theta)

@@ -1,4 +1,4 @@
-"""An uncertain pose in what is said of a target: derivatives by differences; kappa by the sum that it is the limit of."""
+"""An uncertain pose in what is said of a target: derivatives by differences, kappa by the sum whose limit it is."""
 
 import math
 
