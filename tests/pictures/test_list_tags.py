@@ -3,12 +3,14 @@
 import sys
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 import tomli_w
 
 from agent.__main__ import main
 from agent.pictures.list_tags import HEADER, Asked, run
+from tests.known_lens import CAMERA, PLAIN
 from tests.perception.landmarks.printed import modules, photograph
 
 SIDE_PX = 64  # of the black square
@@ -104,15 +106,8 @@ MISTAKES = [
 @pytest.mark.parametrize(("arguments", "expected"), MISTAKES)
 def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
     fleet_file(tmp_path)
-    camera = {"width_px": 640, "height_px": 480, "f_px": 1100.0, "cx_px": 319.5, "cy_px": 239.5}
-    focus = {
-        "u_inf_m": 0.0,
-        "b_m": 130.0,
-        "rho0": 100.0,
-        "covariance": [1e-6, 0.0, 0.0, 1e-2, 0.0, 1e-2],
-        **{"noise": 0.5, "width": 60.0, "lowest": 180, "highest": 900},
-        **{"r2": 1.0, "rmse_m": 0.001, "held_out_rmse_m": 0.001},
-    }
+    camera, focus = (msgspec.to_builtins(part) for part in (CAMERA, PLAIN))
+    del focus["sag_sigma"]  # TOML has no word for what nobody measured
     calibration = {"robot": "r1", "made": "2026-01-01", "source": "a test", "focus": focus, "camera": camera}
     (tmp_path / "r1.toml").write_text(tomli_w.dumps(calibration))
     monkeypatch.chdir(tmp_path)

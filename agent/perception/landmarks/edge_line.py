@@ -121,7 +121,7 @@ def _across(plane: Plane, light: Array, start: Array, end: Array, gradient: Arra
             before = here
             if 4 * k > 3 * n and here > BURNT:
                 burnt += 1
-    return burnt <= PROFILES * n // 8
+    return bool(burnt <= PROFILES * n // 8)
 
 
 @kernel

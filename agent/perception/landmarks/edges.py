@@ -13,7 +13,10 @@ from agent.perception.landmarks.slopes import Array, cross
 MODULES = 8  # along the square's side: six of code between two of border
 REACH, MOST_PX = 0.9, 9.0  # of a module to either side, for behind the border comes code; and never farther
 NARROWEST_PX = 2.5  # module: a sharp edge is 2 px wide, by the pixel and by the interpolation
-MIXED = 0.5  # of a module: discs with a larger radius blur the border's edge and the code's into each other
+MIXED = (
+    0.45  # of a module: by discs with half of it as radius the border's edge and the code's begin to mix, and beyond
+)
+# 0.54 corners of small tags were off by up to 2.4 px
 
 
 class Corners(NamedTuple):

@@ -60,7 +60,9 @@ def begin(image: Image, camera: CameraFit, t_ns: int) -> Tracked:
     full = green(image)
     half = _halved(full)
     corners = cv2.goodFeaturesToTrack(half, POINTS, QUALITY, 0.5 * APART_PX)
-    found = np.zeros((0, 2), np.float32) if corners is None else _from_half(corners.reshape(-1, 2))
+    found = (
+        np.zeros((0, 2), np.float32) if corners is None else _from_half(np.asarray(corners, np.float32).reshape(-1, 2))
+    )
     key = KeyFrame(t_ns, full, half, found, to_slopes(camera, found.astype(np.float64)))
     return Tracked(key, t_ns, found, np.ones(len(found), bool))
 
