@@ -30,7 +30,7 @@ from hw.twin.physics.waves import add_waves
 from hw.twin.scene import Pull, Scene, put_off
 from hw.twin.stage import Stage
 from hw.twin.targets import movable
-from hw.twin.truth import Watch
+from hw.twin.truth import WATCH_TICKS, Watch
 
 STILL = Scene(name="still")
 STEP_US, TICK_US = round(STEP_S * 1e6), TICK_NS // 1000
@@ -131,7 +131,7 @@ class Dive:
         now_us = self.ticks * TICK_US
         until_us = now_us + TICK_US
         if self._flow.active:
-            self._flow.tick(self.states, TICK_NS * 1e-9)
+            self._flow.tick(self.states)
         for row in sorted((row for row in self._to_show if row[0] < until_us), key=lambda row: row[:2]):
             now_us = self._advance(now_us, row[0])
             self._show(row[1], row[2])
@@ -152,8 +152,8 @@ class Dive:
     def _measure(self) -> None:
         t_s = self.ticks * TICK_NS * 1e-9
         self.history.append(self.states)
-        if self.watch is not None:
-            self.watch.tick(self.states, self.now_ns)
+        if self.watch is not None and self.ticks % WATCH_TICKS == 0:
+            self.watch.see(self.states, self.now_ns)
         water_pressure_pa(self.bodies, self.states, self._surface_m, self._water_pa)
         if self._waves.amplitude_m:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)

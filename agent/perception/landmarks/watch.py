@@ -51,10 +51,12 @@ class LandmarkWatch:
         found = seen_tags(frame.image, self._camera, lens_position, t_ns, frame.seq)
         camera = at_lens_position(self._camera, lens_position)
         moved = None
-        if self._tracked is not None:
+        if lens_position != self.rest:
+            self._tracked = None  # another blur shifts points by more than a robot at rest moves
+        elif self._tracked is not None:
             self._tracked = follow(self._tracked, frame.image, t_ns)
             moved = flow(self._tracked, camera)
-        if self._tracked is None or self._tracked.due:
+        if lens_position == self.rest and (self._tracked is None or self._tracked.due):
             self._tracked = begin(frame.image, camera, t_ns)
         self._newest_ns = frame.t_ns
         with self._lock:

@@ -45,6 +45,8 @@ FACE_IDS = {"x0": 0, "x1": 1, "y0": 2, "y1": 3, "floor": FLOOR_ID}
 SAMPLES = 16
 SIXTEENTH, SIDE_SQUARES = np.float32(1 / SAMPLES), np.float32(SIDE)
 BEYOND = np.float32(5)  # squares that a pixel whose middle misses the tag may lie off it: a tag so small is a dot
+SHIFT = 64  # squares added before a whole number is taken, so that it is rounded down
+OFFSET = np.float32(SHIFT)
 
 
 class Decals(NamedTuple):
@@ -146,18 +148,25 @@ def paint(
 @inlined
 def _cover(white: Identities, s: F, t: F, to_right: tuple[F, F], to_below: tuple[F, F]) -> tuple[F, F]:
     """Shares of a pixel that are tag and white tag: its middle is at (s, t) squares, its neighbours so much further."""
+    s, t = s + OFFSET, t + OFFSET
     s_reach, t_reach = HALF * (abs(to_right[0]) + abs(to_below[0])), HALF * (abs(to_right[1]) + abs(to_below[1]))
-    i, j = math.floor(s - s_reach), math.floor(t - t_reach)
-    if i == math.floor(s + s_reach) and j == math.floor(t + t_reach):
-        if 0 <= i < SIDE and 0 <= j < SIDE:
-            return ONE, ONE * white[j, i]
+    left, right = int(s - s_reach) - SHIFT, int(s + s_reach) - SHIFT
+    top, bottom = int(t - t_reach) - SHIFT, int(t + t_reach) - SHIFT
+    if right < 0 or left >= SIDE or bottom < 0 or top >= SIDE:
         return ZERO, ZERO
+    if left >= 0 and right < SIDE and top >= 0 and bottom < SIDE and right - left < 2 and bottom - top < 2:
+        count = white[top, left] + white[top, right] + white[bottom, left] + white[bottom, right]
+        if count == 0:
+            return ONE, ZERO
+        if count == 4:
+            return ONE, ONE
     share, bright = ZERO, ZERO
     for k in range(SAMPLES):
         x = (np.float32(k) + HALF) * SIXTEENTH - HALF
         y = (np.float32(4 * (k & 3) + (k >> 2)) + HALF) * SIXTEENTH - HALF
-        i, j = math.floor(s + x * to_right[0] + y * to_below[0]), math.floor(t + x * to_right[1] + y * to_below[1])
-        if 0 <= i < SIDE and 0 <= j < SIDE:
+        i = int(s + x * to_right[0] + y * to_below[0]) - SHIFT
+        j = int(t + x * to_right[1] + y * to_below[1]) - SHIFT
+        if i >= 0 and i < SIDE and j >= 0 and j < SIDE:
             share += SIXTEENTH
-            bright += SIXTEENTH * white[j, i]
+            bright += SIXTEENTH * np.float32(white[j, i])
     return share, bright

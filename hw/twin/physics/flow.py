@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.kernel.messages import Vector
+from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Current, Pull, generator
 
 GUST_S = 4.0  # correlation time of what drives the gust; assumed
+BLOCK = 256  # steps drawn at a time: a tick costs no call into the generators
+TICK_S = TICK_NS * 1e-9
 LAG_S = 1.0  # of the water behind it, and behind a current that is changed; assumed
 
 
@@ -26,11 +29,16 @@ class Flow:
     def __init__(self, seed: int, robots: Sequence[str], current: Current, pull: Pull) -> None:
         self.active = bool(any(current.velocity_m_s) or current.gust_m_s or pull.force_n)  # else `tick` does nothing
         self._mean_m_s = np.array(current.velocity_m_s)
-        self._gust_m_s = current.gust_m_s * math.sqrt((GUST_S + LAG_S) / GUST_S)  # of the drive, whose lag takes a part
-        self._drive_m_s = np.zeros(3)
         self._now_m_s = self._mean_m_s.copy()
-        self._gusts = generator(seed, "gust")
-        self._pulls = [Pulls(generator(seed, robot, "pull"), pull) for robot in robots]
+        self._usual, self._left_s = pull, np.full(len(robots), math.inf)
+        # One process a row, in x and y: what drives the gust, and the pull at each robot. The lag takes of the former.
+        self._rngs = [generator(seed, "gust"), *(generator(seed, robot, "pull") for robot in robots)]
+        self._noise, self._drawn = np.zeros((BLOCK, len(self._rngs), 2)), 0
+        self._x = np.zeros((len(self._rngs), 2))
+        self._kept, self._gain = np.zeros((len(self._rngs), 1)), np.zeros((len(self._rngs), 1))
+        self._wander(0, current.gust_m_s * math.sqrt((GUST_S + LAG_S) / GUST_S), GUST_S)
+        for i in range(len(robots)):
+            self._wander(1 + i, pull.force_n / math.sqrt(2), pull.correlation_s)
 
     def set_current(self, velocity_m_s: Vector) -> None:
         """Another constant part from now on."""
@@ -38,45 +46,28 @@ class Flow:
 
     def pull(self, robot: int, pull: Pull, for_s: float) -> None:
         """Another pull at one tether, for so long."""
-        self._pulls[robot].change(pull, for_s)
+        self._wander(1 + robot, pull.force_n / math.sqrt(2), pull.correlation_s)
+        self._left_s[robot] = for_s
         self.active = True
 
-    def tick(self, states: NDArray[np.void], dt_s: float) -> None:
-        """What flows and pulls for the next dt_s."""
-        if self._gust_m_s:
-            self._drive_m_s[:2] = _wandered(self._drive_m_s[:2], self._gust_m_s, GUST_S, dt_s, self._gusts)
-        speeding_m_s2 = (self._mean_m_s + self._drive_m_s - self._now_m_s) / LAG_S
+    def tick(self, states: NDArray[np.void]) -> None:
+        """What flows and pulls in the next tick."""
+        for robot in np.flatnonzero(self._left_s <= 0).tolist():
+            self.pull(robot, self._usual, math.inf)
+        self._left_s -= TICK_S
+        if self._drawn % BLOCK == 0:
+            for i, rng in enumerate(self._rngs):
+                self._noise[:, i] = rng.standard_normal((BLOCK, 2))
+        self._x = self._kept * self._x + self._gain * self._noise[self._drawn % BLOCK]
+        self._drawn += 1
+        speeding_m_s2 = (self._mean_m_s - self._now_m_s) / LAG_S
+        speeding_m_s2[:2] += self._x[0] / LAG_S
         states["stirred"] = 1
         states["water_m_s"], states["water_m_s2"] = self._now_m_s, speeding_m_s2
-        self._now_m_s += speeding_m_s2 * dt_s
-        for i, pulls in enumerate(self._pulls):
-            states[i]["pull_n"][:2] = pulls.tick(dt_s)
+        states["pull_n"][:, :2] = self._x[1:]
+        self._now_m_s += speeding_m_s2 * TICK_S
 
-
-class Pulls:
-    """The pull at one tether: horizontal, Ornstein-Uhlenbeck in each direction."""
-
-    def __init__(self, rng: np.random.Generator, usual: Pull) -> None:
-        self._rng, self._usual, self._now = rng, usual, usual
-        self._force_n = np.zeros(2)
-        self._left_s = math.inf
-
-    def change(self, pull: Pull, for_s: float) -> None:
-        self._now, self._left_s = pull, for_s
-
-    def tick(self, dt_s: float) -> NDArray[np.float64]:
-        if self._left_s <= 0:
-            self._now, self._left_s = self._usual, math.inf
-        self._left_s -= dt_s
-        if self._now.force_n or self._force_n.any():
-            each_n = self._now.force_n / math.sqrt(2)
-            self._force_n = _wandered(self._force_n, each_n, self._now.correlation_s, dt_s, self._rng)
-        return self._force_n
-
-
-def _wandered(
-    x: NDArray[np.float64], sigma: float, correlation_s: float, dt_s: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """An Ornstein-Uhlenbeck process dt_s later; exact, so that sigma holds whatever the step."""
-    kept = math.exp(-dt_s / correlation_s)
-    return kept * x + sigma * math.sqrt(1 - kept * kept) * rng.standard_normal(x.shape)
+    def _wander(self, row: int, sigma: float, correlation_s: float) -> None:
+        """Let a row be an Ornstein-Uhlenbeck process; exact, so that sigma holds whatever the step."""
+        kept = math.exp(-TICK_S / correlation_s)
+        self._kept[row], self._gain[row] = kept, sigma * math.sqrt(1 - kept * kept)
