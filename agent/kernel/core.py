@@ -184,7 +184,8 @@ class Agent:
         gimbal_deg = self.seek.gimbal_deg()
         state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
         mode: Mode = "running" if self.net.fault(now_ns) is None else "degraded"
-        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed)
+        where = UNSET if self.swimmer is None else self.swimmer.localizer.shown(now_ns)
+        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed, whereabouts=where)
         return target.last_state
 
     def _last_state(self, now_ns: int) -> State | None:

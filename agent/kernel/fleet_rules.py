@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from agent.kernel.navigation.landmark_rules import broken_landmark_rules
+from agent.kernel.navigation.swim_rules import broken_swim_rules
 
 if TYPE_CHECKING:
     from agent.kernel.config import Fleet
@@ -40,6 +41,7 @@ def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
             yield f"robot.{name}.{key}", remedy
     if fleet.landmarks is not None:
         yield from broken_landmark_rules(fleet.landmarks, fleet.tank)
+    yield from broken_swim_rules(fleet)
     yield from _device_rules(fleet)
 
 

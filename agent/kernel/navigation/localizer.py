@@ -10,6 +10,8 @@ from collections import deque
 
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
+from agent.kernel.estimation.matrix import plus
+from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
@@ -98,6 +100,21 @@ class Localizer:
     def at(self, t_ns: int) -> Belief | None:
         """Where it was or is; None: nobody knows."""
         return None if self._ring is None else self._ring.at(t_ns)
+
+    def shown(self, now_ns: int) -> Whereabouts | None:
+        """For whoever looks: with what stays the same in every fix."""
+        here = self.at(now_ns)
+        if here is None:
+            return None
+        xx, _, _, yy, _, pp = plus(here.covariance, here.stays)
+        x_m, y_m, psi = here.pose
+        return Whereabouts(
+            x_m=x_m,
+            y_m=y_m,
+            yaw_deg=math.degrees(psi),
+            place_sigma_m=math.sqrt(xx + yy),
+            yaw_sigma_deg=math.degrees(math.sqrt(pp)),
+        )
 
     def of_sample(self, t_ns: int, now_ns: int) -> tuple[Belief, OwnPose] | None:
         """Where it was when a target was measured, and how well it knew; None: not well enough to tell anybody."""
