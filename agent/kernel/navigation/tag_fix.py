@@ -19,7 +19,7 @@ from agent.kernel.config import Landmarks
 from agent.kernel.estimation.matrix import ZERO, minus, plus
 from agent.kernel.messages import Symmetric
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, inverse
+from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, forward_nine, inverse
 from agent.kernel.navigation.layout import Marker
 from agent.kernel.navigation.projection import Gaze, Seen, Theta, View, gaze, seen
 from agent.kernel.navigation.tag_noise import TagNoise, tag_noise
@@ -177,7 +177,7 @@ def _normal(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _N
         for (u, v), point in zip(tag.corners, expected, strict=True):
             by_u, by_v = point.by_theta
             rows += [(*by_u, u - point.slope[0]), (*by_v, v - point.slope[1])]
-        *J, r = zip(*forward_all(noise.L, [[of.f_px * part for part in row] for row in rows]), strict=True)
+        *J, r = zip(*forward_nine(noise.L, [[of.f_px * part for part in row] for row in rows]), strict=True)
         norm = math.sqrt(dot8(r, r))
         weight = 1.0 if norm <= HUBER else HUBER / norm
         cost += norm * norm if norm <= HUBER else HUBER * (2.0 * norm - HUBER)
