@@ -218,7 +218,7 @@ def test_there_is_no_fix_without_reason() -> None:
 
 def test_the_first_fix_needs_no_start() -> None:
     refused = 0
-    for rng, theta in places(6, 12, least=1):
+    for rng, theta in places(6, 8, least=1):
         tags, known = sight(theta, rng, most=2), priors(theta, rng)
         first, fix = first_fix(VIEW, known, MAP, tags), tag_fix(VIEW, known, MAP, tags, theta[:3])
         if isinstance(first, TagFix) and isinstance(fix, TagFix):
