@@ -52,7 +52,7 @@ class HalfPlane(NamedTuple):
 def robot(at_m: Planar, velocity_m_s: Planar, spread_m2: Spread, age_s: float = 0.0) -> Disc:
     """A neighbour as it said that it is, so long ago.
 
-    Where it is by now is less sure: braking as hard as it can, it were three sigmas from where it was going.
+    Where it is by now is less sure: had it braked as hard as it can, it would be three sigmas from where it was going.
     """
     (x, y), (vx, vy), (xx, xy, yy) = at_m, velocity_m_s, spread_m2
     off = 0.5 * BRAKE_M_S2 * age_s * age_s / SIGMAS

@@ -94,20 +94,23 @@ def seen(of: View, at: Gaze, point_m: Vector) -> Seen | None:
     sx, sy, per_m = p[0] / z, p[1] / z, 1.0 / z
     from_body = p[0] + at.arm_m[0], p[1] + at.arm_m[1], p[2] + at.arm_m[2]
     (r0, r1, r2), (d0, d1, d2), (f0, f1, f2) = at.world
-    moves = (
-        (-r0, -d0, -f0),  # of the point in the camera frame, with x
-        (-r1, -d1, -f1),
+    by_point = (
+        (per_m * (r0 - sx * f0), per_m * (r1 - sx * f1), per_m * (r2 - sx * f2)),
+        (per_m * (d0 - sy * f0), per_m * (d1 - sy * f1), per_m * (d2 - sy * f2)),
+    )
+    (x_u, y_u, z_u), (x_v, y_v, z_v) = by_point
+    turns = (
         _cross(from_body, at.yaw),
-        (r2, d2, f2),  # depth counts down
         _cross(from_body, at.roll),
         _cross(from_body, at.pitch),
         _cross(p, at.pan),
         _cross(p, at.tilt),
     )
-    by_theta = tuple(per_m * (m[0] - sx * m[2]) for m in moves), tuple(per_m * (m[1] - sy * m[2]) for m in moves)
-    by_point = (
-        (per_m * (r0 - sx * f0), per_m * (r1 - sx * f1), per_m * (r2 - sx * f2)),
-        (per_m * (d0 - sy * f0), per_m * (d1 - sy * f1), per_m * (d2 - sy * f2)),
+    yaw_u, roll_u, pitch_u, pan_u, tilt_u = [per_m * (x - sx * ahead) for x, _, ahead in turns]
+    yaw_v, roll_v, pitch_v, pan_v, tilt_v = [per_m * (y - sy * ahead) for _, y, ahead in turns]
+    by_theta = (  # a robot that moves one way sees the point move the other; depth counts down
+        (-x_u, -y_u, yaw_u, z_u, roll_u, pitch_u, pan_u, tilt_u),
+        (-x_v, -y_v, yaw_v, z_v, roll_v, pitch_v, pan_v, tilt_v),
     )
     return Seen((sx, sy), by_theta, by_point)
 

@@ -19,7 +19,7 @@ from agent.kernel.config import Landmarks
 from agent.kernel.estimation.matrix import ZERO, minus, plus
 from agent.kernel.messages import Symmetric
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, inverse
+from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, forward_nine, inverse
 from agent.kernel.navigation.layout import Marker
 from agent.kernel.navigation.projection import Gaze, Seen, Theta, View, gaze, seen
 from agent.kernel.navigation.tag_noise import TagNoise, tag_noise
@@ -75,14 +75,38 @@ class _Normal(NamedTuple):
     columns: list[list[tuple[float, ...]]]  # whitened J of each tag, its 8 columns
 
 
+class _Minimum(NamedTuple):
+    theta: Theta
+    normal: _Normal
+    L: list[list[float]]  # of normal.H
+    settled: bool
+
+
 def tag_fix(
     of: View, priors: Priors, known: Map, tags: Sequence[SeenTag], start: tuple[float, float, float]
 ) -> TagFix | NoFix:
-    """The pose from the tags of one frame. start: x, y, psi to begin from, as a filter predicts them."""
-    theta = whole(start, priors)
-    used = _used(of, known, tags, theta)
-    if not used:
-        return NoFix("no tag of the map is before the camera")
+    """The pose from the tags of one frame. start: x, y, psi to begin from, as a filter predicts them.
+
+    Where half of the tags and more are seen elsewhere than the others say, that which is farthest off is left out.
+    """
+    used = _used(of, known, tags, whole(start, priors))
+    while used:
+        found = _descend(of, priors, used, whole(start, priors))
+        if isinstance(found, NoFix):
+            return found
+        odd = sum(weight < 1.0 for weight in found.normal.weights)
+        if found.settled and 2 * odd < len(used):
+            return _fix(priors, used, found)
+        if len(used) < 3:
+            return NoFix("the tags contradict each other, or the map")
+        worst = min(range(len(used)), key=lambda k: found.normal.weights[k])
+        used = used[:worst] + used[worst + 1 :]
+    return NoFix("no tag of the map is before the camera")
+
+
+def _descend(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _Minimum | NoFix:
+    """Gauss-Newton from theta."""
+    found: _Minimum | NoFix = NoFix("no pose explains the tags")
     for _ in range(ROUNDS):
         normal = _normal(of, priors, used, theta)
         L = None if normal is None else cholesky(normal.H)
@@ -93,9 +117,10 @@ def tag_fix(
         if not size < STRAY_M:
             return NoFix("no pose explains the tags")
         theta = _moved(theta, step)
-        if size < SETTLED:
-            return _settled(priors, used, theta, normal, inverse(L))
-    return NoFix("no pose explains the tags")
+        found = _Minimum(theta, normal, L, size < SETTLED)
+        if found.settled:
+            break
+    return found
 
 
 def whole(start: tuple[float, float, float], priors: Priors) -> Theta:
@@ -152,7 +177,7 @@ def _normal(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _N
         for (u, v), point in zip(tag.corners, expected, strict=True):
             by_u, by_v = point.by_theta
             rows += [(*by_u, u - point.slope[0]), (*by_v, v - point.slope[1])]
-        *J, r = zip(*forward_all(noise.L, [[of.f_px * part for part in row] for row in rows]), strict=True)
+        *J, r = zip(*forward_nine(noise.L, [[of.f_px * part for part in row] for row in rows]), strict=True)
         norm = math.sqrt(dot8(r, r))
         weight = 1.0 if norm <= HUBER else HUBER / norm
         cost += norm * norm if norm <= HUBER else HUBER * (2.0 * norm - HUBER)
@@ -170,13 +195,10 @@ def _normal(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _N
     return _Normal(H, g, cost, weights, whitened)
 
 
-def _settled(
-    priors: Priors, used: Sequence[_Used], theta: Theta, normal: _Normal, C: list[list[float]]
-) -> TagFix | NoFix:
-    """The fix at the minimum. C: (J' W J)^-1."""
+def _fix(priors: Priors, used: Sequence[_Used], found: _Minimum) -> TagFix:
+    """The fix at the minimum, and its covariance."""
+    normal, C = found.normal, inverse(found.L)
     odd = sum(weight < 1.0 for weight in normal.weights)
-    if 2 * odd >= len(used):
-        return NoFix("the tags contradict each other, or the map")
     stays = ZERO
     for (_, _, noise), weight, J in zip(used, normal.weights, normal.columns, strict=True):
         for error in zip(*forward_all(noise.L, noise.survey), strict=True):  # six, each as it moves the corners
@@ -186,7 +208,7 @@ def _settled(
         gain = prior.stays / prior.variance
         stays = plus(stays, _outer(gain * C[0][k], gain * C[1][k], gain * C[2][k]))
     covariance = C[0][0], C[0][1], C[0][2], C[1][1], C[1][2], C[2][2]
-    return TagFix(theta, covariance, stays, normal.cost, len(used), odd)
+    return TagFix(found.theta, covariance, stays, normal.cost, len(used), odd)
 
 
 def _outer(x: float, y: float, p: float) -> Symmetric:

@@ -57,31 +57,31 @@ def priors(theta, rng=None, level_deg=LEVEL_DEG):
 
 def sight(theta, rng=None, most=5):
     """The largest tags that a camera at theta sees wholly; rng: with survey and corners as wrong as may be."""
-    all_of_them = list(MAP.markers.values())
     slopes, depths = project(theta, CORNERS_M)
     slopes, depths = slopes.reshape(-1, 4, 2), depths.reshape(-1, 4)
-    inside = np.all((depths > 0.15) & (depths < 1.5) & np.all(np.abs(slopes) < HALF, axis=2), axis=1)
-    found = []
-    for k in np.flatnonzero(inside):
-        marker, true = all_of_them[k], slopes[k]
-        size_px = VIEW.f_px * np.linalg.norm(np.roll(true, 1, axis=0) - true, axis=1).min()
-        (ax, ay), (bx, by) = true[1] - true[0], true[2] - true[1]
-        if size_px >= 20.0 and ax * by > ay * bx:
-            found.append((float(size_px), marker, true))
-    seen = []
-    for size_px, marker, true in sorted(found, key=lambda each: -each[0])[:most]:
-        rho_px = VIEW.f_px * float(np.linalg.norm(true.mean(axis=0)))
-        if rng is not None:
-            arms = np.subtract(marker.corners_m, marker.middle_m)
-            shift = rng.normal(0.0, SIGMA_M, 3)
-            turned = arms + np.cross(np.radians(rng.normal(0.0, SIGMA_DEG, 3)), arms)
-            true, _ = project(theta, np.add(marker.middle_m, shift) + turned)
-            offset = 0.10 + 0.5 * (rho_px / (0.55 * VIEW.width_px)) ** 3
-            noise = rng.normal(0.0, EDGE_SIGMA_PX, (4, 2)) + rng.normal(0.0, offset, 2)
-            true = true + (true - true.mean(axis=0)) * rng.normal(0.0, STRETCH) + noise / VIEW.f_px
-        corners = tuple((float(u), float(v)) for u, v in true)
-        seen.append(SeenTag(marker.id, corners, size_px, rho_px, True))
-    return seen
+    sides = np.roll(slopes, -1, axis=1) - slopes
+    size_px = VIEW.f_px * np.hypot(sides[..., 0], sides[..., 1]).min(axis=1)
+    facing = sides[:, 0, 0] * sides[:, 1, 1] > sides[:, 0, 1] * sides[:, 1, 0]
+    inside = np.all((depths > 0.15) & (depths < 1.5) & (np.abs(slopes) < HALF).all(axis=2), axis=1)
+    chosen = np.flatnonzero(inside & facing & (size_px >= 20.0))
+    chosen = chosen[np.argsort(-size_px[chosen], kind="stable")][:most]
+    true, n = slopes[chosen], len(chosen)
+    rho_px = VIEW.f_px * np.hypot(*true.mean(axis=1).T)
+    if rng is not None and n:
+        middles = CORNERS_M.reshape(-1, 4, 3)[chosen].mean(axis=1, keepdims=True)
+        arms = CORNERS_M.reshape(-1, 4, 3)[chosen] - middles
+        turned = arms + np.cross(np.radians(rng.normal(0.0, SIGMA_DEG, (n, 1, 3))), arms)
+        there = middles + rng.normal(0.0, SIGMA_M, (n, 1, 3)) + turned
+        true = project(theta, there.reshape(-1, 3))[0].reshape(-1, 4, 2)
+        offset_px = 0.10 + 0.5 * (rho_px / (0.55 * VIEW.width_px)) ** 3
+        noise_px = rng.normal(0.0, EDGE_SIGMA_PX, (n, 4, 2)) + rng.normal(size=(n, 1, 2)) * offset_px[:, None, None]
+        about = true - true.mean(axis=1, keepdims=True)
+        true = true + about * rng.normal(0.0, STRETCH, (n, 1, 1)) + noise_px / VIEW.f_px
+    ids = list(MAP.markers)
+    return [
+        SeenTag(ids[k], tuple(map(tuple, corners.tolist())), float(size_px[k]), float(rho), True)
+        for k, corners, rho in zip(chosen, true, rho_px, strict=True)
+    ]
 
 
 def somewhere(rng):

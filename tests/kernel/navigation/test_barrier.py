@@ -35,6 +35,7 @@ KNOWN = (0.0, 0.0, 0.0)
 TANK = (3.0, 2.0, 0.8)
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.floats(1e-4, 3.0))
 def test_two_that_come_as_fast_as_they_may_can_brake_in_time(spare_m) -> None:
     """Both at c: after the delay they brake, by BRAKE together, over what is then left of the way."""
@@ -45,6 +46,7 @@ def test_two_that_come_as_fast_as_they_may_can_brake_in_time(spare_m) -> None:
         assert needs_m == pytest.approx(spare_m)
 
 
+@settings(max_examples=20, deadline=None)
 @given(st.floats(-0.3, 0.0))
 def test_two_that_are_too_near_part(spare_m) -> None:
     assert approach_m_s(spare_m) == APART_1_S * spare_m

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.config import Body, Landmarks, Pose, Tag, Tank
+from agent.kernel.config import Body, ConfigError, Landmarks, Pose, Tag, Tank
 from agent.kernel.fleet_digest import common
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.navigation.landmark_rules import broken_landmark_rules
 from agent.kernel.navigation.layout import corners, markers, survey_jacobian
 from agent.kernel.ranging.camera_model import camera_pose, to_camera
+from agent.kernel.toml_files import dump
 from tests.places import ROOT
 
 TANK = Tank(size_m=(1.5, 1.2, 0.8), surface_m=0.5)
@@ -121,3 +122,25 @@ def test_the_map_is_something_that_all_must_share() -> None:
     maps = [None, *(Landmarks(size_m=0.08, tag=t) for t in (tags, tags[::-1], tags[:1]))]
     bare, one, turned, fewer = (common(replace(fleet, landmarks=each)) for each in maps)
     assert bare == common(fleet) and one == turned and len({bare, one, fewer}) == 3
+
+
+TABLE = """
+[landmarks]
+size_m = 0.08
+tag = [
+  { id = 12, face = "y0", position_m = [0.125, 0.0, 0.15] },
+  { id = 13, face = "floor", position_m = [0.40, 0.30, 0.0], turn_deg = 90.0 },
+]
+"""
+
+
+def test_a_fleet_file_may_have_landmarks(tmp_path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text((ROOT / "agent" / "fleets" / "tank.toml").read_text() + TABLE)
+    fleet = load_fleet(path)
+    assert [tag.face for tag in fleet.landmarks.tag] == ["y0", "floor"] and fleet.landmarks.sigma_deg == 0.1
+    path.write_text(dump(fleet))
+    assert load_fleet(path) == fleet
+    path.write_text(path.read_text().replace("id = 13", "id = 12"))
+    with pytest.raises(ConfigError, match=r"fleet.toml: key 'landmarks.tag\[1\].id': tag 12 is already tag\[0\]"):
+        load_fleet(path)
