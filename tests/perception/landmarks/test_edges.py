@@ -103,7 +103,7 @@ def test_no_corners_where_an_edge_is_hidden_burnt_or_gone(tags):
 def test_no_corners_where_the_border_is_blurred_into_the_code(tags):
     light, truth_px = tags[1]
     module = module_px(truth_px)
-    assert errors_px(photograph(light, 0.8 * module), truth_px) is not None
+    assert np.abs(errors_px(photograph(light, 0.8 * module), truth_px)).max() < 0.15
     assert errors_px(photograph(light, 1.3 * module), truth_px) is None
 
 
