@@ -196,7 +196,10 @@ def fit_line(points: Array, line: Array, off: Array, ranked: Array) -> None:
 
 @kernel
 def _median(values: Array, ranked: Array) -> float:
-    """Of those that are numbers; of two in the middle the lower one. ranked: room for them. np.median takes seconds to compile."""
+    """Of those that are numbers; of two in the middle the lower one. ranked: room for them.
+
+    np.median takes seconds to compile.
+    """
     count = 0
     for value in values:
         if not math.isnan(value):
