@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import agent
-from agent.__main__ import app
+from agent.__main__ import app, main
 from agent.failure import Failed
 from agent.launch import Child, Crew, crew, wait_for
 from agent.ports import free_ports
@@ -63,18 +65,37 @@ MISTAKES = [
 @pytest.mark.parametrize(
     ("arguments", "expected"), MISTAKES, ids=lambda v: " ".join(v)[:40] if isinstance(v, list) else ""
 )
-def test_a_mistake_is_one_line(arguments: list[str], expected: str, tmp_path: Path) -> None:
+def test_a_mistake_is_one_line(
+    arguments: list[str], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+) -> None:
     (tmp_path / "strange.toml").write_text(
         Path(TANK).read_text().replace('camera = "twin:r1"', 'camera = "rtsp://pool"')
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "agent", *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 2, done.stderr
-    assert expected in done.stderr
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert done.stdout == ""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["aucamp", *arguments])
+    with signals_as_they_were(), pytest.raises(SystemExit) as end:
+        main()
+    said = capfd.readouterr()
+    assert end.value.code == 2, said.err
+    assert expected in said.err
+    assert said.err.count("\n") == 1, said.err
+    assert said.out == ""
     assert [path.name for path in tmp_path.iterdir()] == ["strange.toml"], "nothing is left behind"
+
+
+def test_a_mistake_is_one_line_of_a_process() -> None:
+    command = [sys.executable, "-m", "agent", "agent", TANK, "--robot", "r9"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, "")
+
+
+@contextmanager
+def signals_as_they_were() -> Iterator[None]:
+    """A command answers to signals in its own way, and the tests after it shall not."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_noise_gain_is_that_of_the_theorem_to_rounding(protocol, weights, topolo
 
 @pytest.mark.parametrize(("topology", "robots"), [("full", 3), ("line", 10)])  # a ring: to rounding, above
 def test_paper_reaches_its_closed_form_within_5_percent(topology, robots) -> None:
-    case = Case("paper", topology, robots, 150, (10, 40), noise="iso")
+    case = Case("paper", topology, robots, 150, (10, 20), noise="iso")
     for row in rows_of(case, score_draws(case, 0, 0, case.draws)):
         assert row["rmse_mm"] == pytest.approx(row["closed_form_mm"], rel=0.05)
 
