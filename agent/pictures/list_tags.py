@@ -16,7 +16,7 @@ import numpy as np
 from agent.kernel.config import ConfigError
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.ranging.calibration import CameraFit, load_calibration
-from agent.perception.landmarks.tags import Found, find_tags
+from agent.perception.landmarks.tags import Found, all_tags
 from agent.pictures.followed_pictures import AMBER, GREEN, RED, check_out, writer
 from agent.pictures.sources import Picture, Pictures, pictures
 from agent.plain_console import plain_console
@@ -42,6 +42,7 @@ class Told(NamedTuple):
     """What there was to see in all pictures."""
 
     seen: dict[int, int]  # id -> in how many pictures
+    double: set[int]  # ids of which a picture showed more than one
     empty: list[str]  # names of those without a tag
     pictures: int
 
@@ -98,20 +99,23 @@ def look(
     progress: Callable[[int, int], None],
 ) -> Told:
     seen: dict[int, int] = {}
+    double: set[int] = set()
     empty, count = [], 0
     for picture in found.each:
         if camera is not None:
             check_size(picture.image, camera, asked.calibration)
-        tags = find_tags(picture.image, camera or plain_camera(picture.image))
+        tags = all_tags(picture.image, camera or plain_camera(picture.image))
         for one in tags:
             say(line(picture, one))
-            seen[one.seen.id] = seen.get(one.seen.id, 0) + 1
+        for number in {one.seen.id for one in tags if one.alone}:
+            seen[number] = seen.get(number, 0) + 1
+        double |= {one.seen.id for one in tags if not one.alone}
         if not tags:
             empty.append(picture.name)
         show(annotated(picture.image, tags, known), picture.name)
         count += 1
         progress(count, found.total or count + 1)
-    return Told(seen, empty, count)
+    return Told(seen, double, empty, count)
 
 
 def plain_camera(image: Image) -> CameraFit:
@@ -121,7 +125,10 @@ def plain_camera(image: Image) -> CameraFit:
 
 
 def state(one: Found) -> str:
-    """sharp; blurred, and no worse for it; rough: no edges could be fitted, and corners are some 0.8 px off."""
+    """sharp; blurred, and no worse for it; rough: no edges could be fitted, and corners are some 0.8 px off; double: it
+    does not count, because another tag has its id."""
+    if not one.alone:
+        return "double"
     if one.blur_px is None:
         return "rough"
     return "sharp" if one.blur_px <= SHARP_PX else "blurred"
@@ -141,6 +148,8 @@ def summary(told: Told, known: frozenset[int] | None, fleet: Path | None) -> lis
     if told.empty and told.seen:
         more = ", ..." if len(told.empty) > NAMES else ""
         out.append(f"no tag in {len(told.empty)}: {', '.join(told.empty[:NAMES])}{more}")
+    if told.double:
+        out.append(f"more than once in a picture, where none of them counts: {_listed(sorted(told.double))}")
     if known is not None:
         strange, missed = sorted(told.seen.keys() - known), sorted(known - told.seen.keys())
         if strange:
@@ -156,11 +165,11 @@ def _listed(numbers: Sequence[int]) -> str:
 
 def annotated(image: Image, tags: Sequence[Found], known: frozenset[int] | None) -> Image:
     """The picture with each tag's edges, its id, and a dot at its first corner: green where its edges were fitted,
-    amber where they could not be, red where the fleet file does not know it."""
+    amber where they could not be, red where it does not count or the fleet file does not know it."""
     drawn = image.copy()
     for one in tags:
         strange = known is not None and one.seen.id not in known
-        colour = RED if strange else GREEN if one.seen.edges else AMBER
+        colour = RED if strange or not one.alone else GREEN if one.seen.edges else AMBER
         corners = np.round(8.0 * one.corners_px).astype(np.int32)  # in eighths of a pixel
         cv2.polylines(drawn, [corners.reshape(-1, 1, 2)], True, colour, 1, cv2.LINE_AA, 3)
         cv2.circle(drawn, tuple(map(int, corners[0])), 3 * 8, colour, -1, cv2.LINE_AA, 3)

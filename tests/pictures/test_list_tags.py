@@ -82,6 +82,14 @@ def test_what_the_fleet_file_does_not_know(folder, tmp_path, capsys):
     assert run(str(folder / "b.png"), Asked(fleet=fleet_file(tmp_path, 3)), lambda line: None)
 
 
+def test_two_of_one_id_are_said(tmp_path, capsys):
+    picture, lines = tmp_path / "twins.png", []
+    cv2.imwrite(str(picture), paper(1, 1))
+    assert not run(str(picture), Asked(), lines.append)
+    assert [line.split(",")[2:6:3] for line in lines[1:]] == [["1", "double"]] * 2
+    assert "more than once in a picture, where none of them counts: 1" in capsys.readouterr().err
+
+
 def test_a_film_without_tags_is_an_answer_too(tmp_path):
     film = tmp_path / "film.avi"
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (120, 96))

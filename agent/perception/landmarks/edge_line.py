@@ -23,7 +23,6 @@ from hw.compiled import compiled
 kernel = compiled(error_model="numpy")
 
 Plane = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 PROFILES = 28  # across the edge
 FIRST, LAST = 0.08, 0.92  # of its length: 0.6 modules from a corner no blur that can be read shows it
@@ -197,7 +196,10 @@ def fit_line(points: Array, line: Array, off: Array, ranked: Array) -> None:
 
 @kernel
 def _median(values: Array, ranked: Array) -> float:
-    """Of those that are numbers; of two in the middle the lower one. np.median takes seconds to compile."""
+    """Of those that are numbers; of two in the middle the lower one. ranked: room for them.
+
+    np.median takes seconds to compile.
+    """
     count = 0
     for value in values:
         if not math.isnan(value):

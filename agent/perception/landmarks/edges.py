@@ -11,12 +11,11 @@ from agent.perception.landmarks.edge_line import Plane, fit_edge, room
 from agent.perception.landmarks.slopes import Array, cross
 
 MODULES = 8  # along the square's side: six of code between two of border
-REACH, MOST_PX = 0.9, 9.0  # of a module to either side, for behind the border comes code; and never farther
+REACH = 0.9  # of a module, to either side: behind the border comes code
 NARROWEST_PX = 2.5  # module: a sharp edge is 2 px wide, by the pixel and by the interpolation
-MIXED = (
-    0.45  # of a module: by discs with half of it as radius the border's edge and the code's begin to mix, and beyond
-)
-# 0.54 corners of small tags were off by up to 2.4 px
+# Radius of blur, of a module. From a half on the border's edge and the code's are one, and from 0.54 on the corners of
+# small tags were off by up to 2.4 px.
+MIXED = 0.45
 
 
 class Corners(NamedTuple):
@@ -41,7 +40,7 @@ def fit_corners(plane: Plane, light: Array, rough_px: Array, camera: CameraFit) 
     if module < NARROWEST_PX:
         return None
     lens = np.array([camera.f_px, camera.cx_px, camera.cy_px, camera.bend])
-    work, lines, most_px2 = room(min(REACH * module, MOST_PX)), np.empty((4, 4)), 0.0
+    work, lines, most_px2 = room(REACH * module), np.empty((4, 4)), 0.0
     for k in range(4):
         spread = fit_edge(plane, light, rough_px[k], rough_px[(k + 1) % 4], lens, work, lines[k])
         if spread < 0.0:

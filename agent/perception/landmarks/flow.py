@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Flow
-from agent.perception.landmarks.edge_line import Mask, Plane
+from agent.perception.landmarks.edge_line import Plane
 from agent.perception.landmarks.slopes import Array, to_slopes
 from agent.perception.landmarks.tags import green
 from hw.camera.camera import Image
 
 Points = NDArray[np.float32]  # (n, 2) pixels of the full size
+Mask = NDArray[np.bool_]
 
 POINTS, QUALITY, APART_PX = 150, 0.01, 12.0
 WINDOW_PX = 15  # in either size

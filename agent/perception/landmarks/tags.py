@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -34,6 +33,7 @@ class Found(NamedTuple):
     seen: SeenTag
     corners_px: Array  # (4, 2)
     blur_px: float | None  # diameter of the disc that would blur it as much; None without fitted edges
+    alone: bool  # no other tag of the frame has its id
 
 
 def seen_tags(image: Image, camera: CameraFit, lens_position: int | None, t_ns: int, frame: int) -> SeenTags:
@@ -45,23 +45,30 @@ def seen_tags(image: Image, camera: CameraFit, lens_position: int | None, t_ns: 
 
 
 def find_tags(image: Image, camera: CameraFit) -> list[Found]:
-    """All tags of a whole frame (height, width, 3), by id. camera: at the frame's lens position.
+    """The tags of a whole frame (height, width, 3) that a robot may go by, by id. camera: at the frame's lens position.
 
-    A tag in a mirror is none: read backwards, no code is within 4 bits of another, and 3 are corrected. Of two with the
-    same id one is a picture or a copy, and which one nobody can tell, so neither counts. Nor do grazing views.
+    Of two with the same id one is a picture or a copy, and which one nobody can tell, so neither counts.
+    """
+    return [one for one in all_tags(image, camera) if one.alone]
+
+
+def all_tags(image: Image, camera: CameraFit) -> list[Found]:
+    """All tags of a whole frame, by id, but those in grazing views.
+
+    A tag in a mirror is none: read backwards, no code is within 3 bits of another, and no more are corrected.
     """
     plane = green(image)
     corners, ids, _ = _detector().detectMarkers(plane)
     if ids is None:
         return []
     light, numbers = light_of_bytes(camera.gamma), [int(number) for number in ids.ravel()]
-    seen_once = {number for number, count in Counter(numbers).items() if count == 1}
-    found = [
-        _found(plane, light, number, np.roll(rough.reshape(4, 2).astype(np.float64), -_first_corner(), axis=0), camera)
-        for number, rough in sorted(zip(numbers, corners, strict=True), key=lambda one: one[0])
-        if number in seen_once
-    ]
-    return [one for one in found if one is not None]
+    found = []
+    for number, corner in sorted(zip(numbers, corners, strict=True), key=lambda one: one[0]):
+        rough_px = np.roll(corner.reshape(4, 2).astype(np.float64), -_first_corner(), axis=0)
+        one = _found(plane, light, number, rough_px, camera)
+        if one is not None:
+            found.append(one._replace(alone=numbers.count(number) == 1))
+    return found
 
 
 def green(image: Image) -> Plane:
@@ -88,7 +95,7 @@ def _found(plane: Plane, light: Array, number: int, rough_px: Array, camera: Cam
         rho_px=float(np.hypot(middle[0] - camera.cx_px, middle[1] - camera.cy_px)),
         edges=fitted is not None,
     )
-    return Found(tag, corners_px, blur_px)
+    return Found(tag, corners_px, blur_px, alone=True)
 
 
 def _searched(plane: Plane, rough_px: Array) -> Array:

@@ -108,7 +108,7 @@ def search(appearance: Appearance, image: Image, last: Box, scales: tuple[float,
     return _places(appearance, image, _found(appearance, image, last, scales, min(SEARCH_PX / PATCH_PX, shorter)))
 
 
-def beside(appearance: Appearance, image: Image, box: Box, like: Likeness) -> list[Box]:
+def beside(appearance: Appearance, image: Image, box: Box, like: Likeness) -> list[Place]:
     """Other places about a box, up to twice its size away, that are nearly as like what is remembered."""
     window = box.grown(BESIDE).inside((image.shape[1], image.shape[0]))
     left, top = int(window.x), int(window.y)
@@ -119,7 +119,7 @@ def beside(appearance: Appearance, image: Image, box: Box, like: Likeness) -> li
         if shape >= like.shape - 2.0 * NEARLY and not same(there.moved(left, top), box)
     ]
     return [
-        place.box
+        place
         for place in _places(appearance, image, found)
         if place.like.shape >= like.shape - NEARLY and place.like.colour >= like.colour - NEARLY
     ]

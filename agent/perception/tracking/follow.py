@@ -5,7 +5,7 @@ instead. The box moves on as it moved before, and keeps its size. Most of it lie
 that the thing had in its first picture. It looks like that picture, or like the newest that was certain. Else it is
 lost, and the whole picture is searched. What is like it there is taken for it only where it can have got to by now and
 where no look-alike can be; where one can, or two places are equally like it, that is ambiguous. So it is from where a
-look-alike that was seen beside it and the box come to be one.
+look-alike that was seen beside it and the box come to be one, until both are seen and each goes on as it went.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from agent.perception.tracking.appearance import (
     ANY_SCALE,
     NEAR_SCALES,
     NEARLY,
+    RIM,
     Appearance,
     Likeness,
     Place,
@@ -33,7 +34,18 @@ from agent.perception.tracking.appearance import (
 )
 from agent.perception.tracking.box import Box, Image, same
 from agent.perception.tracking.box_trackers import BoxTracker
-from agent.perception.tracking.look_alikes import LookAlike, explained, followed, merged
+from agent.perception.tracking.look_alikes import (
+    BETTER,
+    CERTAIN,
+    LookAlike,
+    Seen,
+    beginning,
+    followed,
+    merged,
+    touched,
+    unexplained,
+)
+from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
 
 # Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
@@ -76,6 +88,7 @@ class Follower:
         self._colour = 1.0  # likeness in colour lately
         self._pictures: deque[tuple[float, Image]] = deque(maxlen=PATIENCE)  # the newest, with their likeness in colour
         self._beside: list[LookAlike] = []  # seen near by while it is followed
+        self._meeting: Meeting | None = None  # with one of these
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
 
     def expect(self, picture: Image, box: Box) -> None:
@@ -91,7 +104,7 @@ class Follower:
         self._tracker.start(image, box)
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
         self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
-        self._beside, self._others = [], None
+        self._beside, self._meeting, self._others = [], None, None
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
@@ -115,16 +128,16 @@ class Follower:
             if self._pictures:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
-        near = beside(appearance, image, whole, like)
+        near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
         others = followed(self._beside, near)
-        if merged(others, whole):  # from here on the tracker may be on either
-            self._lost, self._others = True, others
+        if other := merged(others, whole):  # from here on the tracker may be on either
+            self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
             return self._search(image, appearance)
         self._beside = others
         self._motion = self._motion.seen(whole)
         if sure:
             self._colour += LATELY * (like.colour - self._colour)
-        if share > 0.999 and sure:
+        if share > 0.999 and sure and not touched(others, whole.grown(RIM)):
             self._whole = whole
             self._appearance = renewed(appearance, image, box)
             self._pictures.append((like.colour, self._appearance.newest))
@@ -135,19 +148,23 @@ class Follower:
         places = search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE)
         if not self._seen:
             return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
+        if self._meeting is not None:
+            least = max(SURE_SHAPE, places[0].like.least - BETTER) if places else 0.0
+            both = [place for place in places if place.like.least >= least and self._meeting.reaches(place.box)]
+            if both:
+                return self._part(image, appearance, self._meeting, both)
+            self._meeting = None  # neither is seen: whatever comes up is searched for
+        rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
+        tinted = [box for box in coloured(appearance, image, self._whole) if not any(same(box, r.box) for r in rivals)]
+        rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
+        free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
-        free = [place for place in near if not explained(self._others or (), place.box)]
-        mine = [place for place in free if place.like.least >= FOUND_LIKE]
-        result = self._choose(image, appearance, mine, [place for place in near if place not in free])
+        mine = [place for place in near if place.like.least >= FOUND_LIKE and place.box in free]
+        result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
             self._motion = self._motion.missed()
-            rivals = [place.box for place in places if place.like.least >= RIVAL_LIKE]
-            rivals += coloured(appearance, image, self._whole)
-            if self._others is None:
-                self._others = [LookAlike(box) for box in rivals if not self._motion.reaches(box)]
-            else:
-                new = [box for box in rivals if explained(self._others, box) or not self._motion.reaches(box)]
-                self._others = followed(self._others, new)
+            new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
+            self._others = followed(self._others or (), new)
         return result
 
     def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
@@ -155,13 +172,30 @@ class Follower:
         if not mine or (len(mine) > 1 and mine[1].like.least > mine[0].like.least - NEARLY):
             unclear = bool(mine) or any(place.like.least >= FOUND_LIKE for place in others)
             return Followed(self._motion.box, 0.0, "ambiguous" if unclear else "lost")
-        box, like = fitted(appearance, image, mine[0])
+        return self._take(image, appearance, mine[0], self._others or ())
+
+    def _part(self, image: Image, appearance: Appearance, meeting: Meeting, both: list[Place]) -> Followed:
+        """It and a look-alike have met, and are at these places, or one of them behind the other."""
+        boxes = {place.box: place for place in both}
+        self._meeting = meeting.next(apart=len(boxes) > 1)
+        parted = meeting.parted([*boxes])
+        if parted is None:
+            self._motion = self._motion.missed()
+            return Followed(self._motion.box, 0.0, "ambiguous")
+        mine, its = parted
+        found = self._take(image, appearance, boxes[mine], [beginning(Seen(its, boxes[its].like.least), CERTAIN)])
+        self._motion = self._motion._replace(step_px=meeting.thing.step_px)  # they may still be close
+        return found
+
+    def _take(self, image: Image, appearance: Appearance, place: Place, others: Collection[LookAlike]) -> Followed:
+        """It is here."""
+        box, like = fitted(appearance, image, place)
         self._tracker.start(image, box)
         again: State = "found again" if self._seen else "followed"
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
-        self._unsure, self._colour = 0, like.colour
+        self._unsure, self._colour, self._meeting = 0, like.colour, None
         self._pictures.clear()
-        self._beside = [other for other in self._others or () if not same(other.box, box)]
+        self._beside = [other for other in others if not same(other.motion.box, box)]
         return Followed(box, like.least, again)
 
 

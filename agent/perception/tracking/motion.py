@@ -22,12 +22,12 @@ class Motion(NamedTuple):
     step_px: tuple[float, float] = (0.0, 0.0)  # across, down, from frame to frame
     unseen: int = 0  # frames
 
-    def seen(self, box: Box) -> Motion:
-        """It is in this box now."""
+    def seen(self, box: Box, fresh: float = FRESH) -> Motion:
+        """It is in this box now; its newest step has the weight `fresh`."""
         steps = [
             (now - before) / (self.unseen + 1) for now, before in zip(box.centre_px, self.box.centre_px, strict=True)
         ]
-        across, down = (FRESH * new + (1.0 - FRESH) * old for new, old in zip(steps, self.step_px, strict=True))
+        across, down = (fresh * new + (1.0 - fresh) * old for new, old in zip(steps, self.step_px, strict=True))
         return Motion(box, (across, down))
 
     def missed(self) -> Motion:

@@ -49,6 +49,13 @@ def test_without_noise_corners_are_exact_at_every_blur(tags, blur_px):
         assert np.abs(errors_px(photograph(light, blur_px), truth_px)).max() < 0.05
 
 
+def test_a_near_tag_may_be_far_out_of_focus():
+    """Modules of 22 px and a blur of 18: edges are looked for as far as the border reaches."""
+    light, place = np.full((CAMERA.height_px, CAMERA.width_px), WALL), (turned(0, 0, 2), (0.0227, -0.0136, 0.538))
+    tag_light(CAMERA, 0, *place, light)
+    assert np.abs(errors_px(photograph(light, 18.0), bend(CAMERA, corner_slopes(*place)))).max() < 0.05
+
+
 @pytest.mark.parametrize("blur_px", BLURS_PX)
 def test_noise_moves_corners_little_and_in_no_direction(tags, blur_px):
     shapes, growths = [], []
@@ -103,7 +110,7 @@ def test_no_corners_where_an_edge_is_hidden_burnt_or_gone(tags):
 def test_no_corners_where_the_border_is_blurred_into_the_code(tags):
     light, truth_px = tags[1]
     module = module_px(truth_px)
-    assert errors_px(photograph(light, 0.8 * module), truth_px) is not None
+    assert np.abs(errors_px(photograph(light, 0.8 * module), truth_px)).max() < 0.15
     assert errors_px(photograph(light, 1.3 * module), truth_px) is None
 
 

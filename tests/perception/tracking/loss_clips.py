@@ -22,7 +22,7 @@ from agent.pictures.track_truth import Truth
 WATER = "real_water"
 WINDOW = (320, 240)  # width and height of the moving window, pixels
 GONE_SHARE, SLIVER_SHARE = 0.05, 0.35  # of the box that is seen: below it is away; below the second nobody counts
-STAY, LEAVE, AWAY, RETURN = 30, 60, 75, 45  # frames: 1 s in view, 2 s of leaving, 2.5 s away, 1.5 s of coming back
+STAY, LEAVE, AWAY, RETURN = 20, 45, 60, 30  # frames: 0.7 s in view, 1.5 s of leaving, 2 s away, 1 s of coming back
 FLICKER = 0.2  # of the brightness, and of the bright net that the waves draw
 
 
@@ -106,29 +106,78 @@ def drifting(folder: Path, file: str, ball: int, direction: tuple[float, float],
 
     ball: its number among those of this picture in truth.csv.
     """
-    with (folder / "truth.csv").open() as lines:
-        row = [row for row in csv.DictReader(lines) if row["file"] == file][ball]
-    picture, rng = cv2.imread(str(folder / file)), np.random.default_rng(seed)
+    row, picture, empty, soft = cut_out(folder, file, ball)
     u, v, radius = (float(row[key]) for key in ("u_px", "v_px", "radius_px"))
     height, width = picture.shape[:2]
-    mask = cv2.circle(np.zeros((height, width), np.uint8), (round(u), round(v)), round(1.25 * radius + 2), 255, -1)
-    empty = cv2.inpaint(picture, mask, 5, cv2.INPAINT_TELEA)
-    disc = cv2.circle(np.zeros_like(mask), (round(u), round(v)), round(1.1 * radius), 255, -1)
-    soft = cv2.GaussianBlur(disc, (0, 0), 1)
     away = (width - u if direction[0] > 0 else u) + radius + 8, (height - v if direction[1] > 0 else v) + radius + 8
+    noise = camera_noise(picture.shape, seed)
     images, truth = [], []
     for k in range(STAY + LEAVE + AWAY + RETURN + STAY):
         dx, dy = (_away(k) * direction[axis] * away[axis] for axis in (0, 1))
-        move = np.float32([[1, 0, dx], [0, 1, dy]])
-        alpha = cv2.warpAffine(soft, move, (width, height))[..., None] / 255.0
-        image = alpha * cv2.warpAffine(picture, move, (width, height)) + (1 - alpha) * empty
-        sway = np.float32([[1, 0, 3 * np.sin(k / 11)], [0, 1, 2 * np.sin(k / 7)]])
-        image = cv2.warpAffine(image, sway, (width, height), borderMode=cv2.BORDER_REPLICATE)
-        image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-        images.append(image)
-        corner = u + 0.5 - radius + dx + sway[0, 2], v + 0.5 - radius + dy + sway[1, 2]
+        sway = swaying(k)
+        images.append(shown(pasted(empty, picture, soft, (dx, dy)), sway, noise[k % len(noise)]))
+        corner = u + 0.5 - radius + dx + sway[0], v + 0.5 - radius + dy + sway[1]
         truth.append(_in_view(Box(*map(float, corner), 2 * radius, 2 * radius), (width, height), k))
     return Clip(f"{Path(file).stem} {row['colour']}, drifts out", 30.0, images, truth)
+
+
+def cut_out(folder: Path, file: str, ball: int) -> tuple[dict[str, str], np.ndarray, np.ndarray, np.ndarray]:
+    """Its row of truth.csv, the picture, the picture without it, and how much of each pixel is the ball, 0 to 1."""
+    with (folder / "truth.csv").open() as lines:
+        row = [row for row in csv.DictReader(lines) if row["file"] == file][ball]
+    picture = cv2.imread(str(folder / file))
+    u, v, radius = (float(row[key]) for key in ("u_px", "v_px", "radius_px"))
+    mask = cv2.circle(np.zeros(picture.shape[:2], np.uint8), (round(u), round(v)), round(1.25 * radius + 2), 255, -1)
+    disc = cv2.circle(np.zeros_like(mask), (round(u), round(v)), round(1.1 * radius), 255, -1)
+    empty = cv2.inpaint(picture, mask, 5, cv2.INPAINT_TELEA)
+    return row, picture, empty.astype(np.float32), cv2.GaussianBlur(disc, (0, 0), 1)[..., None].astype(np.float32) / 255
+
+
+def pasted(image: np.ndarray, picture: np.ndarray, soft: np.ndarray, way: tuple[float, float]) -> np.ndarray:
+    """The ball of the picture, moved by `way`, over the image."""
+    size, move = (picture.shape[1], picture.shape[0]), np.float32([[1, 0, way[0]], [0, 1, way[1]]])
+    alpha = cv2.warpAffine(soft, move, size)[..., None]
+    return image + alpha * (cv2.warpAffine(picture, move, size) - image)
+
+
+def swaying(k: int) -> tuple[float, float]:
+    return float(3 * np.sin(k / 11)), float(2 * np.sin(k / 7))
+
+
+def camera_noise(shape: tuple[int, ...], seed: int) -> np.ndarray:
+    """Four frames of it."""
+    return np.random.default_rng(seed).normal(0, 2, (4, *shape)).astype(np.float32)
+
+
+def shown(image: np.ndarray, sway: tuple[float, float], noise: np.ndarray) -> np.ndarray:
+    move, size = np.float32([[1, 0, sway[0]], [0, 1, sway[1]]]), (image.shape[1], image.shape[0])
+    return np.clip(cv2.warpAffine(image, move, size, borderMode=cv2.BORDER_REPLICATE) + noise, 0, 255).astype(np.uint8)
+
+
+def meeting(folder: Path, file: str, ball: int, how: str, seed: int) -> Clip:
+    """A ball of a picture meets another that is its very double, which stays where it is.
+
+    how: passes behind, passes before, turns round at.
+    """
+    row, picture, empty, soft = cut_out(folder, file, ball)
+    u, v, radius = (float(row[key]) for key in ("u_px", "v_px", "radius_px"))
+    far = 3.2 * radius * (-1 if u + 8 * radius > picture.shape[1] else 1)  # the other is so far to the right
+    low = 0.0 if how == "turns round at" else 0.25 * radius
+    noise, images, truth = camera_noise(picture.shape, seed), [], []
+    for k in range(125):
+        if how == "turns round at":
+            dx = 0.75 * far * float(np.clip((k - 15) / 45, 0, 1) - np.clip((k - 65) / 45, 0, 1))
+        else:
+            dx = 2.2 * far * float(np.clip((k - 15) / 80, 0, 1))
+        ways = [(dx, 0.0), (far, low)] if how == "passes behind" else [(far, low), (dx, 0.0)]
+        image, sway = empty, swaying(k)
+        for way in ways:
+            image = pasted(image, picture, soft, way)
+        images.append(shown(image, sway, noise[k % len(noise)]))
+        box = Box(u + 0.5 - radius + dx + sway[0], v + 0.5 - radius + sway[1], 2 * radius, 2 * radius)
+        free = np.hypot(dx - far, low) / (1.6 * radius) if how == "passes behind" else 1.0
+        truth.append(Truth(k, box if free > GONE_SHARE else None, free > 1 - SLIVER_SHARE))
+    return Clip(f"{Path(file).stem} {row['colour']}, {how} its double", 30.0, images, truth)
 
 
 def flickering(clip: Clip) -> Clip:
@@ -139,7 +188,7 @@ def flickering(clip: Clip) -> Clip:
         across = np.sin(columns / 17 + 2 * np.sin(rows / 23 + k / 9))
         net = across * np.sin(rows / 19 + 2 * np.sin(columns / 29 - k / 7))
         light = 1 + FLICKER * np.sin(k / 5) + FLICKER * np.abs(net) ** 4
-        images.append(np.clip(image * light[..., None], 0, 255).astype(np.uint8))
+        images.append(np.clip(image * light[..., None].astype(np.float32), 0, 255).astype(np.uint8))
     return clip._replace(name=f"{clip.name}, flickering", images=images)
 
 
@@ -189,7 +238,6 @@ def _goldfish_rim(data: Path) -> Iterator[Clip]:
 def _tetra_leaves(data: Path) -> Iterator[Clip]:
     clip = real("tetra_leaves", data, 25.0)
     yield clip
-    yield flickering(clip)
     yield backwards(clip)
     for direction in ((1, 0), (0, -1)):
         yield left_behind(clip, direction)
@@ -219,10 +267,26 @@ def _balls(data: Path, chosen: dict[str, list[tuple[str, int, tuple[float, float
             yield flickering(clip) if seed % 2 else clip
 
 
+TUNED_MEETINGS = [
+    ("balls", "usc_b_0001.jpg", 0, "passes behind"), ("balls", "usc_b_0010.jpg", 0, "passes before"),
+    ("balls_composite", "comp_005.jpg", 1, "turns round at"),
+]  # fmt: skip
+HELD_OUT_MEETINGS = [
+    ("balls", "usc_a_0004.jpg", 0, "passes behind"), ("balls_composite", "comp_006.jpg", 2, "passes before"),
+    ("balls", "usc_a_0005.jpg", 1, "turns round at"),
+]  # fmt: skip
+
+
+def _meetings(data: Path, chosen: list[tuple[str, str, int, str]]) -> Iterator[Clip]:
+    for seed, (kind, file, ball, how) in enumerate(chosen):
+        yield meeting(data / WATER / kind, file, ball, how, seed)
+
+
 def tuned(data: Path) -> Iterator[Clip]:
     """One at a time: a clip of pictures takes up to 200 MB."""
     yield from _goldfish_turns(data)
     yield from _balls(data, TUNED_BALLS)
+    yield from _meetings(data, TUNED_MEETINGS)
 
 
 def held_out(data: Path) -> Iterator[Clip]:
@@ -230,3 +294,4 @@ def held_out(data: Path) -> Iterator[Clip]:
     yield from _goldfish_rim(data)
     yield from _tetra_leaves(data)
     yield from _balls(data, HELD_OUT_BALLS)
+    yield from _meetings(data, HELD_OUT_MEETINGS)

@@ -78,6 +78,15 @@ def test_what_meets_a_look_alike_is_ambiguous_and_the_look_alike_is_not_taken_fo
     assert all(now.state == "ambiguous" for now in seen[17:])
 
 
+def test_what_passes_a_look_alike_is_followed_again_and_the_look_alike_is_not(water):
+    places = [70 + 5 * k for k in range(30)]
+    frames = [picture(water, (150, 90, RED), (u, 84, RED), seed=k) for k, u in enumerate(places)]
+    seen = states(frames, around(70, 84))
+    assert not seen[-1].lost and overlap(seen[-1].box, around(places[-1], 84)) > 0.6
+    apart = [k for k, u in enumerate(places) if u > 150 + 2 * RADIUS + 5]
+    assert all(overlap(seen[k - 1].box, around(150, 90)) < 0.2 for k in apart if not seen[k - 1].lost)
+
+
 def test_two_places_that_are_equally_like_it_are_ambiguous_until_one_is_gone(water):
     follower = Follower(load_box_tracker(None, None))
     follower.expect(picture(water, (120, 90, RED)), around(120, 90))
