@@ -31,7 +31,7 @@ NARROWEST = 0.6  # share of a picture that a crop keeps at least
 WARM_UP = 50  # steps
 AVERAGED = 0.998  # decay of the running average per step
 CLIP = 1.0  # norm of the gradient
-TUNED = 0.5  # of the way from the start to what real pairs made of it; see weights/README.md
+TUNED = 0.25  # of the way from the start to what real pairs made of it; see weights/README.md
 FIT_RIDGE = 1e-3  # of the least squares for the first last layer
 
 

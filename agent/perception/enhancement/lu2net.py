@@ -28,7 +28,7 @@ from agent.kernel.config import ConfigError
 from agent.perception.enhancement.published import is_published, read
 
 STRIDE = 4  # two halvings: sides are padded to multiples of it
-DEFAULT = "own"  # keeps warm colours best, and makes hardly a picture worse; see weights/README.md
+DEFAULT = "real"  # see weights/README.md
 CLOSE, WIDE = 3, 7  # taps of the axial convolutions: between the halves, and in encoder and decoder
 
 

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.enhancement.fast_enhance import apply, estimate, guided_filter
+from agent.perception.enhancement.fast_enhance import Colours, apply, estimate, guided_filter, red_share
 
 MATRIX = np.array([[1.1, 0.1, -0.1], [0.0, 0.8, 0.2], [-0.2, 0.3, 1.2]], np.float32)
 
@@ -61,3 +61,33 @@ def test_a_plain_picture_takes_the_networks_colour_without_noise():
     guide = np.full((20, 30, 3), 0.5, np.float32)
     affine = guided_filter(guide, np.full((20, 30, 3), 0.7, np.float32))
     assert np.allclose(np.einsum("hwoi,hwi->hwo", affine[..., :3], guide) + affine[..., 3], 0.7, atol=1e-4)
+
+
+def test_glitter_on_blue_water_does_not_come_out_red():
+    """A balance of the whole picture takes the sea's blue for a tint, and paints what is white pink."""
+    image = np.full((60, 80, 3), (140, 130, 30), np.uint8)
+    image[:4] = (200, 190, 120)
+    pink = apply(Colours(affine := whitened(image), (80, 60)), image)[:4].reshape(-1, 3).mean(0)
+    white = apply(estimate(image, grey_world), image)
+    assert pink[2] > pink[:2].max() + 30
+    assert white[:4, :, 2].mean() <= white[:4, :, :2].mean((0, 1)).max() + 1
+    assert red_share(image / np.float32(255), affine) < 0.9
+
+
+@pytest.mark.parametrize("ball", [(20, 40, 220), (30, 210, 220)])
+def test_the_brightest_thing_keeps_its_red(ball):
+    image = np.full((60, 80, 3), (120, 110, 30), np.uint8)
+    image[20:30, 30:40] = ball
+    assert red_share(image / np.float32(255), whitened(image)) == 1
+
+
+def grey_world(small):
+    guide = small.astype(np.float32) / 255
+    return np.clip(guide * (0.5 / guide.mean((0, 1))), 0, 1)
+
+
+def whitened(image):
+    """(h, w, 3, 4) the same balance everywhere."""
+    affine = np.zeros((*image.shape[:2], 3, 4), np.float32)
+    affine[:, :, range(3), range(3)] = 0.5 * 255 / image.mean((0, 1))
+    return affine
