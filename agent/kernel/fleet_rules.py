@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from agent.kernel.navigation.landmark_rules import broken_landmark_rules
 from agent.kernel.navigation.swim_rules import broken_swim_rules
+from agent.kernel.navigation.tags.landmark_rules import broken_landmark_rules
 
 if TYPE_CHECKING:
     from agent.kernel.config import Fleet

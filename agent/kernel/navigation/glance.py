@@ -9,7 +9,7 @@ from functools import partial
 from agent.kernel.config import Body, Pose
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.layout import Marker
+from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.ranging.camera_model import look_at
 
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water

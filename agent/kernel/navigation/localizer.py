@@ -15,13 +15,13 @@ from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
-from agent.kernel.navigation.first_fix import first_fix
-from agent.kernel.navigation.layout import markers
 from agent.kernel.navigation.planes import odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
-from agent.kernel.navigation.projection import view
-from agent.kernel.navigation.tag_fix import Map, TagFix, tag_fix, whole
-from agent.kernel.navigation.tag_priors import Priors, priors
+from agent.kernel.navigation.tags.first_fix import first_fix
+from agent.kernel.navigation.tags.layout import markers
+from agent.kernel.navigation.tags.projection import view
+from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
+from agent.kernel.navigation.tags.tag_priors import Priors, priors
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags

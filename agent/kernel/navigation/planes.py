@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.projection import Theta, Upright, View, direction, upright
+from agent.kernel.navigation.tags.projection import Theta, Upright, View, direction, upright
 
 FARTHEST_M = 1.2  # of a point on the floor from the camera: beyond, level noise and slant make it worthless
 FEWEST = 12  # pairs on the floor; half of them and more agree

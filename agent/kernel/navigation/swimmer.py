@@ -14,7 +14,6 @@ from agent.kernel.navigation.barrier import safe_velocity
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.glance import Glance
-from agent.kernel.navigation.layout import markers
 from agent.kernel.navigation.localizer import (
     LOST_DEG,
     LOST_M,
@@ -29,6 +28,7 @@ from agent.kernel.navigation.localizer import (
 )
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Flow, SeenTags
 

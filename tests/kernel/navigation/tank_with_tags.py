@@ -4,10 +4,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from agent.kernel.config import Landmarks, Tag
-from agent.kernel.navigation.layout import markers
-from agent.kernel.navigation.projection import View
-from agent.kernel.navigation.tag_fix import Map
-from agent.kernel.navigation.tag_priors import Prior, Priors
+from agent.kernel.navigation.tags.layout import markers
+from agent.kernel.navigation.tags.projection import View
+from agent.kernel.navigation.tags.tag_fix import Map
+from agent.kernel.navigation.tags.tag_priors import Prior, Priors
 from agent.kernel.step_io import SeenTag
 
 TANK_M = (3.0, 2.0, 0.8)

@@ -7,8 +7,8 @@ from msgspec.structs import replace
 from agent.kernel.config import Body, ConfigError, Landmarks, Pose, Tag, Tank
 from agent.kernel.fleet_digest import common
 from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.navigation.landmark_rules import broken_landmark_rules
-from agent.kernel.navigation.layout import corners, markers, survey_jacobian
+from agent.kernel.navigation.tags.landmark_rules import broken_landmark_rules
+from agent.kernel.navigation.tags.layout import corners, markers, survey_jacobian
 from agent.kernel.ranging.camera_model import camera_pose, to_camera
 from agent.kernel.toml_files import dump
 from tests.places import ROOT

@@ -10,11 +10,11 @@ from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.behaviour import reference, start
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.event_ring import EventRing, asked, fix
-from agent.kernel.navigation.first_fix import first_fix
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Drift, begin
-from agent.kernel.navigation.tag_fix import TagFix, tag_fix
-from agent.kernel.navigation.tag_priors import priors
+from agent.kernel.navigation.tags.first_fix import first_fix
+from agent.kernel.navigation.tags.tag_fix import TagFix, tag_fix
+from agent.kernel.navigation.tags.tag_priors import priors
 from tests.kernel.navigation.planar_tank import CYCLE_NS, Swimmer
 from tests.kernel.navigation.tank_with_tags import MAP, VIEW, sight
 

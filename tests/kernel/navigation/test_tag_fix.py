@@ -6,12 +6,12 @@ import pytest
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.messages import upper
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.first_fix import first_fix
-from agent.kernel.navigation.layout import survey_jacobian
-from agent.kernel.navigation.projection import by_survey, gaze, seen, slope
-from agent.kernel.navigation.tag_fix import HUBER, NoFix, TagFix, tag_fix
-from agent.kernel.navigation.tag_priors import Prior
-from agent.kernel.navigation.tag_priors import priors as known_before
+from agent.kernel.navigation.tags.first_fix import first_fix
+from agent.kernel.navigation.tags.layout import survey_jacobian
+from agent.kernel.navigation.tags.projection import by_survey, gaze, seen, slope
+from agent.kernel.navigation.tags.tag_fix import HUBER, NoFix, TagFix, tag_fix
+from agent.kernel.navigation.tags.tag_priors import Prior
+from agent.kernel.navigation.tags.tag_priors import priors as known_before
 from agent.kernel.step_io import SeenTag
 from tests.kernel.navigation.tank_with_tags import (
     DEPTH_M,
@@ -102,7 +102,7 @@ def astray(tags, k, by=0.02):
 
 def test_the_minimum_and_its_covariance_are_those_of_gtsam(monkeypatch) -> None:
     gtsam = pytest.importorskip("gtsam", reason="comes with the extra `oracles`")
-    monkeypatch.setattr("agent.kernel.navigation.tag_fix.SETTLED", 2e-8)  # to the minimum itself
+    monkeypatch.setattr("agent.kernel.navigation.tags.tag_fix.SETTLED", 2e-8)  # to the minimum itself
     weighed = 0
     for n, (rng, theta) in enumerate(places(1, 3, least=4)):
         tags, known = sight(theta, rng), priors(theta, rng)

@@ -14,10 +14,10 @@ from collections.abc import Iterator, Sequence
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, forward
-from agent.kernel.navigation.layout import Marker
-from agent.kernel.navigation.projection import Theta, View, direction, upright
-from agent.kernel.navigation.tag_fix import Map, NoFix, TagFix, tag_fix, whole
-from agent.kernel.navigation.tag_priors import Priors
+from agent.kernel.navigation.tags.layout import Marker
+from agent.kernel.navigation.tags.projection import Theta, View, direction, upright
+from agent.kernel.navigation.tags.tag_fix import Map, NoFix, TagFix, tag_fix, whole
+from agent.kernel.navigation.tags.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
 
 LARGEST = 3  # tags to begin from: the nearest say most

@@ -20,10 +20,10 @@ from agent.kernel.estimation.matrix import ZERO, minus, plus
 from agent.kernel.messages import Symmetric
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, forward_nine, inverse
-from agent.kernel.navigation.layout import Marker
-from agent.kernel.navigation.projection import Gaze, Seen, Theta, View, gaze, seen
-from agent.kernel.navigation.tag_noise import TagNoise, tag_noise
-from agent.kernel.navigation.tag_priors import Priors
+from agent.kernel.navigation.tags.layout import Marker
+from agent.kernel.navigation.tags.projection import Gaze, Seen, Theta, View, gaze, seen
+from agent.kernel.navigation.tags.tag_noise import TagNoise, tag_noise
+from agent.kernel.navigation.tags.tag_priors import Priors
 from agent.kernel.step_io import SeenTag
 
 HUBER = 4.0  # whitened norm of a tag's eight residuals, whose mean is 2.8 where all is well

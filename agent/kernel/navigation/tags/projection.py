@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from agent.kernel.config import Body
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.layout import survey_jacobian
+from agent.kernel.navigation.tags.layout import survey_jacobian
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.kernel.step_io import Slope
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from agent.kernel.config import Face, Landmarks, Tag, Tank
-from agent.kernel.navigation.layout import axes, corners
+from agent.kernel.navigation.tags.layout import axes, corners
 
 PROUD_M = 0.02  # a tag on a plate stands off its wall; more is a slip of the pen
 MODULES = 8  # black edge to black edge of the family 36h11; a white border of one belongs around it

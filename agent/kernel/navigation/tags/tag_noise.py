@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from agent.kernel.config import Landmarks
 from agent.kernel.navigation.dense import cholesky
-from agent.kernel.navigation.layout import Marker
-from agent.kernel.navigation.projection import Seen, View, by_survey
+from agent.kernel.navigation.tags.layout import Marker
+from agent.kernel.navigation.tags.projection import Seen, View, by_survey
 from agent.kernel.step_io import SeenTag
 
 # Measured on rendered frames, blurred by 0 to 7 px, of 640x480.
