@@ -188,13 +188,10 @@ def _correct(belief: Belief, H: Sequence[Sparse], misses: Sequence[float], R: Co
     columns = tuple(zip(*K, strict=True))
     rows: list[tuple[float, ...]] = []
     for i, (before, gain) in enumerate(zip(P, K, strict=True)):
-        kept: Sequence[float] = before  # row i of (I - K H) P
-        for k, hp in zip(gain, HP, strict=True):
-            kept = [a - k * b for a, b in zip(kept, hp, strict=True)]
+        kept = _less(before, gain, HP)  # row i of (I - K H) P
         # ... (I - K H)' + K R K': what H sees of it, less the noise that K lets in, goes by the gains.
         pulls = [_along(h, kept) - dot(gain, noise) for h, noise in zip(H, R, strict=True)]
-        for pull, column in zip(pulls, columns, strict=True):
-            kept = [a - pull * k for a, k in zip(kept, column, strict=True)]
+        kept = _less(kept, pulls, columns)
         rows.append((*[row[i] for row in rows], *kept[i:]))  # symmetric to the bit
     return belief._replace(x=tuple(x), P=tuple(rows), nis=nis)
 
@@ -214,6 +211,14 @@ def _along(h: Sparse, row: Sequence[float]) -> float:
     for i, weight in h:
         total += weight * row[i]
     return total
+
+
+def _less(row: Sequence[float], weights: Sequence[float], rows: Sequence[Sequence[float]]) -> list[float]:
+    """row - sum of weights times rows; there are three of these, or one."""
+    if len(rows) == 1:
+        return [a - weights[0] * b for a, b in zip(row, rows[0], strict=True)]
+    (p, q, r), (b, c, d) = weights, rows
+    return [a - p * i - q * j - r * k for a, i, j, k in zip(row, b, c, d, strict=True)]
 
 
 def _frozen(rows: Sequence[Sequence[float]]) -> Covariance:
