@@ -3,19 +3,22 @@
 from collections import deque
 
 import numpy as np
+from msgspec import UNSET
 
-from agent.kernel.config import Body, Fleet, Goto, Limits, Navigation, Pose, Robot, Tank, Target
+from agent.kernel.config import Body, Fleet, Navigation, Pose, Robot, Tank, Target
 from agent.kernel.core import Agent
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.ranging.camera_model import gimbal_deg
-from agent.kernel.step_io import Inputs, SeenTags
+from agent.kernel.step_io import Flow, Inputs, SeenTags
 from tests.kernel.navigation.planar_tank import Swimmer
-from tests.kernel.navigation.tank_with_tags import MAP, TANK_M, VIEW, sight
+from tests.kernel.navigation.tank_with_tags import HALF, MAP, TANK_M, VIEW, project, sight
 from tests.known_lens import PLAIN
 from tests.sample_messages import telemetry
 
 START_NS, STEP_NS = 10**18, 50_000_000
+KEY_NS = 2_000_000_000  # how old a key frame gets
+FLOOR_M = np.array([(x, y, 0.0) for x in np.arange(0.0, 3.0, 0.08) for y in np.arange(0.0, 2.0, 0.08)])
 FRAME_STEPS, LATE_STEPS = 4, 2  # 5 Hz; what a frame shows is known 0.1 s after its exposure
 SLEW_US = 100  # of a servo in a step, as fast as the slowest that the kernel waits for
 CAMERA = CameraFit(
@@ -26,21 +29,20 @@ POSE = Pose(x_m=1.0, y_m=0.9, yaw_deg=40.0)
 DEPTH_M = 0.3
 
 
-def robot(name="r1", pose=POSE, behaviour=None, neighbours=()) -> Robot:
+def robot(name="r1", pose=POSE, **about) -> Robot:
     return Robot(
-        neighbours=neighbours,
         listen=f"tcp/127.0.0.1:1740{name[1:]}",
         serial=f"twin:{name}",
         camera=f"twin:{name}",
         pose=pose,
         depth_m=DEPTH_M,
         calibration=f"{name}.toml",
-        behaviour=behaviour,
+        **about,
     )
 
 
 def fleet(*, swims=True, **about) -> Fleet:
-    """One robot, `about` it: pose, behaviour."""
+    """A fleet of one; `about` that: pose, behaviour, look."""
     return Fleet(
         fleet="swim",
         tank=Tank(size_m=TANK_M, surface_m=VIEW.surface_m),
@@ -48,7 +50,7 @@ def fleet(*, swims=True, **about) -> Fleet:
         body=Body(camera_m=VIEW.arm_m),
         robot={"r1": robot(**about)},
         landmarks=MAP.landmarks,
-        navigation=Navigation(limits=Limits()) if swims else None,
+        navigation=Navigation() if swims else None,
     )
 
 
@@ -62,31 +64,48 @@ class InTank:
         self.body = Swimmer.resting(at or (pose.x_m, pose.y_m, np.radians(pose.yaw_deg)))
         self.rng = None if seed is None else np.random.default_rng(seed)
         self.now_ns, self.steps, self.frames = START_NS, 0, 0
-        self.armed, self.ladder, self.sighted = True, 0, True
+        self.armed, self.ladder = True, 0
+        self.sees_tags, self.sees_floor = True, False
+        self.key: tuple[int, np.ndarray] | None = None  # exposure, slopes of FLOOR_M
         self.servos_us = np.array([1500.0, 1500.0])
         self.depth_m = DEPTH_M
-        self.coming: deque[tuple[int, SeenTags]] = deque()
+        self.coming: deque[tuple[int, SeenTags, Flow]] = deque()
         self.inputs, self.outputs, self.state = Inputs(), None, None
 
-    def expose(self) -> SeenTags:
+    def expose(self) -> tuple[SeenTags, Flow]:
         """What the camera sees now."""
         pan, tilt = np.radians(gimbal_deg(CAMERA, self.fleet.body, tuple(self.servos_us)))
         theta = (*self.body.at, self.depth_m, 0.0, 0.0, pan, tilt)
         self.frames += 1
-        tags = sight(theta, self.rng, most=3) if self.sighted else []
-        return SeenTags(t_ns=self.now_ns, frame=self.frames, tags=tuple(tags))
+        tags = sight(theta, self.rng, most=3) if self.sees_tags else []
+        return SeenTags(t_ns=self.now_ns, frame=self.frames, tags=tuple(tags)), self.flow(theta)
+
+    def flow(self, theta) -> Flow:
+        """Points of the floor since the key frame; a new one when that is due."""
+        slopes, depths = project(theta, FLOOR_M)
+        slopes[(depths < 0.1) | np.any(np.abs(slopes) > HALF, axis=1)] = np.nan
+        if self.key is None:
+            self.key = self.now_ns, slopes
+        since_ns, then = self.key
+        pairs = np.hstack([then, slopes])
+        pairs = pairs[np.isfinite(pairs).all(axis=1)][:64]
+        if self.now_ns - since_ns >= KEY_NS:
+            self.key = self.now_ns, slopes
+        return Flow(t_ns=self.now_ns, since_ns=since_ns, pairs=tuple(map(tuple, pairs.tolist())))
 
     def step(self, step_ns=STEP_NS, more=()):
         """One step of the agent; more: landmarks beside those that are seen."""
         self.now_ns += step_ns
         self.steps += 1
-        arrived = list(more)
+        arrived, flows = list(more), []
         while self.coming and self.coming[0][0] <= self.steps:
-            arrived.append(self.coming.popleft()[1])
+            _, tags, flow = self.coming.popleft()
+            arrived.append(tags)
+            flows += [flow] if flow.pairs and self.sees_floor else []
         if self.steps % FRAME_STEPS == 0:
-            self.coming.append((self.steps + LATE_STEPS, self.expose()))
+            self.coming.append((self.steps + LATE_STEPS, *self.expose()))
         told = telemetry(self.now_ns, self.depth_m, armed=self.armed, ladder=self.ladder)
-        self.inputs = Inputs(telemetry=(told,), landmarks=tuple(arrived)) if arrived else Inputs(telemetry=(told,))
+        self.inputs = Inputs(telemetry=(told,), landmarks=tuple(arrived) or UNSET, flow=tuple(flows) or UNSET)
         self.outputs = self.agent.step(self.inputs, self.now_ns)
         self.state = self.outputs.state or self.state
         wanted = np.array(self.outputs.set_point.servos_us[:2], float)
@@ -115,7 +134,3 @@ class InTank:
             if what():
                 return True
         return False
-
-
-def goto(pose: Pose) -> Goto:
-    return Goto(x_m=pose.x_m, y_m=pose.y_m, yaw_deg=pose.yaw_deg)
