@@ -68,9 +68,7 @@ class Swimmer:
         """Landmarks and flow of the frames that were exposed while the gimbal was at rest; the others say little."""
         goal_us = seek.pointing.goal_us
         if goal_us is not None and (not self._rests or self._rests[-1].goal_us != goal_us):
-            self._rests.append(
-                Rest(seek.pointing.told_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg())
-            )
+            self._rests.append(Rest(seek.pointing.told_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg()))
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
             level, gimbal = attitude.at(frame.t_ns), self._gimbal_at(frame.t_ns)

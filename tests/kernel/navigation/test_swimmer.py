@@ -176,12 +176,13 @@ def test_turn_is_turned_on_the_spot() -> None:
 def test_orbit_goes_round_and_faces_the_middle() -> None:
     middle = np.array([1.3, 0.9])
     one = InTank(fleet(pose=replace(POSE, yaw_deg=0.0), behaviour=Orbit(x_m=1.3, y_m=0.9, radius_m=0.3)))
-    one.run(7.0)
+    assert one.until(lambda: not one.agent.swimmer.lost, 5.0)
+    one.run(4.0)
     arm = one.body.at[:2] - middle
     assert np.hypot(*arm) == pytest.approx(0.3, abs=0.03)
     assert one.off(*one.body.at[:2], np.degrees(np.arctan2(*-arm[::-1])))[1] < 6.0
     gone = np.arctan2(arm[1], arm[0]) % (2 * np.pi) - np.pi  # it began on the far side
-    assert gone == pytest.approx(5.5 * 0.1 / 0.3, abs=0.25)  # 0.1 m/s, from when it knew where it was
+    assert gone == pytest.approx(4.0 * 0.1 / 0.3, abs=0.1)  # 0.1 m/s, from when it knew where it was
 
 
 def test_moored_robots_get_no_force_and_are_nowhere(swum) -> None:
@@ -189,7 +190,7 @@ def test_moored_robots_get_no_force_and_are_nowhere(swum) -> None:
     agent = Agent(fleet(swims=False), "r1", CALIBRATION, incarnation=7)
     for now_ns, inputs, *_ in told[:40]:
         outputs = agent.step(inputs, now_ns)
-        assert b"force_n" not in encode(outputs) and b"whereabouts" not in encode(outputs)
+        assert b"whereabouts" not in encode(outputs)
         assert outputs.set_point.force_n == (0.0, 0.0) and outputs.set_point.yaw_moment_nm == 0.0
 
 
@@ -243,6 +244,10 @@ def test_numbers_that_cannot_be_are_refused(swum, known) -> None:
         odd += [] if abs(number) < 1e20 else [tag(42, SQUARE, rho_px=number)]
         pairs = tuple((0.02 * i, 0.1, number, number) for i in range(20))
         t_ns = now_ns - 100_000_000 + k
+        if not np.isfinite(number):
+            with pytest.raises(ValueError, match="pairs"):
+                Flow(t_ns=t_ns, since_ns=key_ns, pairs=pairs)
+            pairs = ()
         flow = Flow(t_ns=t_ns, since_ns=key_ns, pairs=pairs)
         now_ns += 1_000_000
         agent.step(replace(told[0][1], telemetry=(), landmarks=(seen(t_ns, *odd),), flow=(flow,)), now_ns)
@@ -262,9 +267,7 @@ def test_tags_that_nobody_surveyed_say_nothing(swum) -> None:
     one, told = swum
     agent = Agent(one.fleet, "r1", CALIBRATION, incarnation=7)
     for now_ns, inputs, *_ in told[:35]:
-        strangers = tuple(
-            replace(frame, tags=tuple(tag(586) for _ in frame.tags)) for frame in inputs.landmarks or ()
-        )
+        strangers = tuple(replace(frame, tags=tuple(tag(586) for _ in frame.tags)) for frame in inputs.landmarks or ())
         agent.step(replace(inputs, landmarks=strangers), now_ns)
     assert agent.swimmer.lost and "no tag of the map" in agent.swimmer.localizer.refused
 
@@ -288,7 +291,8 @@ def test_frames_come_late_twice_or_in_another_order(swum) -> None:
         return ring.at(now_ns), ring
 
     in_order, _ = after((before, last, newest))
-    assert after((newest, before, last))[0] == in_order
     assert after((before, last, newest, newest, before))[0] == in_order
-    old, ring = after((frames[3],), (before, last, newest))
-    assert ring.dropped == 1 and np.isfinite(old.x).all()
+    # Each fix begins where it was believed to be and knows how fast it was, so this is not to the bit; sigma is 3 mm.
+    assert after((newest, before, last))[0].pose == pytest.approx(in_order.pose, abs=1e-4)
+    _, ring = after((frames[10],), (before, last, newest))
+    assert ring.dropped == 1 and ring.at(told[99][0]).pose == pytest.approx(in_order.pose, abs=0.01)
