@@ -95,7 +95,7 @@ class EventRing:
         self._settled.extend(self._beliefs[:n])
         del self._events[:n], self._beliefs[:n]
         if not self._events and self._settled[-1].t_ns < now_ns - 2 * RING_NS:
-            # Nothing happens any more: each answer would go all the way from the last event, and take longer and longer.
+            # Nothing happens any more: each answer would go all the way from the last event, longer and longer.
             self._settled.append(predict(self._settled[-1], self._hull, self._drift, now_ns - RING_NS))
             self._told = None
         while len(self._settled) > 1 and self._settled[1].t_ns <= now_ns - KEEP_NS:
