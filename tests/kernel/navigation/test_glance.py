@@ -1,5 +1,7 @@
 """Where a robot turns its camera to find itself."""
 
+from itertools import pairwise
+
 import pytest
 from msgspec.structs import replace
 
@@ -80,7 +82,7 @@ def test_who_knows_nothing_looks_all_around_over_and_over() -> None:
     of = glance(*TWO)
     assert ways(of, len(SEARCH_DEG) + 1, pose=None) == [*SEARCH_DEG, SEARCH_DEG[0]]
     pans = sorted({pan for pan, _ in SEARCH_DEG})
-    assert all(b - a <= 30.0 for a, b in zip(pans, pans[1:], strict=False))  # a picture is 38 degrees wide
+    assert all(b - a <= 30.0 for a, b in pairwise(pans))  # a picture is 38 degrees wide
     lowest, highest = Body().pan_limit_deg
     assert pans[0] - 5.0 <= lowest and pans[-1] + 5.0 >= highest
 
