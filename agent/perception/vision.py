@@ -164,7 +164,7 @@ class Vision:
             plan, self._plan = self._plan, None
         if plan is None:
             if self._landmarks is not None and self._lens_position != self._landmarks.rest:
-                self._lens_position = camera.set_focus(self._landmarks.rest)
+                self._rest_lens(camera, self._landmarks)
             self._look(camera, tuple(self._detectors))
             idle_s = self._landmarks.wait_s(self._clock.now_ns()) if self._landmarks else IDLE_PERIOD_S
             self._wait(part, idle_s, until_plan=True)
@@ -172,6 +172,12 @@ class Vision:
             self.refused += 1
         else:
             self._sweep(camera, plan, part)
+
+    def _rest_lens(self, camera: Camera, landmarks: LandmarkWatch) -> None:
+        """Where landmarks are sharp. A lens takes the nearest of its steps, or does not move at all."""
+        if camera.focus_range() is not None:
+            self._lens_position = camera.set_focus(landmarks.sharp)
+        landmarks.rest = self._lens_position
 
     def _sweep(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))

@@ -69,33 +69,45 @@ class EventRing:
         self._settled: deque[Belief] = deque([begun])  # nothing comes before the newest of these any more
         self._events: list[Event] = []
         self._beliefs: list[Belief] = []  # after each of the events
+        self._told: Belief | None = None  # the newest answer of `at`: one step asks for the same moment several times
         self.dropped = 0  # events that came too late
 
     @property
     def newest(self) -> Belief:
         return self._beliefs[-1] if self._beliefs else self._settled[-1]
 
-    def add(self, event: Event) -> None:
-        """Take in an event, whatever came before. A flow brings the key frame that it is measured from."""
+    def add(self, event: Event) -> bool:
+        """Take in an event, whatever came before; False: it came too late. A flow brings the key frame that it is
+        measured from."""
         if event.t_ns <= self._settled[-1].t_ns:
             self.dropped += 1
-            return
+            return False
         if event.kind == "3 flow":
             self._keep_key(event.since_ns)
         place = bisect_right(self._events, event)
         self._events.insert(place, event)
         self._again(place)
+        return True
 
     def advance(self, now_ns: int) -> None:
         """Let go of what is so old that nothing may come before it."""
         n = bisect_right(self._events, now_ns - RING_NS, key=_time)
         self._settled.extend(self._beliefs[:n])
         del self._events[:n], self._beliefs[:n]
+        if not self._events and self._settled[-1].t_ns < now_ns - 2 * RING_NS:
+            # Nothing happens any more: each answer would go all the way from the last event, longer and longer.
+            self._settled.append(predict(self._settled[-1], self._hull, self._drift, now_ns - RING_NS))
+            self._told = None
         while len(self._settled) > 1 and self._settled[1].t_ns <= now_ns - KEEP_NS:
             self._settled.popleft()
 
     def at(self, t_ns: int) -> Belief | None:
         """The belief at a time: after all that is known of the time before it. None of times that were let go."""
+        if self._told is None or self._told.t_ns != t_ns:
+            self._told = self._predicted(t_ns)
+        return self._told
+
+    def _predicted(self, t_ns: int) -> Belief | None:
         n = bisect_right(self._beliefs, t_ns, key=_time)
         if n:
             return predict(self._beliefs[n - 1], self._hull, self._drift, t_ns)
@@ -112,6 +124,7 @@ class EventRing:
     def _again(self, place: int) -> None:
         """Go through the events from that place on."""
         del self._beliefs[place:]
+        self._told = None
         belief = self.newest
         for event in islice(self._events, place, None):
             belief = _apply(predict(belief, self._hull, self._drift, event.t_ns), event)

@@ -29,14 +29,19 @@ class Glance:
         self._markers, self._body, self._surface_m = tuple(markers), body, surface_m
         self._step = 0
         self._way: tuple[float, float] | None = None  # of this step: a gimbal that is told another angle never rests
-        self._until_ns: int | None = None
+        self._until_ns: int | None = None  # nobody knows while the gimbal is on its way
+        self._blind = True  # the pose was not known
 
     def direction_deg(self, pose: Pose | None, level: Attitude, steady: bool, now_ns: int) -> tuple[float, float]:
         """Pan and tilt to look at: where most landmarks are first, the next if that has not helped. Of a robot that
-        knows nothing: all around."""
-        if steady and self._until_ns is None:
+        knows nothing: all around. steady: whether the gimbal rests where it was told to look before."""
+        if (pose is None) != self._blind:  # other ways, from the first on, when this one has had its time
+            self._blind, self._step = pose is None, 0 if self._way is None else -1
+        if not steady:
+            self._until_ns = None
+        elif self._until_ns is None:
             self._until_ns = now_ns + WAIT_NS
-        if self._until_ns is not None and now_ns >= self._until_ns:
+        elif now_ns >= self._until_ns:
             self._step, self._way, self._until_ns = self._step + 1, None, None
         if self._way is None:
             ways = SEARCH_DEG if pose is None else self._in_reach(pose, level) or SEARCH_DEG

@@ -56,10 +56,10 @@ class Localizer:
             return
         of = view(self._camera, self._body, self._surface_m, frame.focus)
         before = self.at(frame.t_ns)
-        if self._ring is None:
+        if self._ring is not None and (before is None or frame.t_ns in self._fixes_ns):
+            return  # from before what is still remembered, or known already
+        if before is None or self._astray(before):
             found = first_fix(of, priors(level, gimbal_deg, 0.0, turning=False), self._map, frame.tags)
-        elif before is None:
-            return  # a frame from before what is still remembered
         else:
             found = tag_fix(of, _priors(level, gimbal_deg, before), self._map, frame.tags, before.pose)
         if not isinstance(found, TagFix):
@@ -67,11 +67,17 @@ class Localizer:
             return
         self.refused = ""
         pose = found.theta[0], found.theta[1], found.theta[2]
-        if self._ring is None:
+        if self._ring is None or before is None or self._astray(before):
             self._ring = EventRing(begin(frame.t_ns, pose, found.fluctuates, found.stays), self.hull, Drift())
-        else:
-            self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays))
+        elif not self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
+            return
         self._fixes_ns.append(frame.t_ns)
+
+    def _astray(self, then: Belief) -> bool:
+        """It did not know where it was then, nor has anything told it since: what it believed is no place to begin
+        from, and its filter has a yaw that goes round."""
+        assert self._ring is not None
+        return not within(then, LOST_M, LOST_DEG) and self._ring.newest.t_ns < then.t_ns
 
     def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
         """Points of a key frame in a later one; level and gimbal, at rest, at either exposure."""

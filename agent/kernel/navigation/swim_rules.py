@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 
-from agent.kernel.config import Behaviour, Fleet, Goto, Orbit
+from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot
 from agent.kernel.navigation.barrier import MARGIN_M, RINGS_M, WALL_M
+
+ROUNDING_M = 1e-9  # what a centre less its radius may lack
 
 
 def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
@@ -25,10 +27,17 @@ def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         if robot.behaviour is not None and (wrong := _wrong_way(fleet, robot.behaviour)) is not None:
             yield f"robot.{name}.behaviour", wrong
     for (a, one), (b, other) in combinations(fleet.robot.items(), 2):
-        apart_m = math.hypot(one.pose.x_m - other.pose.x_m, one.pose.y_m - other.pose.y_m)
+        key = "behaviour" if isinstance(other.behaviour, Goto) else "pose"
+        apart_m = math.dist(_goal(one), _goal(other))
         if apart_m < RINGS_M + MARGIN_M:
             why = f"{apart_m:.2f} m from '{a}', and their thrusters touch at {RINGS_M} m; move one of them"
-            yield f"robot.{b}.pose", why
+            yield f"robot.{b}.{key}", why
+
+
+def _goal(robot: Robot) -> tuple[float, float]:
+    """Where it is told to be in the end; of other behaviours, where it begins."""
+    there = robot.behaviour if isinstance(robot.behaviour, Goto) else robot.pose
+    return there.x_m, there.y_m
 
 
 def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
@@ -38,6 +47,9 @@ def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
             return f"{what.depth_m} m is below the floor; the water is {fleet.tank.surface_m} m deep"
         return _outside(fleet, what.x_m, what.y_m)
     if isinstance(what, Orbit):
+        assert fleet.navigation is not None
+        if abs(what.speed_m_s) > (most := fleet.navigation.limits.speed_m_s):
+            return f"{abs(what.speed_m_s)} m/s is faster than navigation.limits.speed_m_s, {most}; swim slower"
         (x, y), r = (what.x_m, what.y_m), what.radius_m
         return _outside(fleet, x - r, y - r) or _outside(fleet, x + r, y + r)
     return None
@@ -46,6 +58,6 @@ def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
 def _outside(fleet: Fleet, x_m: float, y_m: float) -> str | None:
     """Why no robot swims there; None where it can."""
     length_m, breadth_m, _ = fleet.tank.size_m
-    if WALL_M <= x_m <= length_m - WALL_M and WALL_M <= y_m <= breadth_m - WALL_M:
+    if min(x_m, length_m - x_m, y_m, breadth_m - y_m) >= WALL_M - ROUNDING_M:
         return None
     return f"({x_m:.2f}, {y_m:.2f}) is less than {WALL_M} m from a wall, where no robot swims; write another place"

@@ -35,7 +35,6 @@ from agent.kernel.step_io import Flow, SeenTags
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 SURFACE_M = 0.08  # where that ends: a hull that is lifted out would plunge when somebody stops the motors
 ARRIVED_NS = 500_000_000  # after the gimbal came to rest: a few frames, which may show landmarks where it looks now
-STEP_NS = 60_000_000  # a goal is noticed a step after it was set
 RESTS = 16  # of the gimbal that are remembered: more than a key frame's four seconds hold
 
 
@@ -69,7 +68,7 @@ class Swimmer:
         """Landmarks and flow of the frames that were exposed while the gimbal was at rest; the others say little."""
         goal_us = seek.pointing.goal_us
         if goal_us is not None and (not self._rests or self._rests[-1].goal_us != goal_us):
-            self._rests.append(Rest(now_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg()))
+            self._rests.append(Rest(seek.pointing.told_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg()))
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
             level, gimbal = attitude.at(frame.t_ns), self._gimbal_at(frame.t_ns)
@@ -95,7 +94,7 @@ class Swimmer:
         for rest in reversed(self._rests):
             if rest.from_ns <= t_ns:
                 return rest.gimbal_deg
-            if rest.told_ns - STEP_NS <= t_ns:
+            if rest.told_ns <= t_ns:
                 return None
         return None
 
@@ -116,7 +115,7 @@ class Swimmer:
         if not self._glancing:
             self._glancing = True
             self._glance.reset()
-        pose = None if here is None else pose_of(here)
+        pose = None if here is None or self.lost else pose_of(here)
         pan, tilt = self._glance.direction_deg(pose, level, steady, now_ns)
         seek.look(pan, tilt, now_ns)
         return True

@@ -25,12 +25,13 @@ class LandmarkWatch:
     def __init__(self, camera: CameraFit, focus: FocusFit, hz: float) -> None:
         """hz: at most so many frames a second are searched; between sweeps the worker reads as many."""
         self._camera, self.period_s = camera, 1.0 / hz
-        self.rest = round(lens_position(focus, REST_M))
+        self.sharp = round(lens_position(focus, REST_M))  # what the lens is told between sweeps
+        self.rest: int | None = self.sharp  # what the device says that it did; None: its lens does not move
         self._lock = Lock()  # guards the next two
         self._tags: deque[SeenTags] = deque(maxlen=QUEUE)
         self._flows: deque[Flow] = deque(maxlen=QUEUE)
         self._tracked: Tracked | None = None
-        self._newest_ns: int | None = None  # by the camera's clock
+        self._newest_ns: int | None = None
 
     def prepare(self) -> None:
         """Load the compiled code now, and not while somebody waits for what a first frame shows."""
@@ -40,7 +41,7 @@ class LandmarkWatch:
         fit_corners(square, light_of_bytes(self._camera.gamma), rough, self._camera)
 
     def wait_s(self, now_ns: int) -> float:
-        """How long until the next whole frame is due."""
+        """How long until the next whole frame is due; now_ns by the agent's clock."""
         if self._newest_ns is None:
             return 0.0
         return max(0.0, self.period_s - (now_ns - self._newest_ns) * 1e-9)
@@ -58,7 +59,7 @@ class LandmarkWatch:
             moved = flow(self._tracked, camera)
         if lens_position == self.rest and (self._tracked is None or self._tracked.due):
             self._tracked = begin(frame.image, camera, t_ns)
-        self._newest_ns = frame.t_ns
+        self._newest_ns = t_ns
         with self._lock:
             self._tags.append(found)
             if moved is not None and moved.pairs:
