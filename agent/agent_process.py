@@ -25,6 +25,7 @@ from agent.keys.robot_keys import RobotKeys, robot_keys
 from agent.perception.detection.detectors import Detector, load_detectors
 from agent.perception.enhancement.enhance import default
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
+from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.preview import Preview
 from agent.perception.vision import Vision
 from agent.pictures.recorded_depth import sweep_depth
@@ -123,6 +124,8 @@ class AgentProcess:
         fleet, name = self._setup.fleet, self._setup.name
         enhancer = self._open_enhancer() if fleet.camera.enhance else None
         self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer)
+        swims, known = fleet.navigation, self._setup.calibration
+        self._landmarks = LandmarkWatch(known.camera, known.focus, swims.follow_hz) if swims else None
         self._eyes = Vision(
             lambda: open_camera(self._setup.robot.camera, self._sockets, self._size, self._clock),
             fleet,
@@ -132,6 +135,7 @@ class AgentProcess:
             name,
             on_frame=self._on_frame,
             enhancer=enhancer,
+            landmarks=self._landmarks,
         )
         self._eyes.start()
         self._stack.callback(self._eyes.close)
@@ -172,6 +176,7 @@ class AgentProcess:
             resume=self._module.arm if arm else lambda: None,
             sign=keys.sign,
             keys=keys.changed,
+            landmarks=self._landmarks.drain if self._landmarks else lambda: ((), ()),
         )
 
     def _open_enhancer(self) -> OnDemandEnhancer:

@@ -15,7 +15,7 @@ from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine, Mode
-from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, SweepPlan, Telemetry
+from agent.kernel.step_io import Flow, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan, Telemetry
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
 
@@ -23,6 +23,7 @@ STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough 
 SLACK_S = 0.025  # how late a step may come before a dive's clock waits for it
 
 T = TypeVar("T")
+Around = tuple[tuple[SeenTags, ...], tuple[Flow, ...]]  # what frames showed of what stays where it is
 Record = Callable[[int, int, bytes, bytes | None], None]  # step, now_ns, inputs, outputs; None: the step raised
 
 
@@ -57,15 +58,18 @@ class Runtime:
         resume: Callable[[], None] = lambda: None,
         sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
         keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
+        landmarks: Callable[[], Around] = lambda: ((), ()),
     ) -> None:
         """`faults`: what is wrong now with what the agent does not see, each as "kind: what"; it goes into the step,
         and from there into State and the log. `resume` is called when a robot rises for no other reason than our
         silence. `sign`: what it says as it shall leave; the recording has it as the kernel gave it. `keys`: the
-        robots' public keys at the first call and when they have changed, else None.
+        robots' public keys at the first call and when they have changed, else None. `landmarks`: what frames showed of
+        tags, and how points of key frames moved, since the last call.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
         self._faults, self._resume, self._sign, self._keys = faults, resume, sign, keys
+        self._landmarks = landmarks
         self._broken: dict[str, str] = {}  # parts that raised when they were last asked
 
     def run(self, stop: Event) -> None:
@@ -88,6 +92,7 @@ class Runtime:
             self._resume()
         heard, refused = self._part("links", self._network.drain) or ((), ())
         sightings = tuple(self._part("vision", self._eyes.drain) or ())
+        tags, flow = self._part("landmarks", self._landmarks) or ((), ())
         now_ns = self._clock.now_ns()
         keys = self._part("keys", lambda: self._keys(now_ns))
         told = self._part("faults", self._faults) or ()
@@ -97,6 +102,8 @@ class Runtime:
             sightings=sightings,
             heard=heard,
             refused=refused,
+            landmarks=tags or UNSET,
+            flow=flow or UNSET,
             faults=faults or UNSET,
             keys=UNSET if keys is None else keys,
         )

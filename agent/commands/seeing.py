@@ -55,6 +55,23 @@ def track(
     raise typer.Exit(0 if run(source, Asked(box, backbone, neck, frames, out, truth, rate, result), typer.echo) else 1)
 
 
+@app.command("tags", epilog="Example: aucamp tags photographs/ --calibration calibration/r1.toml --out seen")
+def tags(
+    source: Annotated[str, typer.Argument(help="Image, folder, video, or a camera such as v4l2:/dev/video0.")],
+    calibration: Annotated[Path | None, typer.Option(help="Calibration file of the camera that took them.")] = None,
+    fleet: Annotated[
+        Path | None,
+        typer.Option(help=r"Fleet file: says which ids its \[landmarks] do not have, and which are missing."),
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="How many; a camera needs it.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Pictures with the tags: new folder, or .mp4, .avi.")] = None,
+) -> None:
+    """Which AprilTags (36h11) there are: a line for each says id, size, blur and corners."""
+    from agent.pictures.list_tags import Asked, run
+
+    raise typer.Exit(0 if run(source, Asked(calibration, fleet, frames, out), typer.echo) else 1)
+
+
 @app.command(epilog="Example: aucamp enhance photographs/ --out clear --side-by-side")
 def enhance(
     source: Annotated[str, typer.Argument(help="Image, folder, video, or a camera such as v4l2:/dev/video0.")] = "",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -46,6 +47,7 @@ READY_S = 300.0  # of the wall; the first start compiles the twin's kernels
 SETTLE_ITERATIONS = 30  # after the last robot's first view
 SETTLE_WINDOW = 10
 SETTLE_M = 0.0015
+TRUE_WAYS = ("paths.csv", "separation.json")  # of robots that swim, as the twin leaves them
 
 
 def demo(
@@ -169,6 +171,9 @@ def dive(
     processes.stop("twin")
     for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:
         console.print(complaint)
+    for true in TRUE_WAYS:
+        if (folder / true).exists():
+            shutil.copy(folder / true, run)
     return histories, truth
 
 

@@ -14,6 +14,7 @@ Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
 Colour = Literal["red", "orange", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
+Face = Literal["x0", "x1", "y0", "y1", "floor"]  # walls at x = 0 and the far end of x, likewise y
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 
 
@@ -116,6 +117,37 @@ class Look(Struct, frozen=True, kw_only=True):
     tilt_deg: float = 0.0
 
 
+class Hold(Struct, frozen=True, kw_only=True, tag_field="kind", tag="hold"):
+    """Stay where it is told to, looking as it does then."""
+
+
+class Goto(Struct, frozen=True, kw_only=True, tag_field="kind", tag="goto"):
+    """Swim to a place and stay there."""
+
+    x_m: float
+    y_m: float
+    depth_m: Positive | None = None  # none: as deep as before
+    yaw_deg: float | None = None  # none: towards the target that is watched, else along the way
+
+
+class Turn(Struct, frozen=True, kw_only=True, tag_field="kind", tag="turn"):
+    """Turn the body on the spot."""
+
+    yaw_deg: float
+
+
+class Orbit(Struct, frozen=True, kw_only=True, tag_field="kind", tag="orbit"):
+    """Swim around something and face it; back the other way before the tether is wound up."""
+
+    x_m: float
+    y_m: float
+    radius_m: Positive
+    speed_m_s: float = 0.1  # positive: anticlockwise, seen from above
+
+
+Behaviour = Hold | Goto | Turn | Orbit
+
+
 class Robot(Struct, frozen=True, kw_only=True):
     neighbours: tuple[Name, ...] = ()
     listen: str
@@ -125,6 +157,41 @@ class Robot(Struct, frozen=True, kw_only=True):
     depth_m: Positive = 0.40  # hover set-point
     look: Look = Look()
     calibration: str
+    behaviour: Behaviour | None = None  # of a robot that swims; none: it goes to its pose and stays there
+
+
+class Tag(Struct, frozen=True, kw_only=True):
+    """One square of the family 36h11, flat on a face of the tank, printed side towards the water."""
+
+    id: Annotated[int, Meta(ge=0, le=586)]
+    face: Face
+    position_m: tuple[float, float, float]  # of its middle, world frame, on that face
+    # Anticlockwise as the camera sees it, from: its top towards the surface on a wall, towards +y on the floor.
+    turn_deg: float = 0.0
+
+
+class Landmarks(Struct, frozen=True, kw_only=True):
+    """AprilTags in the tank, where a survey found them."""
+
+    family: Literal["36h11"] = "36h11"
+    size_m: Positive  # black edge to black edge
+    sigma_m: Annotated[float, Meta(ge=0)] = 0.0005  # of the survey: each coordinate of a tag's middle
+    sigma_deg: Annotated[float, Meta(ge=0)] = 0.1  # and each angle by which it lies otherwise than said
+    tag: tuple[Tag, ...]
+
+
+class Limits(Struct, frozen=True, kw_only=True):
+    """What a swimming robot keeps to, whatever it is asked for."""
+
+    speed_m_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
+    turn_deg_s: Annotated[float, Meta(gt=0, le=90)] = 57.0
+
+
+class Navigation(Struct, frozen=True, kw_only=True):
+    """Robots that swim: `pose` of a robot is then where it shall be, and landmarks tell it where it is."""
+
+    limits: Limits = Limits()
+    follow_hz: Annotated[float, Meta(ge=2, le=20)] = 10.0  # at most so many frames a second are searched for landmarks
 
 
 class Twin(Struct, frozen=True, kw_only=True):
@@ -147,4 +214,6 @@ class Fleet(Struct, frozen=True, kw_only=True):
     camera: Camera = Camera()
     body: Body = Body()
     robot: dict[Name, Robot]
+    landmarks: Landmarks | None = None
+    navigation: Navigation | None = None  # none: every robot is moored where `pose` says
     twin: Twin = Twin()

@@ -19,6 +19,7 @@ from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
+from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.cues import NoRange
@@ -48,6 +49,7 @@ class Agent:
         self.targets = {target: TargetState(fleet, name, target, incarnation, shared) for target in fleet.target}
         self.scheduler = TargetScheduler(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
+        self.swimmer = Swimmer(fleet, robot, calibration) if fleet.navigation else None
         self.attitude = AttitudeLog()
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema)
         self.status = Status(fleet.fleet, name, incarnation)
@@ -86,6 +88,8 @@ class Agent:
             self.seek.add_telemetry(telemetry)
         for sighting in inputs.sightings:
             self.seek.add_sighting(sighting)
+        if self.swimmer is not None:
+            self.swimmer.see(inputs.landmarks or (), inputs.flow or (), self.attitude, self.seek, now_ns)
         self.status.devices(self._with_faults(inputs, now_ns), self.attitude, now_ns)
         outcome = self._measure(now_ns)
         self._iterate(now_ns)
@@ -106,20 +110,26 @@ class Agent:
         if isinstance(result, Rejected):
             self._note("info", f"sweep rejected: {result.reason}", now_ns)
             return sweep_outcome(self.current.name, result)
-        fix = self._fix(result)
+        fix = self._fix(result, now_ns)
         if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
             self.current.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
         return sweep_outcome(self.current.name, result, fix)
 
-    def _fix(self, peak: Measurement) -> Fix | NoRange:
+    def _fix(self, peak: Measurement, now_ns: int) -> Fix | NoRange:
         """Where a sweep's peak puts the target."""
         level = self.attitude.at(peak.t_ns)
         if level is None:
             return NoRange("no telemetry at the time of its sharpest frame")
-        eye, ball, cues = self.seek.eye(level), self.current.ball, self._fleet.ranging.cues
-        fix = locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues)
+        pose, own = None, None
+        if self.swimmer is not None:
+            known = self.swimmer.localizer.of_sample(peak.t_ns, now_ns)
+            if known is None:
+                return NoRange("where it was itself at the time of its sharpest frame is not known")
+            pose, own = pose_of(known[0]), known[1]
+        eye, ball, cues = self.seek.eye(level, pose), self.current.ball, self._fleet.ranging.cues
+        fix = locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
             return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
         return fix
@@ -143,6 +153,8 @@ class Agent:
             self.scheduler.next({name: target.estimator.t for name, target in self.targets.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
+        if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
+            return None
         believed = self.current.estimator.posterior
         told_m, wanted = believed.x_m if believed else None, self.current.prior is None
         plan = self.seek.act(now_ns, self.scheduler.target, level, told_m, wanted)
@@ -172,7 +184,8 @@ class Agent:
         gimbal_deg = self.seek.gimbal_deg()
         state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
         mode: Mode = "running" if self.net.fault(now_ns) is None else "degraded"
-        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed)
+        where = UNSET if self.swimmer is None else self.swimmer.localizer.shown(now_ns)
+        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed, whereabouts=where)
         return target.last_state
 
     def _last_state(self, now_ns: int) -> State | None:
@@ -201,7 +214,21 @@ class Agent:
     def _set_point(self, now_ns: int) -> SetPoint:
         pan_us, tilt_us = self.seek.pointing.servos_us(now_ns)
         centre_us = round(self._fleet.body.servo_centre_us)
-        return SetPoint(depth_m=self._robot.depth_m, servos_us=(pan_us, tilt_us, centre_us, centre_us))
+        servos_us = pan_us, tilt_us, centre_us, centre_us
+        if self.swimmer is None:
+            return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us)
+        ahead_n, left_n, moment_nm = self.swimmer.thrust(self._may_swim(now_ns), now_ns)
+        return SetPoint(
+            depth_m=self.swimmer.depth_m(now_ns),
+            force_n=(ahead_n, left_n),
+            yaw_moment_nm=moment_nm,
+            servos_us=servos_us,
+        )
+
+    def _may_swim(self, now_ns: int) -> bool:
+        """The module refuses to arm while it is asked for forces, and none act while it has taken over."""
+        newest = self.attitude.newest
+        return newest is not None and not self.attitude.silent(now_ns, 0) and newest.armed and newest.ladder == 0
 
 
 def next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:

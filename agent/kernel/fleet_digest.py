@@ -11,13 +11,13 @@ from typing import Any
 
 import msgspec
 
-from agent.kernel.config import Fleet, Target
+from agent.kernel.config import Fleet, Landmarks, Target
 
 
 def common(fleet: Fleet) -> str:
     """Digest of what the robots of a fleet have to agree on: 16 hexadecimal digits of SHA-256.
 
-    The order of tables, of robots and of neighbours does not count, nor does 1 for 1.0.
+    The order of tables, of robots, of neighbours and of landmarks does not count, nor does 1 for 1.0.
     """
     shared = {
         "fleet": fleet.fleet,
@@ -27,6 +27,8 @@ def common(fleet: Fleet) -> str:
         "target": {name: _target(target) for name, target in fleet.target.items()},
         "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
     }
+    if fleet.landmarks is not None:
+        shared["landmarks"] = _landmarks(fleet.landmarks)
     text = msgspec.json.encode(_plain(shared), order="sorted")
     return hashlib.sha256(text).hexdigest()[:16]
 
@@ -37,6 +39,12 @@ def _target(target: Target) -> dict[str, Any]:
         return {"detector": target.detector}
     size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
     return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size}
+
+
+def _landmarks(landmarks: Landmarks) -> dict[str, Any]:
+    """One map for all: places that two robots reckoned from different maps do not belong together."""
+    tags = sorted(landmarks.tag, key=lambda tag: tag.id)
+    return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(tags)}
 
 
 def _plain(value: Any) -> Any:

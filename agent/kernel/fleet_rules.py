@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from agent.kernel.navigation.swim_rules import broken_swim_rules
+from agent.kernel.navigation.tags.landmark_rules import broken_landmark_rules
+
 if TYPE_CHECKING:
     from agent.kernel.config import Fleet
 
@@ -36,6 +39,9 @@ def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     for name in fleet.robot:
         for key, remedy in (*_neighbour_rules(fleet, name), *_place_rules(fleet, name)):
             yield f"robot.{name}.{key}", remedy
+    if fleet.landmarks is not None:
+        yield from broken_landmark_rules(fleet.landmarks, fleet.tank)
+    yield from broken_swim_rules(fleet)
     yield from _device_rules(fleet)
 
 

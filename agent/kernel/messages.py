@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 SCHEMA = 2  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
 
@@ -188,6 +188,16 @@ class Explain(Message, frozen=True, kw_only=True):
     ] = {}
 
 
+class Whereabouts(Message, frozen=True, kw_only=True):
+    """Where a robot that swims is, by landmarks and its own motion."""
+
+    x_m: Annotated[float, means("m, world frame, of the body's centre")]
+    y_m: Annotated[float, means("m, world frame")]
+    yaw_deg: Annotated[float, means("degrees, anticlockwise from x")]
+    place_sigma_m: Annotated[float, means("m: root of the trace of the covariance of x and y")]
+    yaw_sigma_deg: Annotated[float, means("degrees")]
+
+
 class State(Message, frozen=True, kw_only=True):
     """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
 
@@ -222,6 +232,9 @@ class State(Message, frozen=True, kw_only=True):
     pan_deg: Annotated[float, means("degrees, as the gimbal is told; positive to the left")] = 0.0
     tilt_deg: Annotated[float, means("degrees, as the gimbal is told; positive upwards")] = 0.0
     focus: Annotated[int | None, means("lens position, in the camera's own steps")] = None
+    whereabouts: Annotated[
+        Whereabouts | UnsetType | None, means("of a robot that swims; null: it does not know; left out: it is moored")
+    ] = UNSET
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
     faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()

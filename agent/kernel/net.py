@@ -111,7 +111,8 @@ class Net:
         """The outputs of the step without messages, then without devices; None: the kernel itself is broken."""
         self._tell(f"{named(error)}, in a step whose inputs were left out", now_ns)
         deaf = replace(inputs, heard=())
-        for less in (deaf, replace(deaf, sightings=()), Inputs(faults=inputs.faults, keys=inputs.keys)):
+        blind = replace(deaf, sightings=(), landmarks=UNSET, flow=UNSET)
+        for less in (deaf, blind, Inputs(faults=inputs.faults, keys=inputs.keys)):
             try:
                 return work(less, now_ns)
             except Exception:  # noqa: BLE001

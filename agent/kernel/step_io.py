@@ -5,9 +5,14 @@ Units, times and frames as in messages.py.
 
 from __future__ import annotations
 
-from msgspec import UNSET, UnsetType
+from typing import Annotated
+
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
 
 from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
+
+Slope = tuple[float, float]
 
 # --- inputs: from the robot's own devices, and from others ----------------------------------------------------
 
@@ -29,6 +34,33 @@ class Sighting(Message, frozen=True, kw_only=True):
     score: float = 0.0  # 0 to 1: how sure it is that this is the target
     size_px: tuple[float, float] | None = None  # width and height of the box around a target that is no ball
     radius_sigma_px: float | None = None  # standard deviation of radius_px; None: vision did not say
+
+
+class SeenTag(msgspec.Struct, frozen=True, array_like=True):
+    """One landmark in a frame. A slope is (x, y) / (z - ahead_m) in the camera frame, the lens's bending undone."""
+
+    id: Annotated[int, Meta(ge=0, le=586)]
+    corners: tuple[Slope, Slope, Slope, Slope]  # clockwise as seen, from the upper left of the upright tag
+    size_px: float  # its shortest side
+    rho_px: float  # of its middle from the principal point
+    edges: bool  # corners are where fitted edges meet; False: where a corner finder put them
+
+
+class SeenTags(Message, frozen=True, kw_only=True):
+    """The landmarks of one frame."""
+
+    t_ns: int  # middle of the exposure
+    frame: Count
+    focus: int | None = None  # lens position, once at rest
+    tags: Annotated[tuple[SeenTag, ...], Meta(max_length=64)] = ()
+
+
+class Flow(Message, frozen=True, kw_only=True):
+    """Where points of a key frame are in a later one, as slopes."""
+
+    t_ns: int  # middle of the later exposure
+    since_ns: int  # and of the key frame's
+    pairs: Annotated[tuple[tuple[float, float, float, float], ...], Meta(max_length=64)] = ()  # x, y then; x, y now
 
 
 class Telemetry(Message, frozen=True, kw_only=True):
@@ -72,6 +104,8 @@ class Inputs(Message, frozen=True, kw_only=True):
     sightings: tuple[Sighting, ...] = ()
     heard: tuple[Heard, ...] = ()
     refused: tuple[DroppedPayloads, ...] = ()
+    landmarks: tuple[SeenTags, ...] | UnsetType = UNSET  # whole frames that were searched for them; unset: none was
+    flow: tuple[Flow, ...] | UnsetType = UNSET  # points of key frames in these frames; unset: none
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
 

@@ -28,6 +28,7 @@ from agent.perception.detection.detectors import Detector, Found
 from agent.perception.enhancement.enhance import one_thread
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from agent.perception.frame_checks import FrozenWatch, check
+from agent.perception.landmarks.watch import LandmarkWatch
 from hw.camera.camera import Camera, CameraError, Frame
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
@@ -44,7 +45,8 @@ class Vision:
 
     `open_camera` raises CameraError while there is no camera. `detectors` has one for each target. The `robot`'s clock
     waits for the thread. `on_frame(frame, sightings)` runs on it after each frame and must not block. `enhancer`: for
-    frames where the fleet file asks for it; by default with the best way that is installed.
+    frames where the fleet file asks for it; by default with the best way that is installed. `landmarks` sees whole
+    frames, in sweeps too: robots that swim need them.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Vision:
         robot: str = "",
         on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
         enhancer: OnDemandEnhancer | None = None,
+        landmarks: LandmarkWatch | None = None,
     ) -> None:
         self._open_camera = open_camera
         self._settings = fleet.camera
@@ -66,6 +69,7 @@ class Vision:
         self._part: Part | None = None  # while it waits between frames
         self._on_frame = on_frame
         self._enhancer = enhancer or OnDemandEnhancer()
+        self._landmarks = landmarks
         self._changed = Condition()  # guards the next three
         self._plan: SweepPlan | None = None
         self._closing = False
@@ -83,6 +87,8 @@ class Vision:
         self.frozen: str | None = None  # why its pictures are not believed to be of now
 
     def start(self) -> None:
+        if self._landmarks is not None:
+            self._landmarks.prepare()
         prepare()  # a dive's clock would wait for the thread, and on a busy machine give it up
         self._thread.start()
 
@@ -157,12 +163,21 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
+            if self._landmarks is not None and self._lens_position != self._landmarks.rest:
+                self._rest_lens(camera, self._landmarks)
             self._look(camera, tuple(self._detectors))
-            self._wait(part, IDLE_PERIOD_S, until_plan=True)
+            idle_s = self._landmarks.wait_s(self._clock.now_ns()) if self._landmarks else IDLE_PERIOD_S
+            self._wait(part, idle_s, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
         else:
             self._sweep(camera, plan, part)
+
+    def _rest_lens(self, camera: Camera, landmarks: LandmarkWatch) -> None:
+        """Where landmarks are sharp. A lens takes the nearest of its steps, or does not move at all."""
+        if camera.focus_range() is not None:
+            self._lens_position = camera.set_focus(landmarks.sharp)
+        landmarks.rest = self._lens_position
 
     def _sweep(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))
@@ -191,13 +206,17 @@ class Vision:
         searched for all of them: who comes into view is noticed, whoever is being measured.
         """
         last = self._last.get(targets[0])
-        part = sweep and not (self._settings.enhance and self._enhancer.wants_whole(machine.monotonic_ns()))
+        whole = self._settings.enhance and self._enhancer.wants_whole(machine.monotonic_ns())
+        searched = self._landmarks is not None and self._landmarks.wait_s(self._clock.now_ns()) <= 0.0
+        part = sweep and not (whole or searched)
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         check(frame, camera.size)
         self.frozen = self._frozen_watch.see(frame, self._clock.now_ns())
         sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
         self._last.update(zip(targets, sightings, strict=True))
+        if self._landmarks is not None and searched:
+            self._landmarks.see(frame, self._lens_position, self._clock.camera_offset_ns)
         self.frames += 1
         with self._changed:
             for sighting in sightings:

@@ -7,6 +7,7 @@ import json
 import signal
 import sys
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,7 @@ from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
 from hw.twin.devices.twin_folder import clock_path, locked, twin_dir
 from hw.twin.dive import Dive
+from hw.twin.landmarks import PaintedTag, true_tags
 from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.pace import run_by_clock
@@ -33,6 +35,7 @@ from hw.twin.physics.rotation import euler_rad
 from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Scene, Solid, generator, scene_of
 from hw.twin.targets import target_solids
+from hw.twin.truth import Watch, tags_as_json
 
 SWITCH_S = 0.0005  # Python's own 5 ms, for which a camera's thread keeps the water waiting, are half a tick
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -85,10 +88,11 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         raise ConfigError(f"{fleet_path}: no robot lives in the twin; set serial = 'twin:NAME', camera = 'twin:NAME'")
     scene = scene_of(fleet)
     solids = target_solids(fleet, scene, fleet_path)
-    optics = [_optics(fleet, scene, name) for name in robots]
-    Dive(fleet, robots, 0, waves=scene.waves).move()  # compiles the physics before the clock starts
+    tags = true_tags(fleet.landmarks, fleet.twin.seed)
+    optics = [_optics(fleet, scene, name, tags) for name in robots]
+    Dive(fleet, robots, 0, scene=scene).move()  # compiles the physics before the clock starts
     clock = RunClock(clock_path(fleet))
-    dive = Dive(fleet, robots, clock.now_ns(), waves=scene.waves, faults=scene.event)
+    dive = Dive(fleet, robots, clock.now_ns(), scene=scene)
     runs = interpreter()
     sys.stdout.write(f"twin: {', '.join(robots)} in scene {scene.name}, firmware under {runs}, files in {folder}\n")
     sys.stdout.flush()  # into a file too it stands before what stderr says later
@@ -101,7 +105,8 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         shutter = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))
         rendering = partial(keeper.frame, name)
         at_m = fleet.body.camera_m
-        camera = DiveCamera(i, dive.history, lens, vcm, painter, at_m, shutter, keeper.now_ns, rendering)
+        seen = (dive.history, lens, vcm, painter, at_m, dive.stage)
+        camera = DiveCamera(i, *seen, shutter, keeper.now_ns, rendering, scene.motion_blur)
         servers.append(FrameServer(folder / f"{name}.camera", camera))
     devices: list[Board | FrameServer] = [*dive.boards, *servers]
     stack.callback(_close_together, devices)
@@ -110,6 +115,9 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
     for device in devices:
         device.start()
     _write_truth(folder / "truth.json", fleet, solids, dive)
+    if not scene.moored:
+        dive.watch = Watch(robots, fleet.tank.size_m, folder)
+        stack.callback(dive.watch.close)
     _be_ready(folder, stop)
     sys.setswitchinterval(SWITCH_S)
     run_by_clock(dive, keeper, stop)
@@ -117,7 +125,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
-    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing stands before the chessboard
+    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing but the chessboard
     bench = Bench(fleet, robot, *_optics(fleet, empty, robot), RunClock(clock_path(fleet)).now_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)
@@ -126,11 +134,11 @@ def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, st
     serve(bench, folder / f"{robot}.bench", stop, lambda: _be_ready(folder, stop))
 
 
-def _optics(fleet: Fleet, scene: Scene, robot: str) -> tuple[Lens, Vcm, Painter]:
+def _optics(fleet: Fleet, scene: Scene, robot: str, tags: Sequence[PaintedTag] = ()) -> tuple[Lens, Vcm, Painter]:
     """The camera that this robot has in this world, the same on the bench and in the dive."""
     seed = fleet.twin.seed
     lens = draw_lens(scene.camera, generator(seed, robot, "lens"))
-    painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot)
+    painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot, tags)
     painter.prepare()
     return lens, Vcm(lens, generator(seed, robot, "vcm")), painter
 
@@ -157,7 +165,8 @@ def _write_truth(path: Path, fleet: Fleet, solids: dict[str, Solid], dive: Dive)
         }
         for name, state in zip(dive.robots, dive.states, strict=True)
     }
-    path.write_text(json.dumps({"seed": fleet.twin.seed, **targets, "robot": robots}, indent=1) + "\n")
+    tags = {"tag": tags_as_json(true_tags(fleet.landmarks, fleet.twin.seed))} if fleet.landmarks else {}
+    path.write_text(json.dumps({"seed": fleet.twin.seed, **targets, "robot": robots, **tags}, indent=1) + "\n")
 
 
 def _be_ready(folder: Path, stop: threading.Event) -> None:

@@ -1,6 +1,6 @@
 """One tick of the whole fleet: what the boards command moves the robots, and what the water then is they read.
 
-Also where faults are applied, those of the scene file at their times or one that a test calls for.
+Also where events are applied, those of the scene file at their times or one that a test calls for.
 """
 
 from __future__ import annotations
@@ -11,45 +11,36 @@ from typing import assert_never
 import numpy as np
 
 from agent.clock import machine
-from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.config import Fleet
 from agent.kernel.messages import Vector
+from hw.twin import faults
 from hw.twin.devices.board import Board
 from hw.twin.devices.boot import Act
 from hw.twin.devices.sensor_faults import SensorFaults
-from hw.twin.faults import (
-    AnyFault,
-    Battery,
-    FirmwareHang,
-    Leak,
-    PowerCut,
-    Push,
-    SensorDead,
-    SensorOffset,
-    SensorStuck,
-    SensorWell,
-    SerialUnplug,
-    SlowBoard,
-    ThrusterDead,
-    ThrusterGain,
-)
 from hw.twin.history import History
+from hw.twin.landmarks import true_tags
 from hw.twin.physics.battery import OPEN_V, current_a, supply_v, thrust_loss
-from hw.twin.physics.body import BODY, draw_body
+from hw.twin.physics.body import BODY, cast_off, draw_body
+from hw.twin.physics.flow import Flow
 from hw.twin.physics.plant import Plant, set_body
 from hw.twin.physics.rotation import quaternion
 from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
 from hw.twin.physics.tank import STATE, STEP_S, TICK_NS, advance, push
 from hw.twin.physics.waves import add_waves
-from hw.twin.scene import Waves
+from hw.twin.scene import Pull, Scene, put_off
+from hw.twin.stage import Stage
+from hw.twin.targets import movable
+from hw.twin.truth import WATCH_TICKS, Watch
 
+STILL = Scene(name="still")
 STEP_US, TICK_US = round(STEP_S * 1e6), TICK_NS // 1000
 
 
 class Dive:
     """All robots of a fleet in one tank, and its clock: start_ns + ticks * 10 ms.
 
-    `plants` overrides what is drawn for the robots that it names. Raises ConfigError for a fault whose robot does
-    not dive.
+    `plants` overrides what is drawn for the robots that it names. Raises ConfigError for an event of the scene that
+    nothing here can meet.
     """
 
     def __init__(
@@ -59,8 +50,7 @@ class Dive:
         start_ns: int,
         *,
         plants: Mapping[str, Plant] | None = None,
-        waves: Waves | None = None,
-        faults: Sequence[AnyFault] = (),
+        scene: Scene = STILL,
     ) -> None:
         seed, surface_m = fleet.twin.seed, fleet.tank.surface_m
         self.robots = list(robots)
@@ -69,9 +59,11 @@ class Dive:
         rows = [(plants or {}).get(name, Plant()) for name in robots]
         for i, name in enumerate(robots):
             pose, depth_m = fleet.robot[name].pose, fleet.robot[name].depth_m
-            start = (pose.x_m, pose.y_m, surface_m - depth_m, pose.yaw_deg)
+            x_m, y_m, yaw_deg = put_off(scene.start_sigma, (pose.x_m, pose.y_m, pose.yaw_deg), seed, name)
+            start = (x_m, y_m, surface_m - depth_m, yaw_deg)
             self.bodies[i] = draw_body(seed, name, start, fleet.tank, fleet.body)
             set_body(self.bodies[i], rows[i])
+        self._tank, self._waves = fleet.tank, scene.waves
         self.states["held"] = 1
         self.states["position_m"] = self.bodies["home_m"]
         self.states["quaternion"] = [quaternion(0.0, 0.0, yaw) for yaw in self.bodies["home_yaw_rad"]]
@@ -84,20 +76,22 @@ class Dive:
         self.boards: list[Board] = []
         self.answered_s = [0.0] * len(robots)  # how long, on the wall, the last tick waited for each firmware
         self.history = History(len(robots), start_ns)
+        self.stage = Stage(scene.solid, true_tags(fleet.landmarks, seed))
+        self.watch: Watch | None = None  # of robots that swim, where somebody wants to know
         self.ticks = 0
         self._start_ns = start_ns
         self._mounting = fleet.body
         self._size_m, self._surface_m = np.array(fleet.tank.size_m), surface_m
-        self._waves = waves or Waves()
+        self._flow = Flow(seed, self.robots, scene.current, scene.tether_pull)
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
         self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, whose
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
-        self._to_come = sorted(faults, key=lambda fault: fault.at_s, reverse=True)  # the next is the last
-        for fault in faults:
-            if fault.robot not in robots:
-                names = ", ".join(robots)
-                raise ConfigError(f"event at {fault.at_s} s: no robot '{fault.robot}' dives; name one of {names}")
+        self._to_come = sorted(scene.event, key=lambda event: event.at_s, reverse=True)  # the next is the last
+        tags = [tag.id for tag in fleet.landmarks.tag] if fleet.landmarks else []
+        for name in () if scene.moored else robots:
+            self.cast_off(name)
+        faults.check(scene.event, self.robots, movable(fleet, scene), tags)
         self._measure()
 
     @property
@@ -136,6 +130,8 @@ class Dive:
         """Physics and sensors alone."""
         now_us = self.ticks * TICK_US
         until_us = now_us + TICK_US
+        if self._flow.active:
+            self._flow.tick(self.states)
         for row in sorted((row for row in self._to_show if row[0] < until_us), key=lambda row: row[:2]):
             now_us = self._advance(now_us, row[0])
             self._show(row[1], row[2])
@@ -156,6 +152,8 @@ class Dive:
     def _measure(self) -> None:
         t_s = self.ticks * TICK_NS * 1e-9
         self.history.append(self.states)
+        if self.watch is not None and self.ticks % WATCH_TICKS == 0:
+            self.watch.see(self.states, self.now_ns)
         water_pressure_pa(self.bodies, self.states, self._surface_m, self._water_pa)
         if self._waves.amplitude_m:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)
@@ -177,7 +175,7 @@ class Dive:
                 centred_us = servo_us - self._mounting.servo_centre_us
                 self._nominal_deg[i, k] = centred_us / self._mounting.servo_us_per_deg
 
-    # --- faults, from now on --------------------------------------------------------------------------------------
+    # --- events, from now on --------------------------------------------------------------------------------------
 
     def push(self, robot: str, force_n: Vector, point_m: Vector, for_s: float) -> None:
         """Push a robot: world-frame force at a body-frame point."""
@@ -227,39 +225,70 @@ class Dive:
         """Let the control module take so many times as long for everything."""
         self.boards[self._index(robot)].slow_down(by)
 
+    def cast_off(self, robot: str) -> None:
+        """Take the mooring off a robot: it swims."""
+        i = self._index(robot)
+        cast_off(self.bodies[i], self._tank)
+        self.states["stirred"][i] = 1
+
+    def pull_tether(self, robot: str, force_n: float, correlation_s: float, for_s: float) -> None:
+        """Tug at a tether at random, force_n in the root of the mean square."""
+        self._flow.pull(self._index(robot), Pull(force_n=force_n, correlation_s=correlation_s), for_s)
+
+    def set_current(self, velocity_m_s: Vector) -> None:
+        """Another current, which the water takes up within seconds."""
+        self._flow.set_current(velocity_m_s)
+
+    def move_solid(self, solid: int, to_m: Vector, over_s: float) -> None:
+        """Move a solid of the scene from where it is."""
+        self.stage.move(solid, to_m, self.now_ns, over_s)
+
+    def lose_tag(self, number: int) -> None:
+        """Take a tag away."""
+        self.stage.lose_tag(number, self.now_ns)
+
     def _index(self, robot: str) -> int:
         return self.robots.index(robot)
 
 
-def apply(fault: AnyFault, dive: Dive) -> None:
-    """Make a fault happen now, whatever its time."""
-    robot = fault.robot
-    match fault:
-        case Push():
-            dive.push(robot, fault.force_n, fault.point_m, fault.for_s)
-        case SensorDead():
-            dive.kill_sensor(robot, fault.sensor)
-        case SensorStuck():
-            dive.stick_sensor(robot, fault.sensor)
-        case SensorOffset():
-            dive.shift_sensor(robot, fault.sensor, fault.offset_m)
-        case SensorWell():
-            dive.mend_sensor(robot, fault.sensor)
-        case Leak():
-            dive.leak(robot)
-        case Battery():
-            dive.set_battery(robot, fault.volts)
-        case ThrusterDead():
-            dive.scale_thruster(robot, fault.thruster, 0.0)
-        case ThrusterGain():
-            dive.scale_thruster(robot, fault.thruster, fault.gain)
-        case SerialUnplug():
-            dive.unplug(robot, fault.for_s)
-        case PowerCut():
-            dive.cut_power(robot, fault.for_s)
-        case FirmwareHang():
-            dive.hang_firmware(robot)
-        case SlowBoard():
-            dive.slow_board(robot, fault.by)
+def apply(event: faults.AnyEvent, dive: Dive) -> None:
+    """Make an event happen now, whatever its time."""
+    match event:
+        case faults.Push():
+            dive.push(event.robot, event.force_n, event.point_m, event.for_s)
+        case faults.SensorDead():
+            dive.kill_sensor(event.robot, event.sensor)
+        case faults.SensorStuck():
+            dive.stick_sensor(event.robot, event.sensor)
+        case faults.SensorOffset():
+            dive.shift_sensor(event.robot, event.sensor, event.offset_m)
+        case faults.SensorWell():
+            dive.mend_sensor(event.robot, event.sensor)
+        case faults.Leak():
+            dive.leak(event.robot)
+        case faults.Battery():
+            dive.set_battery(event.robot, event.volts)
+        case faults.ThrusterDead():
+            dive.scale_thruster(event.robot, event.thruster, 0.0)
+        case faults.ThrusterGain():
+            dive.scale_thruster(event.robot, event.thruster, event.gain)
+        case faults.SerialUnplug():
+            dive.unplug(event.robot, event.for_s)
+        case faults.PowerCut():
+            dive.cut_power(event.robot, event.for_s)
+        case faults.FirmwareHang():
+            dive.hang_firmware(event.robot)
+        case faults.SlowBoard():
+            dive.slow_board(event.robot, event.by)
+        case faults.TetherPull():
+            dive.pull_tether(event.robot, event.force_n, event.correlation_s, event.for_s)
+        case faults.CastOff():
+            dive.cast_off(event.robot)
+        case faults.CurrentSet():
+            dive.set_current(event.velocity_m_s)
+        case faults.Occlude():
+            dive.move_solid(event.solid, event.to_m, event.over_s)
+        case faults.TagLost():
+            dive.lose_tag(event.id)
         case _:
-            assert_never(fault)
+            assert_never(event)

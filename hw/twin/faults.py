@@ -1,5 +1,5 @@
-"""Faults of a dive, each at its time for one robot: the [[event]] tables of a scene file, as data. hw.twin.dive applies
-them.
+"""What happens in a dive, each at its time and most of it to one robot: the [[event]] tables of a scene file, as data,
+and the rules for them. hw.twin.dive applies them.
 
 [[event]]
 at_s = 40.0           # since the twin began
@@ -10,19 +10,23 @@ for_s = 5.0
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, get_args
 
 from msgspec import Meta
 
-from agent.kernel.config import Name, Positive, Struct
+from agent.kernel.config import ConfigError, Name, Positive, Struct
 from agent.kernel.messages import Vector
 
 Sensor = Annotated[int, Meta(ge=1, le=4)]
 Thruster = Annotated[int, Meta(ge=1, le=8)]
 
 
-class Fault(Struct, frozen=True, kw_only=True, tag_field="kind"):
+class Event(Struct, frozen=True, kw_only=True, tag_field="kind"):
     at_s: Annotated[float, Meta(ge=0)]
+
+
+class Fault(Event, frozen=True, kw_only=True):
     robot: Name
 
 
@@ -94,7 +98,39 @@ class SlowBoard(Fault, frozen=True, kw_only=True, tag="slow_board"):
     by: Annotated[float, Meta(ge=0, le=100)]
 
 
-AnyFault = (
+class TetherPull(Fault, frozen=True, kw_only=True, tag="tether_pull"):
+    """Something tugs at the tether, horizontally and at random; what the scene says of that is silent meanwhile."""
+
+    force_n: Annotated[float, Meta(ge=0)]  # root of the mean square
+    correlation_s: Positive = 4.0
+    for_s: Positive
+
+
+class CastOff(Fault, frozen=True, kw_only=True, tag="cast_off"):
+    """The mooring lets go: from now on the robot swims."""
+
+
+class CurrentSet(Event, frozen=True, kw_only=True, tag="current"):
+    """The current changes; the water follows within seconds."""
+
+    velocity_m_s: Vector
+
+
+class Occlude(Event, frozen=True, kw_only=True, tag="occlude"):
+    """A stone of the scene is moved, straight and steadily, to where it hides something."""
+
+    solid: Annotated[int, Meta(ge=0)]  # number of its table [[solid]], the first is 0
+    to_m: Vector
+    over_s: Positive
+
+
+class TagLost(Event, frozen=True, kw_only=True, tag="tag_lost"):
+    """A tag is seen no more: it fell off, or something grew over it."""
+
+    id: Annotated[int, Meta(ge=0)]
+
+
+AnyEvent = (
     Push
     | SensorDead
     | SensorStuck
@@ -108,5 +144,29 @@ AnyFault = (
     | PowerCut
     | FirmwareHang
     | SlowBoard
+    | TetherPull
+    | CastOff
+    | CurrentSet
+    | Occlude
+    | TagLost
 )
-KINDS = tuple(str(fault.__struct_config__.tag) for fault in get_args(AnyFault))
+KINDS = tuple(str(event.__struct_config__.tag) for event in get_args(AnyEvent))
+
+
+def check(events: Sequence[AnyEvent], robots: Sequence[str], movable: Sequence[int], tags: Sequence[int]) -> None:
+    """Raise ConfigError for an event that nothing in this dive can meet.
+
+    movable: numbers of the solids that are stones and no targets; tags: ids of those in the tank.
+    """
+    for event in events:
+        what, there = None, tuple[object, ...]()
+        match event:
+            case Fault() if event.robot not in robots:
+                what, there = f"no robot '{event.robot}' dives", tuple(robots)
+            case Occlude() if event.solid not in movable:
+                what, there = f"solid {event.solid} of the scene is no stone that may be moved", tuple(movable)
+            case TagLost() if event.id not in tags:
+                what, there = f"the fleet file has no tag {event.id}", tuple(tags)
+        if what is not None:
+            remedy = f"name one of {', '.join(map(str, there))}" if there else "take the event out"
+            raise ConfigError(f"event at {event.at_s} s: {what}; {remedy}")

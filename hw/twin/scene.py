@@ -12,8 +12,9 @@ import numpy as np
 from msgspec import Meta
 
 from agent.kernel.config import Colour, ConfigError, Fleet, Positive, Struct, WaterKind
+from agent.kernel.messages import Vector
 from agent.kernel.toml_files import convert, read_toml
-from hw.twin.faults import KINDS, AnyFault
+from hw.twin.faults import KINDS, AnyEvent
 
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
@@ -40,6 +41,27 @@ class Waves(Struct, frozen=True, kw_only=True):
     mode: Annotated[int, Meta(ge=1)] = 1  # half wavelengths in the tank
 
 
+class Current(Struct, frozen=True, kw_only=True):
+    """How the water flows, everywhere alike."""
+
+    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    gust_m_s: Annotated[float, Meta(ge=0)] = 0.0  # standard deviation of what comes and goes, in x and in y
+
+
+class Pull(Struct, frozen=True, kw_only=True):
+    """What tugs at a robot's tether: horizontal, at random, with the time after which it has forgotten itself."""
+
+    force_n: Annotated[float, Meta(ge=0)] = 0.0  # root of the mean square
+    correlation_s: Positive = 4.0
+
+
+class StartSigma(Struct, frozen=True, kw_only=True):
+    """How far, in one standard deviation, a robot is put off the pose of the fleet file."""
+
+    place_m: Annotated[float, Meta(ge=0)] = 0.0  # in x and in y
+    yaw_deg: Annotated[float, Meta(ge=0)] = 0.0
+
+
 class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
@@ -47,7 +69,12 @@ class Scene(Struct, frozen=True, kw_only=True):
     camera: str = "imx519_640"  # preset of hw.twin.optics.lens
     solid: tuple[Solid, ...] = ()
     waves: Waves = Waves()
-    event: tuple[AnyFault, ...] = ()
+    moored: bool = True  # False: a robot swims freely from when it is armed on
+    start_sigma: StartSigma = StartSigma()
+    current: Current = Current()
+    tether_pull: Pull = Pull()
+    motion_blur: bool = False
+    event: tuple[AnyEvent, ...] = ()
 
 
 def load_scene(name: str) -> Scene:
@@ -69,6 +96,15 @@ def scene_of(fleet: Fleet) -> Scene:
     """The scene that the fleet file names, filled with the water that it names."""
     scene = load_scene(fleet.twin.scene)
     return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
+
+
+def put_off(sigma: StartSigma, said: tuple[float, float, float], seed: int, robot: str) -> tuple[float, float, float]:
+    """Where the crew really puts a robot (x_m, y_m, yaw_deg) that shall start as `said`: two sigma off at most."""
+    if not (sigma.place_m or sigma.yaw_deg):
+        return said
+    off = np.clip(generator(seed, robot, "start").standard_normal(3), -2, 2)
+    x, y, yaw = np.array(said) + off * (sigma.place_m, sigma.place_m, sigma.yaw_deg)
+    return float(x), float(y), float(yaw)
 
 
 def generator(seed: int, *names: str) -> np.random.Generator:

@@ -30,3 +30,10 @@ def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Sol
             )
         found[name] = like[0]
     return found
+
+
+def movable(fleet: Fleet, scene: Scene) -> list[int]:
+    """Numbers of the solids that an event may move: stones, but for those that are a target, whose place is told."""
+    return [
+        i for i, s in enumerate(scene.solid) if s.kind == "stone" and (s.name is None or s.name not in fleet.target)
+    ]

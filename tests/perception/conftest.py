@@ -35,7 +35,7 @@ def worker(monkeypatch):
     monkeypatch.setattr(vision, "RETRY_S", (0.01, 0.02))
     started = []
 
-    def start(*cameras, settle_s=0.03, on_frame=None, clock=None, find=None):
+    def start(*cameras, settle_s=0.03, on_frame=None, clock=None, find=None, landmarks=None):
         waiting = list(cameras)
 
         def open_camera():
@@ -48,7 +48,8 @@ def worker(monkeypatch):
         detectors = load_detectors(fleet, CAMERA)
         if find is not None:
             detectors["ball"].find = find
-        out = Vision(open_camera, fleet, CAMERA, detectors, clock or SystemClock(), on_frame=on_frame)
+        clock = clock or SystemClock()
+        out = Vision(open_camera, fleet, CAMERA, detectors, clock, on_frame=on_frame, landmarks=landmarks)
         started.append(out)
         out.start()
         return out

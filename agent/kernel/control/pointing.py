@@ -35,6 +35,7 @@ class Pointing:
     def __init__(self) -> None:
         self.goal_us: tuple[int, int] | None = None
         self._approach_until_ns = 0
+        self.told_ns = 0  # when goal_us was set: frames exposed from then on are not of the goal before
         self.steady_from_ns = 0  # frames exposed later belong to goal_us
 
     def aim(self, goal_us: tuple[int, int], now_ns: int) -> None:
@@ -44,6 +45,7 @@ class Pointing:
         come_from_us = self.goal_us or (goal_us[0] - FULL_TURN_US, goal_us[1])
         travel_us = max(abs(a - b) for a, b in zip(goal_us, come_from_us, strict=True))
         travel_ns = round(travel_us / SLEW_US_PER_S * 1e9)
+        self.told_ns = now_ns
         self._approach_until_ns = now_ns + travel_ns + APPROACH_NS
         self.steady_from_ns = self._approach_until_ns + SETTLE_NS
         self.goal_us = goal_us

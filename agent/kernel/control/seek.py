@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from agent.kernel.config import Fleet, Robot
+from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import Pointing, Search, off_centre_px
 from agent.kernel.control.sweep import Measurement, Rejected, Sweep
@@ -36,6 +36,7 @@ class Seek:
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
+        self.pose = robot.pose  # of a robot that swims, by whoever knows it
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._look_us = servos_us(self._camera, fleet.body, robot.look.pan_deg, robot.look.tilt_deg)
@@ -100,9 +101,13 @@ class Seek:
         since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
         return now_ns - since_ns > LOST_NS
 
-    def eye(self, level: Attitude) -> Eye:
-        """Where the camera is while the gimbal rests at its goal."""
-        return camera_pose(self._robot.pose, self._fleet.body, *level, *self.gimbal_deg(), self._fleet.tank.surface_m)
+    def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
+        """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way."""
+        self._aim(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
+
+    def eye(self, level: Attitude, pose: Pose | None = None) -> Eye:
+        """Where the camera is while the gimbal rests at its goal; `pose`: of another time than now."""
+        return camera_pose(pose or self.pose, self._fleet.body, *level, *self.gimbal_deg(), self._fleet.tank.surface_m)
 
     def gimbal_deg(self) -> tuple[float, float]:
         """Pan and tilt at rest at the goal, by calibration."""
@@ -122,7 +127,7 @@ class Seek:
             self._turn_to_point(told_m, level, offset, now_ns)
 
     def _turn_to_point(self, point: Vector, level: Attitude, offset_deg: tuple[float, float], now_ns: int) -> None:
-        pan, tilt = look_at(point, self._robot.pose, self._fleet.body, *level, self._fleet.tank.surface_m)
+        pan, tilt = look_at(point, self.pose, self._fleet.body, *level, self._fleet.tank.surface_m)
         self._aim(servos_us(self._camera, self._fleet.body, pan + offset_deg[0], tilt + offset_deg[1]), now_ns)
 
     def _aim(self, goal_us: tuple[int, int], now_ns: int) -> None:

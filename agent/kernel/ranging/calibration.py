@@ -55,6 +55,7 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     tilt_zero_deg: float = 0.0
     pan_gain: Positive = 1.0
     tilt_gain: Positive = 1.0
+    gamma: Positive = 2.2  # a byte is 255 light ** (1 / gamma), light linear and 1 at the sensor's limit
     noise_px: Positive = 0.5  # residual of the fit
     noise_deg: Positive = 0.1  # repeatability of the gimbal
 

@@ -3,7 +3,8 @@
 x = p + a o + d r: p the gimbal's pivot, a the optical axis along which rays meet o = ahead_m before it, r the unit
 ray through the ball's centre or the middle of a box, d the distance along it. To first order the error of x is the sum
 of independent ones: along r that of d; across it pixel and gimbal; about the body's centre the error of its attitude;
-and that of its place. What averages out over measurements and what does not are kept apart.
+and that of its place: of a robot that is moored as it was surveyed, of one that swims as its filter has them
+(own_pose.py). What averages out over measurements and what does not are kept apart.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.kernel.config import Cues, Target
+from agent.kernel.estimation.matrix import plus, times
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.ranging.calibration import Calibration, at_lens_position
 from agent.kernel.ranging.camera_model import Eye, apply, ray, slopes_per_px
 from agent.kernel.ranging.cues import NoRange, Outline, Range, distance
+from agent.kernel.ranging.own_pose import OwnPose, carried
 
 # What the robot does not know of itself; figures of the twin, which took them from tape measures and cheap sensors.
 PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
@@ -49,10 +52,12 @@ def locate(
     sigma_rho: float,
     ball: Target,
     cues: Cues = "both",
+    own: OwnPose | None = None,
 ) -> Fix | NoRange:
     """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
 
-    Of what is in a box: the point of its surface behind the middle of the box.
+    Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
+    where it was then; None: it is moored.
 
     NoRange where the wanted cues have no range, or contradict each other.
     """
@@ -74,20 +79,19 @@ def locate(
     boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
     arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
     level, heading = math.radians(LEVEL_SIGMA_DEG) ** 2, math.radians(HEADING_SIGMA_DEG) ** 2
+    place2 = PLACE_SIGMA_M**2
+    if own is not None:
+        heading = place2 = 0.0  # its covariances have them
     attitude = [
         (_cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
     ]
-    place = [
-        ((1.0, 0.0, 0.0), PLACE_SIGMA_M**2),
-        ((0.0, 1.0, 0.0), PLACE_SIGMA_M**2),
-        ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2),
-    ]
-    return Fix(
-        (x, y, z),
-        _sum([(r, d.random_m2), *turns, *shifts]),
-        _sum([(r, d.systematic_m2), *attitude, *place, *boxed]),
-        d.focus_share,
-    )
+    place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2)]
+    random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
+    systematic_m2 = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
+    if own is not None:
+        random_m2 = plus(random_m2, times(own.kappa, carried(arm, own.fluctuates)))
+        systematic_m2 = plus(systematic_m2, carried(arm, own.stays))
+    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share)
 
 
 def _slope_shift(e: Vector, r: Vector, m_e: float, m_z: float, d: Range) -> Vector:

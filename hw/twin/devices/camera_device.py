@@ -12,8 +12,9 @@ import numpy as np
 from agent.kernel.messages import Vector
 from hw.camera.camera import FocusRange, Frame, Roi
 from hw.twin.history import History, RobotPose
-from hw.twin.optics.view import Eye, Hull
+from hw.twin.optics.view import Eye, Hull, Moment
 from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal
+from hw.twin.stage import Stage
 
 if TYPE_CHECKING:
     from hw.twin.optics.lens import Lens, Vcm
@@ -57,7 +58,7 @@ def look(pose: RobotPose, camera_m: Vector) -> tuple[Eye, float]:
 class DiveCamera:
     """The camera of robot number `me`, a FrameSource. Frames are rendered on demand, and only those asked for.
 
-    There is no motion blur: a frame shows the middle of its exposure.
+    A frame shows the middle of its exposure; one that `blurs` shows all of it, as far as anything moves.
     """
 
     def __init__(
@@ -68,9 +69,11 @@ class DiveCamera:
         vcm: Vcm,
         painter: Painter,
         camera_m: Vector,
+        stage: Stage,
         clock: FrameClock,
         now_ns: Callable[[], int],
         rendering: Callable[[int, int], AbstractContextManager[None]] = unhurried,
+        blurs: bool = False,
     ) -> None:
         """`now_ns`: the dive's clock. `rendering(delivered_ns, latest_ns)` is around the making of a frame: it ends
         when it is delivered_ns, and it may keep time from going beyond latest_ns before that."""
@@ -79,6 +82,7 @@ class DiveCamera:
         self._me, self._history, self._camera_m = me, history, camera_m
         self._vcm, self._painter, self._clock = vcm, painter, clock
         self._now_ns, self._rendering = now_ns, rendering
+        self._stage, self._blurs = stage, blurs
         self._focused_ns = 0
 
     def set_focus(self, lens_position: int) -> int:
@@ -94,9 +98,18 @@ class DiveCamera:
             return self._frame(seq, opens_ns + EXPOSURE_NS // 2, roi)
 
     def _frame(self, seq: int, middle_ns: int, roi: Roi | None) -> Frame:
-        poses = self._history.at(middle_ns)
+        middle, elevation_rad = self._moment(middle_ns)
+        distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
+
+        def during(share: float) -> Moment:
+            return self._moment(middle_ns + round(share * EXPOSURE_NS))[0]
+
+        image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None)
+        return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
+
+    def _moment(self, t_ns: int) -> tuple[Moment, float]:
+        """What there is to see at t_ns, and how far the camera looks up (rad)."""
+        poses = self._history.at(t_ns)
         eye, elevation_rad = look(poses[self._me], self._camera_m)
         hulls = tuple(Hull(p.position_m, p.rotation) for i, p in enumerate(poses) if i != self._me)
-        distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
-        image = self._painter.frame(eye, distance_m, hulls=hulls, roi=roi, tick=seq)
-        return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
+        return Moment(eye, self._stage.solids(t_ns), hulls, self._stage.tags(t_ns)), elevation_rad

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from agent.kernel.config import ConfigError, Fleet
 # sockaddr_un holds 108 bytes including the final zero (Linux unix(7)); the longest name is a robot's plus ".camera".
 LONGEST_FOLDER = 107 - len("/") - 16 - len(".camera")
 
+RESULTS = ("paths.csv", "separation.json")  # stay for who judges the dive, until the next one
 RUN_FILES = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log", "truth.json", "ready")
 
 
@@ -31,7 +32,8 @@ def clock_path(fleet: Fleet) -> Path:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[Path]:
-    """Hold the folder for one twin: emptied of an earlier run's files at the start and of this run's at the end.
+    """Hold the folder for one twin: emptied of an earlier run's files at the start, and of this run's but for its
+    RESULTS at the end.
 
     Raises ConfigError when another twin holds it, when it is not ours, or when its path is too long for a socket.
     """
@@ -49,16 +51,16 @@ def locked(folder: Path) -> Iterator[Path]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigError(f"{folder}: another twin runs here; stop it or set twin.dir to another folder") from None
-        _remove_run_files(folder)
+        _remove(folder, (*RUN_FILES, *RESULTS))
         try:
             yield folder
         finally:
-            _remove_run_files(folder)
+            _remove(folder, RUN_FILES)
     finally:
         os.close(lock)  # the file stays: removing a lock file would let two twins lock two different files
 
 
-def _remove_run_files(folder: Path) -> None:
-    for pattern in RUN_FILES:
+def _remove(folder: Path, patterns: Sequence[str]) -> None:
+    for pattern in patterns:
         for path in folder.glob(pattern):
             path.unlink(missing_ok=True)

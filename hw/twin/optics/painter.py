@@ -1,6 +1,6 @@
 """What one robot's camera sees: the order of work from a pose to the bytes of a frame.
 
-trace (which surface, how far) -> shade (light, water) -> blur (lens) -> expose (noise, gamma).
+trace (which surface, how far) -> shade (light, water) -> paint (tags) -> blur (lens) -> expose (noise, gamma).
 
 Not modelled: lamps, cast shadows, mirror images at the surface and the walls, lens aberrations, vignetting.
 """
@@ -13,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.kernel.config import Tank
+from hw.twin.landmarks import PaintedTag
 from hw.twin.optics import texture
 from hw.twin.optics.defocus import blur, circles, margin
 from hw.twin.optics.exposure import expose, gamma_curve, noise_key, normal_quantiles
 from hw.twin.optics.lens import Lens
-from hw.twin.optics.raycast import Floats, View, trace
+from hw.twin.optics.motion import During, parts_of
+from hw.twin.optics.raycast import Floats, Identities, View, trace
 from hw.twin.optics.shade import PER_M, ShadingTables, shade
+from hw.twin.optics.tags import make_decals, paint
 from hw.twin.optics.texture import MATERIALS
-from hw.twin.optics.view import Chessboard, Eye, Hull, make_view
+from hw.twin.optics.view import Chessboard, Eye, Hull, Moment, make_view
 from hw.twin.optics.water import daylight, draw_water, transmission_and_veil
 from hw.twin.scene import Scene, generator
 
@@ -36,8 +39,17 @@ ALIGN = 4  # the coarsest pixels of the blur lie on one grid whichever part is a
 class Painter:
     """One robot's view of a scene. Lens and water are hidden draws; one thread uses a painter at a time."""
 
-    def __init__(self, scene: Scene, tank: Tank, refractive_index: float, lens: Lens, seed: int, robot: str) -> None:
-        self._scene = scene
+    def __init__(
+        self,
+        scene: Scene,
+        tank: Tank,
+        refractive_index: float,
+        lens: Lens,
+        seed: int,
+        robot: str,
+        tags: Sequence[PaintedTag] = (),
+    ) -> None:
+        self._scene, self._tags = scene, tuple(tags)
         self._box_m = np.array([tank.size_m[0], tank.size_m[1], tank.surface_m])
         self._index = refractive_index
         self._lens = lens
@@ -79,23 +91,48 @@ class Painter:
 
         Raises ValueError for a part that is empty or not inside the frame.
         """
+        return self.expose(self._moment(eye, hulls, chessboard), image_distance_m, roi, tick)
+
+    def expose(
+        self,
+        middle: Moment,
+        image_distance_m: float,
+        roi: Part | None = None,
+        tick: int = 0,
+        during: During | None = None,
+    ) -> Image:
+        """As frame, of the world as it is at the middle of the exposure and, if it is given, `during` it.
+
+        The light of parts of the exposure is added up before the lens blurs it, by the middle's circles of confusion.
+        """
         if self._tables is None:
             raise RuntimeError("call prepare() before the first frame")
         x, y, width, height = part = self._part(roi)
-        view = self._view(eye, image_distance_m, hulls, chessboard)
+        view = self._view(middle, image_distance_m)
         x0, y0, w0, h0 = _grown(part, margin(LARGEST_PX))
         depth, identity = _trace(view, (x0, y0, w0, h0))
         radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX)
 
         # Tracing is cheap and tells how much of the surroundings the blur really needs.
-        largest = radius[y - y0 : y - y0 + height, x - x0 : x - x0 + width].max()
-        x1, y1, w1, h1 = _grown(part, margin(float(largest)))
+        inside = np.s_[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
+        x1, y1, w1, h1 = around = _grown(part, margin(float(radius[inside].max())))
         needed = np.s_[y1 - y0 : y1 - y0 + h1, x1 - x0 : x1 - x0 + w1]
-        depth, radius = np.ascontiguousarray(depth[needed]), np.ascontiguousarray(radius[needed])
-        identity = np.ascontiguousarray(identity[needed])
+        radius = np.ascontiguousarray(radius[needed])
 
-        picture = np.empty((h1, w1, 3), np.float32)
-        shade(view, self._tables, x1, y1, depth, identity, picture)
+        parts = 1
+        if during is not None:
+            focal_px = self._index * image_distance_m / self._lens.pixel_m
+            parts = parts_of(during, focal_px, float(depth[inside].min()))
+        if parts == 1 or during is None:
+            picture = self._lit(middle, view, image_distance_m, around, depth[needed], identity[needed])
+        else:
+            picture = np.zeros((h1, w1, 3), np.float32)
+            for share in (np.arange(parts) + 0.5) / parts - 0.5:
+                moment = during(float(share))
+                view = self._view(moment, image_distance_m)
+                picture += self._lit(moment, view, image_distance_m, around, *_trace(view, around))
+            picture /= np.float32(parts)
+
         left, top, right, bottom = x - x1, y - y1, x - x1 + width, y - y1 + height
         picture = np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
         image = np.empty((height, width, 3), np.uint8)
@@ -112,11 +149,34 @@ class Painter:
         roi: Part | None = None,
     ) -> Floats:
         """Truth (h, w): z-depth in metres from the optical centre, along the refracted rays that are rendered."""
-        return _trace(self._view(eye, image_distance_m, hulls, chessboard), self._part(roi))[0]
+        return _trace(self._view(self._moment(eye, hulls, chessboard), image_distance_m), self._part(roi))[0]
 
-    def _view(self, eye: Eye, image_distance_m: float, hulls: Sequence[Hull], chessboard: Chessboard | None) -> View:
-        solids = self._scene.solid
-        return make_view(eye, image_distance_m, self._lens, self._index, self._box_m, solids, hulls, chessboard)
+    def _moment(self, eye: Eye, hulls: Sequence[Hull], chessboard: Chessboard | None) -> Moment:
+        """The scene as it stands at the start."""
+        return Moment(eye, self._scene.solid, hulls, self._tags, chessboard)
+
+    def _view(self, moment: Moment, image_distance_m: float) -> View:
+        return make_view(moment, image_distance_m, self._lens, self._index, self._box_m)
+
+    def _lit(
+        self,
+        moment: Moment,
+        view: View,
+        image_distance_m: float,
+        part: Part,
+        depth: Floats,
+        identity: Identities,
+    ) -> Floats:
+        """Linear radiance (h, w, 3) of a part of which trace has found z-depth and identity."""
+        assert self._tables is not None
+        x, y, width, height = part
+        depth, identity = np.ascontiguousarray(depth), np.ascontiguousarray(identity)
+        picture = np.empty((height, width, 3), np.float32)
+        shade(view, self._tables, x, y, depth, identity, picture)
+        if moment.tags:
+            decals = make_decals(moment.tags, moment.eye, image_distance_m, self._lens, self._index)
+            paint(view, self._tables, decals, x, y, depth, identity, picture)
+        return picture
 
     def _part(self, roi: Part | None) -> Part:
         width, height = self._lens.width, self._lens.height

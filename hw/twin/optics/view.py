@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hw.twin.landmarks import PaintedTag
 from hw.twin.optics import texture
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Map, Optics, View
@@ -53,6 +54,16 @@ class Chessboard(NamedTuple):
     size_m: tuple[float, float] = (0.30, 0.20)
 
 
+class Moment(NamedTuple):
+    """What is around a camera at one instant, its own robot left out."""
+
+    eye: Eye
+    solids: Sequence[Solid] = ()
+    hulls: Sequence[Hull] = ()
+    tags: Sequence[PaintedTag] = ()
+    chessboard: Chessboard | None = None
+
+
 class Ellipsoid(NamedTuple):
     position_m: ArrayLike
     rotation: ArrayLike
@@ -60,43 +71,36 @@ class Ellipsoid(NamedTuple):
     material: int
 
 
-def make_view(
-    eye: Eye,
-    image_distance_m: float,
-    lens: Lens,
-    index: float,
-    box_m: ArrayLike,
-    solids: Sequence[Solid],
-    hulls: Sequence[Hull],
-    chessboard: Chessboard | None,
-) -> View:
-    """The world (metres, world frame; `box_m` (3,) is the water body) in the camera's own terms.
+def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float, box_m: ArrayLike) -> View:
+    """The world (metres, world frame; `box_m` (3,) is the water body) in the camera's own terms, but for its tags.
 
     The picture's scale follows the image distance: that is focus breathing.
     """
+    eye, chessboard = moment.eye, moment.chessboard
     slope = lens.pixel_m / image_distance_m
-    camera = _affine(eye.rotation, eye.position_m)
+    camera = affine(eye.rotation, eye.position_m)
     bodies = [
-        Ellipsoid(s.position_m, np.eye(3), s.radii_m, BALLS[s.colour] if s.kind == "ball" else STONE) for s in solids
+        Ellipsoid(s.position_m, np.eye(3), s.radii_m, BALLS[s.colour] if s.kind == "ball" else STONE)
+        for s in moment.solids
     ]
-    bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in hulls]
-    to_unit = [_relative(b.rotation, b.position_m, camera) / np.array(b.radii_m)[:, None] for b in bodies]
+    bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in moment.hulls]
+    to_unit = [relative(b.rotation, b.position_m, camera) / np.array(b.radii_m)[:, None] for b in bodies]
     optics = (slope, *lens.centre_px, lens.k1, lens.k2, index**2, lens.port_gap_m)
     return View(
         optics=Optics(*_float32(optics)),
         camera=_rows(camera),
         box=_float32(np.asarray(box_m)),
-        chessboard=_rows(_relative(chessboard.rotation, chessboard.position_m, camera) if chessboard else camera),
+        chessboard=_rows(relative(chessboard.rotation, chessboard.position_m, camera) if chessboard else camera),
         chessboard_half=_float32((chessboard.size_m[0] / 2, chessboard.size_m[1] / 2) if chessboard else (0.0, 0.0)),
         solids=np.array(to_unit, np.float32).reshape(-1, 3, 4),
-        bounds=np.array([_bounds(b, camera, lens, index / slope) for b in bodies], np.int64).reshape(-1, 4),
+        bounds=np.array([pixel_bounds(b, camera, lens, index / slope) for b in bodies], np.int64).reshape(-1, 4),
         radii=np.array([b.radii_m for b in bodies], np.float32).reshape(-1, 3),
         up=np.array([np.asarray(b.rotation)[2] for b in bodies], np.float32).reshape(-1, 3),
         material=np.array(FACES + [b.material for b in bodies]),
     )
 
 
-def _bounds(body: Ellipsoid, camera: Affine, lens: Lens, focal_px: float) -> tuple[int, int, int, int]:
+def pixel_bounds(body: Ellipsoid, camera: Affine, lens: Lens, focal_px: float) -> tuple[int, int, int, int]:
     """Pixels x0, y0, x1, y1 that the sphere around an ellipsoid can cover; all of them when the camera is close."""
     radius_m = max(body.radii_m)
     x, y, z = camera[:, :3].T @ (np.asarray(body.position_m) - camera[:, 3])
@@ -114,11 +118,11 @@ def _bounds(body: Ellipsoid, camera: Affine, lens: Lens, focal_px: float) -> tup
     return low[0], low[1], high[0], high[1]
 
 
-def _affine(rotation: ArrayLike, position_m: ArrayLike) -> Affine:
+def affine(rotation: ArrayLike, position_m: ArrayLike) -> Affine:
     return np.column_stack([np.asarray(rotation, float), np.asarray(position_m, float)])
 
 
-def _relative(rotation: ArrayLike, position_m: ArrayLike, camera: Affine) -> Affine:
+def relative(rotation: ArrayLike, position_m: ArrayLike, camera: Affine) -> Affine:
     """Camera to body, from body to world (`rotation`, `position_m`) and camera to world."""
     to_body = np.asarray(rotation, float).T
     return np.column_stack([to_body @ camera[:, :3], to_body @ (camera[:, 3] - np.asarray(position_m, float))])

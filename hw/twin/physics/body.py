@@ -43,6 +43,7 @@ BODY = np.dtype(
         ("mooring", "f8", 4),  # N/m, N s/m, N m/rad, N m s/rad; zeros: not moored
         ("anchor_m", "f8", 3),  # the tether's upper end, at the rim of the tank
         ("tether_m", "f8"),  # length at which the tether comes taut
+        ("tether_drag", "f8"),  # N s2/m2 at its lower end; 0: it hangs slack beside a moored robot
     ],
     align=True,
 )
@@ -80,6 +81,11 @@ SERVO_ZERO_DEG = 1.0  # one spline tooth is more; the crew trims to about this
 MOORING = (300.0, 40.0, 2.0, 0.6)
 
 TETHER_SLACK = 1.1  # paid-out length over the distance from rim to hull
+
+# A robot that swims drags its tether along, and can go anywhere on it. 6 mm thick and 1.5 m of it in the water, with a
+# drag coefficient of 1.2: the end moves with the robot and the rest less and less, rho C_d d L / 6 all together.
+FREE_SLACK = 1.2  # paid-out length over the tank's diagonal
+TETHER_DRAG = 1.8
 
 
 def draw_body(
@@ -123,6 +129,13 @@ def draw_body(
 
     draw_servos(body, seed, robot, mounting)
     return body
+
+
+def cast_off(body: NDArray[np.void], tank: Tank) -> None:
+    """Take the mooring off a drawn record () BODY, and pay out tether."""
+    body["mooring"] = 0.0
+    body["tether_m"] = FREE_SLACK * np.linalg.norm(tank.size_m)
+    body["tether_drag"] = TETHER_DRAG
 
 
 def draw_servos(body: NDArray[np.void], seed: int, robot: str, mounting: Mounting) -> None:

@@ -59,6 +59,37 @@ def add_water(body: Record, v: Vector, w: Vector, wrench: Wrench) -> None:
 
 
 @compiled()
+def add_stirred_water(
+    body: Record, s: Record, q: Quaternion, v: Vector, w: Vector, dt_s: float, wrench: Wrench
+) -> None:
+    """As add_water, where the water flows, with one velocity everywhere, and has a tether to drag at.
+
+    To who drifts along, the water is at rest: (m + m_A) v_r' = F(v_r), add_water's of the velocity through the water.
+    In the tank's frame v' = v_r' - w x water + speeding, and the pressure that speeds up the water pushes the hull like
+    the water in its place (Froude and Krylov), so that
+    (m + m_A) v' = F(v_r) - (m + m_A) w x water + (m_displaced + m_A) speeding.
+    """
+    for k in range(3):
+        s.water_m_s[k] += dt_s * s.water_m_s2[k]
+    water = to_body(q, (s.water_m_s[0], s.water_m_s[1], s.water_m_s[2]))
+    speeding = to_body(q, (s.water_m_s2[0], s.water_m_s2[1], s.water_m_s2[2]))
+    through = (v[0] - water[0], v[1] - water[1], v[2] - water[2])
+    add_water(body, through, w, wrench)
+    turn = cross(w, water)
+    for k in range(3):
+        wrench[k] += body.added_kg[k] * speeding[k] - (body.mass_kg + body.added_kg[k]) * turn[k]
+    m = body.displaced_kg
+    add_force(wrench, (m * speeding[0], m * speeding[1], m * speeding[2]), (0.0, 0.0, body.buoyancy_arm_m))
+
+    eye = (0.0, 0.0, HULL_M[2])  # of the tether
+    swing = cross(w, eye)
+    u = (through[0] + swing[0], through[1] + swing[1], through[2] + swing[2])
+    drag = body.tether_drag * math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    pull = to_body(q, (s.pull_n[0], s.pull_n[1], s.pull_n[2]))
+    add_force(wrench, (pull[0] - drag * u[0], pull[1] - drag * u[1], pull[2] - drag * u[2]), eye)
+
+
+@compiled()
 def add_weight(body: Record, z_m: float, q: Quaternion, surface_m: float, wrench: Wrench) -> None:
     """Weight in the centre of gravity; buoyancy above it, less by the share of the height that is out of the water."""
     up = to_body(q, (0.0, 0.0, 1.0))

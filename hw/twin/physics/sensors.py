@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hw.compiled import compiled
 from hw.twin.physics.forces import GRAVITY_M_S2, WATER_KG_M3
-from hw.twin.physics.rotation import to_world
+from hw.twin.physics.rotation import to_body, to_world
 from hw.twin.scene import generator
 
 PA_PER_M = WATER_KG_M3 * GRAVITY_M_S2
@@ -42,7 +42,9 @@ def water_pressure_pa(
     for i in range(states.shape[0]):
         s, reach = states[i], bodies[i].sensor_m
         q = (s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3])
-        v, w = s.velocity_m_s, s.rates_rad_s
+        flow = to_body(q, (s.water_m_s[0], s.water_m_s[1], s.water_m_s[2]))
+        v = (s.velocity_m_s[0] - flow[0], s.velocity_m_s[1] - flow[1], s.velocity_m_s[2] - flow[2])
+        w = s.rates_rad_s
         for k in range(4):
             x, y = reach * CORNERS[k, 0], reach * CORNERS[k, 1]
             depth = surface_m - s.position_m[2] - to_world(q, (x, y, 0.0))[2]

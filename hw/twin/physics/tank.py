@@ -1,8 +1,8 @@
 """The water and what moves in it: every robot as a rigid body with six degrees of freedom, 500 steps a second.
 
 (M_RB + M_A) nu' + C(nu) nu + (D_l + D_q |nu|) nu + g(R) = thrust + mooring + tether + contact + push, after Fossen,
-Handbook of Marine Craft Hydrodynamics, in still water. Drag is signed: the paper's k v^2 drives a body that moves
-backwards. Semi-implicit Euler: velocities first, then the pose with the new velocities.
+Handbook of Marine Craft Hydrodynamics; where there is a current, nu is through the water. Drag is signed: the paper's
+k v^2 drives a body that moves backwards. Semi-implicit Euler: velocities first, then the pose with the new velocities.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agent.kernel.messages import Vector
 from hw.compiled import compiled
 from hw.twin.physics.contact import add_contacts
-from hw.twin.physics.forces import add_force, add_lines, add_thrust, add_water, add_weight
+from hw.twin.physics.forces import add_force, add_lines, add_stirred_water, add_thrust, add_water, add_weight
 from hw.twin.physics.rotation import to_body, to_world, turned
 from hw.twin.physics.servo import motor_deg_after, shaft_deg_after
 from hw.twin.physics.thruster import lagged_thrust_n, static_thrust_n
@@ -37,6 +37,10 @@ STATE = np.dtype(
         ("push_n", "f8", 3),  # world frame
         ("push_at_m", "f8", 3),  # body frame
         ("push_s", "f8"),  # time left
+        ("stirred", "i8"),  # 1: the water flows, the tether drags or is pulled; 0 leaves this out
+        ("water_m_s", "f8", 3),  # current, world frame, and how it speeds up
+        ("water_m_s2", "f8", 3),
+        ("pull_n", "f8", 3),  # at the tether, world frame
     ],
     align=True,
 )
@@ -86,7 +90,10 @@ def advance(
             v = (s.velocity_m_s[0], s.velocity_m_s[1], s.velocity_m_s[2])
             w = (s.rates_rad_s[0], s.rates_rad_s[1], s.rates_rad_s[2])
             v_world = to_world(q, v)
-            add_water(body, v, w, wrench[i])
+            if s.stirred:
+                add_stirred_water(body, s, q, v, w, dt_s, wrench[i])
+            else:
+                add_water(body, v, w, wrench[i])
             add_weight(body, p[2], q, surface_m, wrench[i])
             add_thrust(body, s.thrust_n, wrench[i])
             add_lines(body, p, q, v_world, w, wrench[i])

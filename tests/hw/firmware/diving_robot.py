@@ -18,9 +18,10 @@ from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.cycle_times import CycleTimes
 from hw.twin.dive import Dive
-from hw.twin.faults import AnyFault
+from hw.twin.faults import AnyEvent
 from hw.twin.pace import run_in_lock_step
 from hw.twin.physics.rotation import matrix
+from hw.twin.scene import Scene
 
 FLEET = Fleet(
     fleet="tank",
@@ -46,8 +47,8 @@ REST_N = 0.01  # a thruster that stops fades with its lag: a second leaves less 
 class DivingRobot:
     """`run` is the only thing that lets time pass. The host sends set-points at 20 Hz while `talks`."""
 
-    def __init__(self, folder: Path, faults: Sequence[AnyFault], times: CycleTimes | None) -> None:
-        self.dive = Dive(FLEET, ["r1"], 0, faults=faults)
+    def __init__(self, folder: Path, scene: Scene, times: CycleTimes | None) -> None:
+        self.dive = Dive(FLEET, ["r1"], 0, scene=scene)
         self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter(), times=times)
         self.dive.boards = [self.board]
         self.protocol = HostProtocol(7)
@@ -140,10 +141,10 @@ class DivingRobot:
 
 @contextlib.contextmanager
 def diving_robot(
-    folder: Path, faults: Sequence[AnyFault] = (), times: CycleTimes | None = None
+    folder: Path, faults: Sequence[AnyEvent] = (), times: CycleTimes | None = None, moored: bool = True
 ) -> Iterator[DivingRobot]:
     """A robot held by the crew at 0.35 m, its firmware running, until the end of the block."""
-    robot = DivingRobot(folder, faults, times)
+    robot = DivingRobot(folder, Scene(name="tank", moored=moored, event=tuple(faults)), times)
     try:
         robot.board.start()
         yield robot

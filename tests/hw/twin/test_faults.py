@@ -2,6 +2,7 @@
 
 from unittest.mock import Mock, call
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,8 +12,13 @@ from hw.twin.devices.board import ALL_SENSORS, BATTERY_MV, CURRENT_10MA
 from hw.twin.dive import Dive, apply
 from hw.twin.physics.battery import NOMINAL_V, OHM
 from hw.twin.physics.sensors import NOISE_M
-from hw.twin.scene import load_scene
+from hw.twin.scene import Scene, load_scene
 from tests.hw.twin.stand_ins import boardless_dive, readings_m, run
+
+
+def scene_of(*events):
+    return Scene(name="trouble", event=events)
+
 
 # --- scene files --------------------------------------------------------------------------------------------------
 
@@ -36,11 +42,17 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         "serial_unplug": "for_s = 5.0",
         "power_cut": "for_s = 2.0",
         "slow_board": "by = 2.5",
+        "tether_pull": "force_n = 0.15\ncorrelation_s = 4.0\nfor_s = 20.0",
+        "current": "velocity_m_s = [0.0, 0.05, 0.0]",
+        "occlude": "solid = 1\nto_m = [0.8, 0.7, 0.1]\nover_s = 4.0",
+        "tag_lost": "id = 12",
     }
+    everybodys = ("current", "occlude", "tag_lost")
     kinds = faults.KINDS
-    tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\nrobot = "r1"\n{more.get(k, "")}\n' for i, k in enumerate(kinds)]
+    whose = {kind: "" if kind in everybodys else 'robot = "r1"\n' for kind in kinds}
+    tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\n{whose[k]}{more.get(k, "")}\n' for i, k in enumerate(kinds)]
     scene = scene_with(tmp_path, "".join(tables))
-    assert len(scene.event) == len(kinds) == 13
+    assert len(scene.event) == len(kinds) == 18
     assert scene.event[0] == faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
 
 
@@ -53,6 +65,7 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         ('kind = "serial_unplug"', "required key `for_s` is missing"),
         ('kind = "sensor_dead"\nsensor = 5', "<= 4"),
         ('kind = "power_cut"\nfor_s = 0', "> 0"),
+        ('kind = "tag_lost"\nid = 12', "unknown key `robot`"),
     ],
 )
 def test_an_event_that_cannot_be_is_one_line(tmp_path, table, says):
@@ -63,12 +76,28 @@ def test_an_event_that_cannot_be_is_one_line(tmp_path, table, says):
 
 def test_an_event_for_a_robot_that_stays_ashore_is_refused():
     with pytest.raises(ConfigError, match="no robot 'r9' dives"):
-        boardless_dive(faults=[faults.SensorDead(at_s=1.0, robot="r9", sensor=1)])
+        boardless_dive(scene=scene_of(faults.SensorDead(at_s=1.0, robot="r9", sensor=1)))
+
+
+@pytest.mark.parametrize(
+    ("event", "says"),
+    [
+        (faults.TagLost(at_s=1.0, id=12), "the fleet file has no tag 12; take the event out"),
+        (faults.Occlude(at_s=1.0, solid=0, to_m=(0, 0, 0), over_s=1.0), "solid 0 .* no stone .*; name one of 1, 2"),
+        (faults.Occlude(at_s=1.0, solid=7, to_m=(0, 0, 0), over_s=1.0), "solid 7 .* no stone"),
+    ],
+)
+def test_an_event_that_nothing_can_meet_is_refused(event, says):
+    scene = msgspec.structs.replace(load_scene("tank"), event=(event,))
+    with pytest.raises(ConfigError, match=says):
+        boardless_dive(scene=scene)
 
 
 def test_events_strike_in_the_order_of_their_times():
     made = boardless_dive(
-        faults=[faults.SensorDead(at_s=0.20, robot="r1", sensor=2), faults.SensorDead(at_s=0.10, robot="r1", sensor=1)],
+        scene=scene_of(
+            faults.SensorDead(at_s=0.20, robot="r1", sensor=2), faults.SensorDead(at_s=0.10, robot="r1", sensor=1)
+        )
     )
     run(made, 30)
     masks = [tick[2] for tick in made.boards[0].ticks]
@@ -90,6 +119,11 @@ DONE = {
     faults.PowerCut(at_s=0, robot="r1", for_s=2.0): call.cut_power("r1", 2.0),
     faults.FirmwareHang(at_s=0, robot="r1"): call.hang_firmware("r1"),
     faults.SlowBoard(at_s=0, robot="r1", by=2.5): call.slow_board("r1", 2.5),
+    faults.TetherPull(at_s=0, robot="r1", force_n=0.1, for_s=2.0): call.pull_tether("r1", 0.1, 4.0, 2.0),
+    faults.CastOff(at_s=0, robot="r1"): call.cast_off("r1"),
+    faults.CurrentSet(at_s=0, velocity_m_s=(0.1, 0.0, 0.0)): call.set_current((0.1, 0.0, 0.0)),
+    faults.Occlude(at_s=0, solid=1, to_m=(0.8, 0.7, 0.1), over_s=4.0): call.move_solid(1, (0.8, 0.7, 0.1), 4.0),
+    faults.TagLost(at_s=0, id=12): call.lose_tag(12),
 }
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.kernel.config import Landmarks
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.step_io import SetPoint
 from hw.camera.camera import Roi
@@ -21,6 +22,7 @@ from hw.twin.devices.board import Board
 from hw.twin.devices.twin_folder import locked, twin_dir
 from hw.twin.dive import Dive
 from hw.twin.pace import run_in_lock_step
+from hw.twin.scene import SCENES
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -47,6 +49,18 @@ seed = 3
 dir = "PLACE"
 """
 
+SWIMS = """
+moored = false
+motion_blur = true
+current = { gust_m_s = 0.005 }
+tether_pull = { force_n = 0.05 }
+[[event]]
+at_s = 0.1
+kind = "tag_lost"
+id = 12
+
+"""
+NO_TAGS = Landmarks(size_m=0.08, tag=())
 START_S = 90.0  # on a fresh machine every kernel is compiled first
 
 
@@ -85,14 +99,35 @@ def exists(pid):
     return Path(f"/proc/{pid}").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_dive_serves_everybody_and_ends_on_a_signal_with_nothing_left(start, fleet_file, number):
-    process = start()
+def test_a_dive_serves_everybody_and_ends_on_a_signal_with_nothing_left(start, fleet_file):
+    serves_and_ends(start(), fleet_file, signal.SIGTERM, set())
+
+
+def test_a_swim_leaves_what_really_happened(start, fleet_file):
+    scene = fleet_file.with_name("sea.toml")
+    scene.write_text((SCENES / "tank.toml").read_text().replace("[water]", SWIMS + "[water]", 1))
+    tags = 'tag = [{ id = 12, face = "y1", position_m = [0.7, 1.2, 0.2] }]'
+    with_tags = f"[landmarks]\nsize_m = 0.08\n{tags}\n[twin]\nscene = '{scene}'\n"
+    fleet_file.write_text(fleet_file.read_text().replace("[twin]\n", with_tags))
+    serves_and_ends(start(), fleet_file, signal.SIGINT, {"paths.csv", "separation.json"})
+    place = twin_dir(load_fleet(fleet_file))
+    kept = json.loads((place / "separation.json").read_text())
+    assert kept["least_m"] == pytest.approx(0.95, abs=0.05) and kept["between"] == ["r1", "r2"]
+    rows = (place / "paths.csv").read_text().splitlines()
+    assert rows[1].split(",")[1] == "r1" and len(rows) % 2 == 1
+    with locked(place):
+        assert not (place / "paths.csv").exists()
+
+
+def serves_and_ends(process, fleet_file, number, stays):
     place = twin_dir(load_fleet(fleet_file))
     names = {path.name for path in place.iterdir()}
     assert {"r1.serial", "r1.camera", "r2.serial", "r2.camera", "truth.json", "ready"} <= names
     truth = json.loads((place / "truth.json").read_text())
     assert truth["target_m"] == {"ball": [0.76, 0.56, 0.07]}
+    fleet = load_fleet(fleet_file)
+    tags = {str(tag.id): pytest.approx(tag.position_m, abs=3e-3) for tag in (fleet.landmarks or NO_TAGS).tag}
+    assert {number: tag["position_m"] for number, tag in truth.get("tag", {}).items()} == tags
     assert truth["robot"]["r1"]["position_m"] == pytest.approx([0.30, 0.25, 0.10], abs=5e-3)
     boards = children(process.pid)
     assert len(boards) == 2
@@ -107,7 +142,7 @@ def test_a_dive_serves_everybody_and_ends_on_a_signal_with_nothing_left(start, f
     assert process.wait(10) == 0
     said = process.stderr.read()
     assert said.startswith("twin: ") and "times real time" in said and said.count("\n") == 1
-    assert {path.name for path in place.iterdir()} == {"lock", "clock"}
+    assert {path.name for path in place.iterdir()} == {"lock", "clock", *stays}
     assert not any(exists(pid) for pid in boards)
 
 

@@ -14,6 +14,7 @@ from agent.kernel.ranging.cues import NoRange, Outline
 from agent.kernel.ranging.fix import Fix, locate
 from agent.kernel.ranging.focus import lens_position
 from agent.kernel.ranging.lens_sag import UNKNOWN_SAG
+from agent.kernel.ranging.own_pose import OwnPose
 from tests import known_lens
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0003)
@@ -156,3 +157,16 @@ def test_beyond_the_pole_only_the_size_tells():
         refused = locate(KNOWN, eye(), outline, 90.0, 0.3, BALL, cue)
         assert isinstance(refused, NoRange) and "beyond" in refused.reason
     assert locate(KNOWN, eye(), outline, 90.0, 0.3, BALL, "size").position_m == pytest.approx(tuple(truth))
+
+
+def test_a_robot_that_swims_puts_its_own_pose_in_place_of_the_survey():
+    here, xx, rad = eye(), fix.PLACE_SIGMA_M**2, math.radians(fix.HEADING_SIGMA_DEG) ** 2
+    outline, rho, _ = seen(here, 0.5, (0.1, 0.05))
+    survey, none = (xx, 0.0, 0.0, xx, 0.0, rad), (0.0,) * 6
+    moored, as_moored, swims = (
+        locate(KNOWN, here, outline, rho, 1.1, BALL, "both", own)
+        for own in (None, OwnPose(none, survey, 3.0), OwnPose(survey, none, 3.0))
+    )
+    assert as_moored.systematic_m2 == pytest.approx(moored.systematic_m2) and as_moored.random_m2 == moored.random_m2
+    lost = np.subtract(moored.systematic_m2, swims.systematic_m2)
+    assert np.subtract(swims.random_m2, moored.random_m2) == pytest.approx(3.0 * lost)  # kappa times as much

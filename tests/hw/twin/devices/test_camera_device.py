@@ -11,6 +11,7 @@ from hw.twin.devices.camera_device import EXPOSURE_NS, FRAME_NS, DiveCamera, Fra
 from hw.twin.history import RobotPose
 from hw.twin.optics.lens import draw_lens
 from hw.twin.physics.rotation import matrix, quaternion
+from hw.twin.stage import Stage
 from tests.hw.twin.filled_history import START_NS, filled, states
 from tests.waiting import until
 
@@ -19,10 +20,12 @@ class Notebook:
     """Stands in for the painter and for the lens's motor."""
 
     def __init__(self):
-        self.frames, self.asked = [], []
+        self.frames, self.asked, self.moments = [], [], []
 
-    def frame(self, eye, image_distance_m, hulls=(), chessboard=None, roi=None, tick=0):
-        self.frames.append((eye, image_distance_m, hulls, roi, tick))
+    def expose(self, middle, image_distance_m, roi=None, tick=0, during=None):
+        self.frames.append((middle.eye, image_distance_m, middle.hulls, roi, tick))
+        self.moments.append(middle)
+        self.during = during
         return np.zeros((2, 2, 3), np.uint8)
 
     def command(self, lens_position, t_ns):
@@ -36,7 +39,8 @@ class Notebook:
 def camera(history, now_ns, notebook=None):
     notebook = notebook or Notebook()
     lens = draw_lens("imx519_640", np.random.default_rng(0))
-    return DiveCamera(0, history, lens, notebook, notebook, (0.1, 0.0, 0.0), FrameClock(START_NS), now_ns), notebook
+    seen = (history, lens, notebook, notebook, (0.1, 0.0, 0.0), Stage((), ()))
+    return DiveCamera(0, *seen, FrameClock(START_NS), now_ns), notebook
 
 
 def test_the_frame_is_the_first_exposed_after_the_request():

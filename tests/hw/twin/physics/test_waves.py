@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from hw.twin.physics.sensors import PA_PER_M
-from hw.twin.scene import Waves
+from hw.twin.scene import Scene, Waves
 from tests.hw.twin.stand_ins import boardless_dive
 
 
 def test_a_wave_has_its_period_and_shows_less_at_depth():
-    still, wavy = boardless_dive(), boardless_dive(waves=Waves(amplitude_m=0.005))
+    still, wavy = boardless_dive(), boardless_dive(scene=Scene(name="wavy", waves=Waves(amplitude_m=0.005)))
     off_pa = []
     for _ in range(400):
         for made in (still, wavy):

@@ -1,0 +1,63 @@
+"""How a robot moves in the plane under the forces that it was asked for: constants, and one small step.
+
+x, y and velocity in the world frame; force and moment in the body frame (forward, left, anticlockwise). Thrusters
+follow with a lag of first order, drag is linear and quadratic; what pushes besides (tether, current) is an acceleration
+d.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+Wrench = tuple[float, float, float]  # N forward, N left, N m
+
+STEP_NS = 20_000_000  # no longer: what drag and turn change over it is neglected to first order
+
+
+class Hull(NamedTuple):
+    """Constants of a robot of 30 cm with its added mass; each may be half or twice as large."""
+
+    mass_kg: float = 6.0
+    drag: float = 2.0  # N s/m
+    drag2: float = 20.0  # N s^2/m^2
+    inertia_kgm2: float = 0.09
+    turn_drag: float = 0.03  # N m s
+    turn_drag2: float = 0.10  # N m s^2
+    lag_s: float = 0.115  # of the thrusters
+
+
+class Motion(NamedTuple):
+    """Accelerations over one step, and how they change with what they depend on."""
+
+    force: Wrench  # that acts at the end of the step
+    ax: float
+    ay: float
+    turn: float  # rad/s^2
+    damping: float  # -da/dv, 1/s
+    turn_damping: float
+    ax_by_yaw: float
+    ay_by_yaw: float
+
+
+def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h: float) -> Motion:
+    """What a step of h seconds does from state = (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi, ...)."""
+    _, _, psi, vx, vy, r, dx, dy, dpsi = state[:9]
+    reached = 1.0 - math.exp(-h / hull.lag_s)
+    share = 1.0 - hull.lag_s * reached / h  # of the way to what is asked, on average over the step
+    ahead, left, moment = (f + (u - f) * share for f, u in zip(force, asked, strict=True))
+    c, s = math.cos(psi), math.sin(psi)
+    px, py = (c * ahead - s * left) / hull.mass_kg, (s * ahead + c * left) / hull.mass_kg
+    k, k_r = damping(hull, math.sqrt(vx * vx + vy * vy)), turn_damping(hull, r)
+    f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
+    turn = moment / hull.inertia_kgm2 - k_r * r + dpsi
+    return Motion((f, g, n), px - k * vx + dx, py - k * vy + dy, turn, k, k_r, -py, px)
+
+
+def damping(hull: Hull, speed_m_s: float) -> float:
+    """Deceleration by drag, for each m/s, 1/s."""
+    return (hull.drag + hull.drag2 * speed_m_s) / hull.mass_kg
+
+
+def turn_damping(hull: Hull, rate_rad_s: float) -> float:
+    return (hull.turn_drag + hull.turn_drag2 * abs(rate_rad_s)) / hull.inertia_kgm2

@@ -1,0 +1,151 @@
+"""A pose filter whose events come late and out of order: each is put where it belongs, and all that follows is done
+again. So the order in which events arrive does not count, to the bit.
+
+A fix belongs to the exposure of its frame, which is up to a few tenths of a second ago when it is known; a force to the
+moment when it was sent. What is older than the ring is dropped and counted. Beliefs are kept for longer than that: the
+sharpest frame of a sweep may be its first.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from collections import deque
+from itertools import islice
+from typing import Literal, NamedTuple
+
+from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.navigation.body_model import Hull, Wrench
+from agent.kernel.navigation.pose_filter import (
+    Belief,
+    Drift,
+    add_fix,
+    add_flow,
+    add_rate,
+    keep_key,
+    predict,
+)
+
+RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
+KEEP_NS = 6_000_000_000  # as long as telemetry is kept (control/attitude.py)
+
+Kind = Literal["1 asked", "2 fix", "3 flow", "4 key", "5 rate"]  # of one moment, in this order
+
+
+class Event(NamedTuple):
+    """What changes the belief; events of one moment are taken in the order of kinds, then of their numbers."""
+
+    t_ns: int
+    kind: Kind
+    since_ns: int  # of a flow, the exposure of its key frame; else 0
+    values: tuple[float, ...]
+
+
+def asked(t_ns: int, wrench: Wrench) -> Event:
+    """A force was sent (N, N, N m); zeros while motors may not turn."""
+    return Event(t_ns, "1 asked", 0, wrench)
+
+
+def fix(t_ns: int, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Event:
+    """Tags put the robot there (TagFix)."""
+    return Event(t_ns, "2 fix", 0, (*pose, *fluctuates, *stays))
+
+
+def flow(t_ns: int, since_ns: int, moved: Vector, sigma_m: float, sigma_rad: float) -> Event:
+    """Odometry since a key frame (planes.Moved)."""
+    return Event(t_ns, "3 flow", since_ns, (*moved, sigma_m, sigma_rad))
+
+
+def rate(t_ns: int, rate_rad_s: float) -> Event:
+    """A gyro's yaw rate; only of a filter that began with one."""
+    return Event(t_ns, "5 rate", 0, (rate_rad_s,))
+
+
+class EventRing:
+    """The beliefs of one robot about itself over the last seconds."""
+
+    def __init__(self, begun: Belief, hull: Hull, drift: Drift) -> None:
+        """begun: the belief at the first fix; what happened before it does not count."""
+        self._hull, self._drift = hull, drift
+        self._settled: deque[Belief] = deque([begun])  # nothing comes before the newest of these any more
+        self._events: list[Event] = []
+        self._beliefs: list[Belief] = []  # after each of the events
+        self._told: Belief | None = None  # the newest answer of `at`: one step asks for the same moment several times
+        self.dropped = 0  # events that came too late
+
+    @property
+    def newest(self) -> Belief:
+        return self._beliefs[-1] if self._beliefs else self._settled[-1]
+
+    def add(self, event: Event) -> bool:
+        """Take in an event, whatever came before; False: it came too late. A flow brings the key frame that it is
+        measured from."""
+        if event.t_ns <= self._settled[-1].t_ns:
+            self.dropped += 1
+            return False
+        if event.kind == "3 flow":
+            self._keep_key(event.since_ns)
+        place = bisect_right(self._events, event)
+        self._events.insert(place, event)
+        self._again(place)
+        return True
+
+    def advance(self, now_ns: int) -> None:
+        """Let go of what is so old that nothing may come before it."""
+        n = bisect_right(self._events, now_ns - RING_NS, key=_time)
+        self._settled.extend(self._beliefs[:n])
+        del self._events[:n], self._beliefs[:n]
+        if not self._events and self._settled[-1].t_ns < now_ns - 2 * RING_NS:
+            # Nothing happens any more: each answer would go all the way from the last event, longer and longer.
+            self._settled.append(predict(self._settled[-1], self._hull, self._drift, now_ns - RING_NS))
+            self._told = None
+        while len(self._settled) > 1 and self._settled[1].t_ns <= now_ns - KEEP_NS:
+            self._settled.popleft()
+
+    def at(self, t_ns: int) -> Belief | None:
+        """The belief at a time: after all that is known of the time before it. None of times that were let go."""
+        if self._told is None or self._told.t_ns != t_ns:
+            self._told = self._predicted(t_ns)
+        return self._told
+
+    def _predicted(self, t_ns: int) -> Belief | None:
+        n = bisect_right(self._beliefs, t_ns, key=_time)
+        if n:
+            return predict(self._beliefs[n - 1], self._hull, self._drift, t_ns)
+        n = bisect_right(self._settled, t_ns, key=_time)
+        return predict(self._settled[n - 1], self._hull, self._drift, t_ns) if n else None
+
+    def _keep_key(self, since_ns: int) -> None:
+        """Clone the pose at a key frame, if that is not done yet and can be done."""
+        key = Event(since_ns, "4 key", 0, ())
+        if since_ns > self._settled[-1].t_ns and key not in self._events:
+            insort(self._events, key)
+            self._again(self._events.index(key))
+
+    def _again(self, place: int) -> None:
+        """Go through the events from that place on."""
+        del self._beliefs[place:]
+        self._told = None
+        belief = self.newest
+        for event in islice(self._events, place, None):
+            belief = _apply(predict(belief, self._hull, self._drift, event.t_ns), event)
+            self._beliefs.append(belief)
+
+
+def _time(of: Event | Belief) -> int:
+    return of.t_ns
+
+
+def _apply(belief: Belief, event: Event) -> Belief:
+    v = event.values
+    match event.kind:
+        case "1 asked":
+            return belief._replace(asked=(v[0], v[1], v[2]))
+        case "2 fix":
+            fluctuates, stays = (v[3], v[4], v[5], v[6], v[7], v[8]), (v[9], v[10], v[11], v[12], v[13], v[14])
+            return add_fix(belief, (v[0], v[1], v[2]), fluctuates, stays)
+        case "3 flow":
+            return add_flow(belief, event.since_ns, (v[0], v[1], v[2]), v[3], v[4])
+        case "4 key":
+            return keep_key(belief)
+        case "5 rate":
+            return add_rate(belief, v[0])

@@ -1,0 +1,143 @@
+"""What a swimming robot knows of where it is, between steps: landmarks in, poses at any time of the last seconds out.
+
+Until landmarks have said once where it is, it knows nothing: the fleet file's pose is where it shall be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from agent.kernel.config import Fleet
+from agent.kernel.control.attitude import Attitude
+from agent.kernel.estimation.matrix import plus
+from agent.kernel.messages import Whereabouts
+from agent.kernel.navigation.barrier import STILL as AT_REST
+from agent.kernel.navigation.body_model import Hull, Wrench
+from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
+from agent.kernel.navigation.planes import odometry
+from agent.kernel.navigation.pose_filter import Belief, Drift, begin
+from agent.kernel.navigation.tags.first_fix import first_fix
+from agent.kernel.navigation.tags.layout import markers
+from agent.kernel.navigation.tags.projection import view
+from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
+from agent.kernel.navigation.tags.tag_priors import Priors, priors
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
+from agent.kernel.step_io import Flow, SeenTags
+
+STILL: Wrench = (*AT_REST, 0.0)
+UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
+SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
+LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
+
+Gimbal = tuple[float, float]  # pan and tilt as the servos really do them, degrees
+
+Carriage = tuple[Attitude, Gimbal]  # of the camera, at one moment
+
+
+class Localizer:
+    """Of one robot."""
+
+    def __init__(self, fleet: Fleet, camera: CameraFit) -> None:
+        assert fleet.landmarks is not None  # a rule of the fleet file
+        self._camera, self._body, self._surface_m = camera, fleet.body, fleet.tank.surface_m
+        self._map = Map(fleet.landmarks, markers(fleet.landmarks))
+        self.hull = Hull()
+        self._ring: EventRing | None = None
+        self._asked = STILL
+        self._fixes_ns: deque[int] = deque()
+        self._sampled_ns: int | None = None
+        self.refused = ""  # why the newest frame with landmarks gave no pose
+
+    def see(self, frame: SeenTags, level: Attitude, gimbal_deg: Gimbal) -> None:
+        """The landmarks of a frame, exposed while the gimbal was at rest at those angles."""
+        if not frame.tags:
+            return
+        of = view(self._camera, self._body, self._surface_m, frame.focus)
+        before = self.at(frame.t_ns)
+        if self._ring is not None and (before is None or frame.t_ns in self._fixes_ns):
+            return  # from before what is still remembered, or known already
+        if before is None or self._astray(before):
+            found = first_fix(of, priors(level, gimbal_deg, 0.0, turning=False), self._map, frame.tags)
+        else:
+            found = tag_fix(of, _priors(level, gimbal_deg, before), self._map, frame.tags, before.pose)
+        if not isinstance(found, TagFix):
+            self.refused = found.reason
+            return
+        self.refused = ""
+        pose = found.theta[0], found.theta[1], found.theta[2]
+        if self._ring is None or before is None or self._astray(before):
+            self._ring = EventRing(begin(frame.t_ns, pose, found.fluctuates, found.stays), self.hull, Drift())
+        elif not self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
+            return
+        self._fixes_ns.append(frame.t_ns)
+
+    def _astray(self, then: Belief) -> bool:
+        """It did not know where it was then, nor has anything told it since: what it believed is no place to begin
+        from, and its filter has a yaw that goes round."""
+        assert self._ring is not None
+        return not within(then, LOST_M, LOST_DEG) and self._ring.newest.t_ns < then.t_ns
+
+    def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
+        """Points of a key frame in a later one; level and gimbal, at rest, at either exposure."""
+        before = self.at(seen.t_ns)
+        if self._ring is None or before is None:
+            return
+        of = view(self._camera, self._body, self._surface_m, focus)
+        start, end = (whole((0.0, 0.0, 0.0), _priors(level, gimbal, before)) for level, gimbal in (then, now))
+        moved = odometry(of, start, end, seen.pairs)
+        if moved is not None:
+            self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad))
+
+    def sent(self, wrench: Wrench, now_ns: int) -> None:
+        """What the thrusters are asked for from now on; zeros while motors may not turn."""
+        if wrench != self._asked and self._ring is not None:
+            self._ring.add(asked(now_ns, wrench))
+            self._asked = wrench
+
+    def advance(self, now_ns: int) -> None:
+        """Let go of what is old."""
+        if self._ring is not None:
+            self._ring.advance(now_ns)
+        while self._fixes_ns and self._fixes_ns[0] < now_ns - round(MEMORY_S * 1e9):
+            self._fixes_ns.popleft()
+
+    def at(self, t_ns: int) -> Belief | None:
+        """Where it was or is; None: nobody knows."""
+        return None if self._ring is None else self._ring.at(t_ns)
+
+    def shown(self, now_ns: int) -> Whereabouts | None:
+        """For whoever looks: with what stays the same in every fix."""
+        here = self.at(now_ns)
+        if here is None:
+            return None
+        xx, _, _, yy, _, pp = plus(here.covariance, here.stays)
+        x_m, y_m, psi = here.pose
+        return Whereabouts(
+            x_m=x_m,
+            y_m=y_m,
+            yaw_deg=math.degrees(psi),
+            place_sigma_m=math.sqrt(xx + yy),
+            yaw_sigma_deg=math.degrees(math.sqrt(pp)),
+        )
+
+    def of_sample(self, t_ns: int, now_ns: int) -> tuple[Belief, OwnPose] | None:
+        """Where it was when a target was measured, and how well it knew; None: not well enough to tell anybody."""
+        there = self.at(t_ns)
+        if there is None or not within(there, LOST_M, LOST_DEG):
+            return None
+        since_s = MEMORY_S if self._sampled_ns is None else (t_ns - self._sampled_ns) * 1e-9
+        self._sampled_ns = t_ns
+        factor = kappa(max(since_s, 0.1), longest_gap_s(self._fixes_ns, now_ns))
+        return there, OwnPose(there.covariance, there.stays, factor)
+
+
+def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
+    """Whether it knows where it is that well: one standard deviation."""
+    xx, _, _, yy, _, pp = belief.covariance
+    return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
+
+
+def _priors(level: Attitude, gimbal_deg: Gimbal, moving: Belief) -> Priors:
+    return priors(level, gimbal_deg, math.hypot(moving.x[3], moving.x[4]), turning=False)

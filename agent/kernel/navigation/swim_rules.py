@@ -1,0 +1,63 @@
+"""What may not be in a fleet file of robots that swim, or of moored ones that are told to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations
+
+from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot
+from agent.kernel.navigation.barrier import MARGIN_M, RINGS_M, WALL_M
+
+ROUNDING_M = 1e-9  # what a centre less its radius may lack
+
+
+def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Every mistake as (key, what to change)."""
+    if fleet.navigation is None:
+        for name, robot in fleet.robot.items():
+            if robot.behaviour is not None:
+                yield f"robot.{name}.behaviour", "it is moored; add a table [navigation], or remove the behaviour"
+        return
+    if fleet.landmarks is None:
+        yield "navigation", "robots that swim find themselves by landmarks; add a table [landmarks]"
+    for name, robot in fleet.robot.items():
+        if (wrong := _outside(fleet, robot.pose.x_m, robot.pose.y_m)) is not None:
+            yield f"robot.{name}.pose", wrong
+        if robot.behaviour is not None and (wrong := _wrong_way(fleet, robot.behaviour)) is not None:
+            yield f"robot.{name}.behaviour", wrong
+    for (a, one), (b, other) in combinations(fleet.robot.items(), 2):
+        key = "behaviour" if isinstance(other.behaviour, Goto) else "pose"
+        apart_m = math.dist(_goal(one), _goal(other))
+        if apart_m < RINGS_M + MARGIN_M:
+            why = f"{apart_m:.2f} m from '{a}', and their thrusters touch at {RINGS_M} m; move one of them"
+            yield f"robot.{b}.{key}", why
+
+
+def _goal(robot: Robot) -> tuple[float, float]:
+    """Where it is told to be in the end; of other behaviours, where it begins."""
+    there = robot.behaviour if isinstance(robot.behaviour, Goto) else robot.pose
+    return there.x_m, there.y_m
+
+
+def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
+    """Why a robot cannot do that in this tank; None where it can."""
+    if isinstance(what, Goto):
+        if what.depth_m is not None and what.depth_m > fleet.tank.surface_m:
+            return f"{what.depth_m} m is below the floor; the water is {fleet.tank.surface_m} m deep"
+        return _outside(fleet, what.x_m, what.y_m)
+    if isinstance(what, Orbit):
+        assert fleet.navigation is not None
+        if abs(what.speed_m_s) > (most := fleet.navigation.limits.speed_m_s):
+            return f"{abs(what.speed_m_s)} m/s is faster than navigation.limits.speed_m_s, {most}; swim slower"
+        (x, y), r = (what.x_m, what.y_m), what.radius_m
+        return _outside(fleet, x - r, y - r) or _outside(fleet, x + r, y + r)
+    return None
+
+
+def _outside(fleet: Fleet, x_m: float, y_m: float) -> str | None:
+    """Why no robot swims there; None where it can."""
+    length_m, breadth_m, _ = fleet.tank.size_m
+    if min(x_m, length_m - x_m, y_m, breadth_m - y_m) >= WALL_M - ROUNDING_M:
+        return None
+    return f"({x_m:.2f}, {y_m:.2f}) is less than {WALL_M} m from a wall, where no robot swims; write another place"

@@ -1,0 +1,148 @@
+"""A robot that swims: where it is, when it looks for landmarks instead of the target, and where it thrusts."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from agent.kernel.config import Fleet, Goto, Pose, Robot
+from agent.kernel.control.attitude import Attitude, AttitudeLog
+from agent.kernel.control.seek import Seek
+from agent.kernel.navigation.barrier import safe_velocity
+from agent.kernel.navigation.behaviour import Progress, reference, start
+from agent.kernel.navigation.body_model import Wrench
+from agent.kernel.navigation.glance import Glance
+from agent.kernel.navigation.localizer import (
+    LOST_DEG,
+    LOST_M,
+    STILL,
+    SURE_DEG,
+    SURE_M,
+    UNSURE_DEG,
+    UNSURE_M,
+    Gimbal,
+    Localizer,
+    within,
+)
+from agent.kernel.navigation.pilot import wanted_velocity, wrench
+from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.tags.layout import markers
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.step_io import Flow, SeenTags
+
+SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
+SURFACE_M = 0.08  # where that ends: a hull that is lifted out would plunge when somebody stops the motors
+ARRIVED_NS = 500_000_000  # after the gimbal came to rest: a few frames, which may show landmarks where it looks now
+RESTS = 16  # of the gimbal that are remembered: more than a key frame's four seconds hold
+
+
+class Rest(NamedTuple):
+    """The gimbal, from when it was told to turn there."""
+
+    told_ns: int
+    from_ns: int  # at rest
+    goal_us: tuple[int, int]
+    gimbal_deg: Gimbal
+
+
+class Swimmer:
+    """Between steps, of one robot of a fleet with `[navigation]`."""
+
+    def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
+        assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
+        there, self._limits = robot.pose, fleet.navigation.limits
+        self._behaviour = robot.behaviour or Goto(x_m=there.x_m, y_m=there.y_m, yaw_deg=there.yaw_deg)
+        self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
+        self.localizer = Localizer(fleet, calibration.camera)
+        self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
+        self._glancing = False
+        self._progress: Progress | None = None
+        self._rests: deque[Rest] = deque(maxlen=RESTS)
+        self._lost_since_ns: int | None = None
+
+    def see(
+        self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
+    ) -> None:
+        """Landmarks and flow of the frames that were exposed while the gimbal was at rest; the others say little."""
+        goal_us = seek.pointing.goal_us
+        if goal_us is not None and (not self._rests or self._rests[-1].goal_us != goal_us):
+            self._rests.append(Rest(seek.pointing.told_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg()))
+        lens = {frame.t_ns: frame.focus for frame in tags}
+        for frame in tags:
+            level, gimbal = attitude.at(frame.t_ns), self._gimbal_at(frame.t_ns)
+            if level is not None and gimbal is not None:
+                self.localizer.see(frame, level, gimbal)
+        for flow in flows:
+            levels = attitude.at(flow.since_ns), attitude.at(flow.t_ns)
+            gimbals = self._gimbal_at(flow.since_ns), self._gimbal_at(flow.t_ns)
+            if None not in levels and None not in gimbals:
+                then, now = zip(levels, gimbals, strict=True)
+                self.localizer.follow(flow, then, now, lens.get(flow.t_ns))  # type: ignore[arg-type]
+        self.localizer.advance(now_ns)
+        here = self.localizer.at(now_ns)
+        if here is not None:
+            seek.pose = pose_of(here)
+        if here is not None and within(here, LOST_M, LOST_DEG):
+            self._lost_since_ns = None
+        elif self._lost_since_ns is None:
+            self._lost_since_ns = now_ns
+
+    def _gimbal_at(self, t_ns: int) -> Gimbal | None:
+        """Where the gimbal rested at that time; None: it was on its way, or that was too long ago."""
+        for rest in reversed(self._rests):
+            if rest.from_ns <= t_ns:
+                return rest.gimbal_deg
+            if rest.told_ns <= t_ns:
+                return None
+        return None
+
+    @property
+    def lost(self) -> bool:
+        """It does not know where it is."""
+        return self._lost_since_ns is not None
+
+    def glance(self, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
+        """Turn the camera to landmarks where that is due; returns whether it was. Not while a sweep is under way."""
+        here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
+        enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
+        sure = here is not None and within(here, *enough)
+        arrived = steady and now_ns > seek.pointing.steady_from_ns + ARRIVED_NS
+        if level is None or sure or not (arrived or self._glancing):
+            self._glancing = False
+            return False
+        if not self._glancing:
+            self._glancing = True
+            self._glance.reset()
+        pose = None if here is None or self.lost else pose_of(here)
+        pan, tilt = self._glance.direction_deg(pose, level, steady, now_ns)
+        seek.look(pan, tilt, now_ns)
+        return True
+
+    def thrust(self, allowed: bool, now_ns: int) -> Wrench:
+        """Force ahead and to the left, N, and yaw moment, N m."""
+        here = self.localizer.at(now_ns)
+        asked = STILL if here is None or self.lost or not allowed else self._towards(here, now_ns)
+        self.localizer.sent(asked, now_ns)
+        return asked
+
+    def _towards(self, here: Belief, now_ns: int) -> Wrench:
+        before = self._progress or start(here.pose, 0.0, now_ns)
+        to, self._progress = reference(self._behaviour, before, here.pose, now_ns)
+        to = to._replace(speed_m_s=self._limits.speed_m_s, turn_rad_s=math.radians(self._limits.turn_deg_s))
+        if to.depth_m is not None:
+            self._depth_m = to.depth_m
+        xx, xy, _, yy, _, _ = here.covariance
+        velocity = safe_velocity(wanted_velocity(here, to), here.pose[:2], (xx, xy, yy), self._tank_m)
+        return wrench(here, self.localizer.hull, to, velocity)
+
+    def depth_m(self, now_ns: int) -> float:
+        """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
+        lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
+        return SURFACE_M if lost else self._depth_m
+
+
+def pose_of(belief: Belief) -> Pose:
+    x, y, psi = belief.pose
+    return Pose(x_m=x, y_m=y, yaw_deg=math.degrees(psi))

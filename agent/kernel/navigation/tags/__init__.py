@@ -1,0 +1,1 @@
+"""From landmarks in a frame to the pose of the robot that saw them."""

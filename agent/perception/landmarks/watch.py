@@ -1,0 +1,74 @@
+"""What tells a robot where it is, in the frames of a vision worker: tags, and points followed since a key frame."""
+
+from __future__ import annotations
+
+from collections import deque
+from threading import Lock
+
+import numpy as np
+
+from agent.kernel.ranging.calibration import CameraFit, FocusFit, at_lens_position
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.step_io import Flow, SeenTags
+from agent.perception.landmarks.edges import fit_corners, light_of_bytes
+from agent.perception.landmarks.flow import Tracked, begin, flow, follow
+from agent.perception.landmarks.tags import seen_tags
+from hw.camera.camera import Frame
+
+QUEUE = 64  # frames that nobody has fetched: 6 s
+REST_M = 0.9  # where the lens is sharp between sweeps: from 0.5 m on a tag of 8 cm can be read
+
+
+class LandmarkWatch:
+    """Filled by the worker's thread, drained by any other."""
+
+    def __init__(self, camera: CameraFit, focus: FocusFit, hz: float) -> None:
+        """hz: at most so many frames a second are searched; between sweeps the worker reads as many."""
+        self._camera, self.period_s = camera, 1.0 / hz
+        self.sharp = round(lens_position(focus, REST_M))  # what the lens is told between sweeps
+        self.rest: int | None = self.sharp  # what the device says that it did; None: its lens does not move
+        self._lock = Lock()  # guards the next two
+        self._tags: deque[SeenTags] = deque(maxlen=QUEUE)
+        self._flows: deque[Flow] = deque(maxlen=QUEUE)
+        self._tracked: Tracked | None = None
+        self._newest_ns: int | None = None
+
+    def prepare(self) -> None:
+        """Load the compiled code now, and not while somebody waits for what a first frame shows."""
+        square = np.full((64, 64), 255, np.uint8)
+        square[16:48, 16:48] = 0
+        rough = np.array([[15.5, 15.5], [47.5, 15.5], [47.5, 47.5], [15.5, 47.5]])
+        fit_corners(square, light_of_bytes(self._camera.gamma), rough, self._camera)
+
+    def wait_s(self, now_ns: int) -> float:
+        """How long until the next whole frame is due; now_ns by the agent's clock."""
+        if self._newest_ns is None:
+            return 0.0
+        return max(0.0, self.period_s - (now_ns - self._newest_ns) * 1e-9)
+
+    def see(self, frame: Frame, lens_position: int | None, offset_ns: int) -> None:
+        """Search a whole frame; `offset_ns` from the camera's clock to the agent's."""
+        t_ns = frame.t_ns + offset_ns
+        found = seen_tags(frame.image, self._camera, lens_position, t_ns, frame.seq)
+        camera = at_lens_position(self._camera, lens_position)
+        moved = None
+        if lens_position != self.rest:
+            self._tracked = None  # another blur shifts points by more than a robot at rest moves
+        elif self._tracked is not None:
+            self._tracked = follow(self._tracked, frame.image, t_ns)
+            moved = flow(self._tracked, camera)
+        if lens_position == self.rest and (self._tracked is None or self._tracked.due):
+            self._tracked = begin(frame.image, camera, t_ns)
+        self._newest_ns = t_ns
+        with self._lock:
+            self._tags.append(found)
+            if moved is not None and moved.pairs:
+                self._flows.append(moved)
+
+    def drain(self) -> tuple[tuple[SeenTags, ...], tuple[Flow, ...]]:
+        """All that was seen since the last call, oldest first."""
+        with self._lock:
+            tags, flows = tuple(self._tags), tuple(self._flows)
+            self._tags.clear()
+            self._flows.clear()
+        return tags, flows

@@ -1,0 +1,271 @@
+"""The pose filter against closed forms, filterpy, a Riccati equation and a filter of both poses; its ring of events."""
+
+import random
+
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter
+from scipy.linalg import solve_discrete_are
+
+from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.body_model import STEP_NS, Hull
+from agent.kernel.navigation.event_ring import KEEP_NS, RING_NS, EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.pose_filter import (
+    RATE_RAD_S,
+    REFUSALS,
+    Drift,
+    add_fix,
+    add_flow,
+    add_rate,
+    begin,
+    keep_key,
+    predict,
+)
+
+HULL, DRIFT, STILL = Hull(), Drift(), Drift(0.0, 0.0, 0.0, 0.0, 0.0)
+R = (1e-5, 1e-6, 2e-7, 2e-5, -1e-6, 4e-6)
+NOTHING = (0.0,) * 6
+START = (1.0, 0.8, 0.5)
+S = 1_000_000_000
+
+
+def matrix(symmetric):
+    a, b, c, d, e, f = symmetric
+    return np.array([[a, b, c], [b, d, e], [c, e, f]])
+
+
+def at_speed(vx=0.0, vy=0.0, r=0.0, gyro=False):
+    belief = begin(0, START, R, gyro=gyro)
+    return belief._replace(x=(*START, vx, vy, r, *belief.x[6:]))
+
+
+# --- closed forms -----------------------------------------------------------------------------------------------
+
+
+def test_coasting_under_linear_drag() -> None:
+    hull = Hull(drag2=0.0, turn_drag2=0.0)
+    k, k_r, t = hull.drag / hull.mass_kg, hull.turn_drag / hull.inertia_kgm2, 3.0
+    after = predict(at_speed(0.2, -0.1, 0.5), hull, STILL, round(t * S))
+    h = STEP_NS * 1e-9
+    np.testing.assert_allclose(after.x[3:5], np.array([0.2, -0.1]) * (1 - k * h) ** round(t / h), rtol=1e-12)
+    np.testing.assert_allclose(after.x[3:5], np.array([0.2, -0.1]) * np.exp(-k * t), rtol=0.005)
+    np.testing.assert_allclose(after.x[0], START[0] + 0.2 * (1 - np.exp(-k * t)) / k, atol=0.001)
+    np.testing.assert_allclose(after.x[2], START[2] + 0.5 * (1 - np.exp(-k_r * t)) / k_r, atol=0.002)
+
+
+def test_coasting_under_quadratic_drag() -> None:
+    hull, t = Hull(drag=0.0), 4.0
+    speed = 0.25 / (1 + 0.25 * hull.drag2 * t / hull.mass_kg)
+    after = predict(at_speed(0.15, 0.20), hull, STILL, round(t * S))
+    np.testing.assert_allclose(after.x[3:5], [0.6 * speed, 0.8 * speed], rtol=0.01)
+
+
+def test_thrusters_lag_behind_what_is_asked() -> None:
+    """Without drag the speed after t is u / M (t - tau (1 - e^(-t / tau))), whatever the steps are."""
+    hull, t = Hull(drag=0.0, drag2=0.0, turn_drag=0.0, turn_drag2=0.0), 0.33
+    belief = begin(0, (0.0, 0.0, 0.0), R)._replace(asked=(3.0, -1.5, 0.0))
+    after = predict(belief, hull, STILL, round(t * S))
+    mean = t - hull.lag_s * (1 - np.exp(-t / hull.lag_s))
+    np.testing.assert_allclose(after.x[3:5], np.array([3.0, -1.5]) / hull.mass_kg * mean, rtol=1e-12)
+    np.testing.assert_allclose(after.force, np.array([3.0, -1.5, 0.0]) * (1 - np.exp(-t / hull.lag_s)), rtol=1e-12)
+
+
+# --- other people's filters -------------------------------------------------------------------------------------
+
+
+def oracle_step(x, force, u, h, hull=HULL):
+    """(x, force, F) by the note's section 6, in numpy. x: at least nine numbers."""
+    reached = 1 - np.exp(-h / hull.lag_s)
+    mean = force + (u - force) * (1 - hull.lag_s * reached / h)
+    c, s = np.cos(x[2]), np.sin(x[2])
+    turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])
+    k = (hull.drag + hull.drag2 * np.hypot(x[3], x[4])) / hull.mass_kg
+    k_r = (hull.turn_drag + hull.turn_drag2 * abs(x[5])) / hull.inertia_kgm2
+    a = np.r_[turn @ mean[:2] / hull.mass_kg - k * x[3:5] + x[6:8], mean[2] / hull.inertia_kgm2 - k_r * x[5] + x[8]]
+    F = np.eye(len(x))
+    F[0:3, 3:6] = F[3:6, 6:9] = h * np.eye(3)
+    F[3:6, 3:6] -= h * np.diag([k, k, k_r])
+    F[3:5, 2] = h * turned @ mean[:2] / hull.mass_kg
+    x = x.copy()
+    x[:3] += h * x[3:6] + 0.5 * h * h * a
+    x[3:6] += h * a
+    x[2] = wrap(x[2])
+    return x, force + (u - force) * reached, F
+
+
+def noise(h, n=9):
+    q = np.zeros(n)
+    q[3:9] = h * np.array([0.01, 0.01, 0.06, 0.02, 0.02, 0.06]) ** 2
+    if n == 10:
+        q[9] = h * 2e-5**2
+    return np.diag(q)
+
+
+def yaw_wrapped(a, b):
+    d = a - b
+    d[2] = wrap(d[2])
+    return d
+
+
+@pytest.mark.parametrize("gyro", [False, True])
+def test_the_filter_is_that_of_filterpy(gyro) -> None:
+    rng, n = np.random.default_rng(3), 10 if gyro else 9
+    belief = begin(0, (1.0, 0.8, 3.1), R, gyro=gyro)
+    oracle = ExtendedKalmanFilter(dim_x=n, dim_z=3)
+    oracle.x, oracle.P, force, u, t_ns = np.array(belief.x), np.array(belief.P), np.zeros(3), np.zeros(3), 0
+    for k in range(40):
+        span_ns = int(rng.integers(1_000_000, 90_000_000))
+        t_ns, steps = t_ns + span_ns, -(-span_ns // STEP_NS)
+        belief, h = predict(belief, HULL, DRIFT, t_ns), span_ns * 1e-9 / steps
+        for _ in range(steps):
+            oracle.x, force, F = oracle_step(oracle.x, force, u, h)
+            oracle.P = F @ oracle.P @ F.T + noise(h, n)
+        if k % 3 == 0:
+            u = rng.uniform(-1, 1, 3) * [6.0, 6.0, 0.8]
+            belief = belief._replace(asked=tuple(u.tolist()))
+        elif k % 3 == 1:
+            z = oracle.x[:3] + rng.normal(0, 0.003, 3)
+            belief = add_fix(belief, tuple(z.tolist()), R, NOTHING)
+            oracle.update(z, lambda x: np.eye(3, n), lambda x: x[:3], matrix(R), residual=yaw_wrapped)
+            oracle.x[2] = wrap(oracle.x[2])
+        elif gyro:
+            turn, H = float(oracle.x[5] + oracle.x[9] + rng.normal(0, 0.005)), np.zeros((1, n))
+            H[0, [5, 9]] = 1.0
+            belief = add_rate(belief, turn)
+            oracle.update(np.array([turn]), lambda x, H=H: H, lambda x, H=H: H @ x, np.array([[RATE_RAD_S**2]]))
+            oracle.x[2] = wrap(oracle.x[2])
+    np.testing.assert_allclose(belief.x, oracle.x, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(belief.P, oracle.P, rtol=1e-9, atol=1e-12)
+    assert belief.refused == belief.restarts == 0
+
+
+def test_the_steady_covariance_solves_the_riccati_equation() -> None:
+    belief, period_ns = begin(0, START, R), 5 * STEP_NS
+    F, Q, h = np.eye(9), np.zeros((9, 9)), STEP_NS * 1e-9
+    for _ in range(5):
+        _, _, f = oracle_step(np.array([*START, *(0.0,) * 6]), np.zeros(3), np.zeros(3), h)
+        F, Q = f @ F, f @ Q @ f.T + noise(h)
+    steady = solve_discrete_are(F.T, np.eye(3, 9).T, Q, matrix(R))  # before each fix
+    for k in range(1, 200):
+        belief = predict(belief, HULL, DRIFT, k * period_ns)
+        before, belief = belief, add_fix(belief, START, R, NOTHING)
+    np.testing.assert_allclose(before.P, steady, rtol=1e-6, atol=1e-12)
+
+
+def test_odometry_by_a_clone_is_a_filter_of_both_poses() -> None:
+    rng, t_ns = np.random.default_rng(5), 300_000_000
+    belief = predict(at_speed(0.1, 0.05, 0.3)._replace(asked=(2.0, 1.0, 0.1)), HULL, DRIFT, t_ns)
+    x, P, force, u = np.array(belief.x), np.array(belief.P), np.array(belief.force), np.array([2.0, 1.0, 0.1])
+    belief = keep_key(keep_key(belief))
+    both = np.r_[np.eye(9), np.eye(3, 9)]
+    x, P = both @ x, both @ P @ both.T  # now, and the key frame's
+    for k in range(12):
+        belief = predict(belief, HULL, DRIFT, t_ns + 40_000_000 * (k + 1))
+        for _ in range(2):
+            x, force, F = oracle_step(x, force, u, 0.02)
+            Q = np.zeros((12, 12))
+            Q[:9, :9] = noise(0.02)
+            P = F @ P @ F.T + Q
+
+        def moved(x):
+            c, s = np.cos(x[11]), np.sin(x[11])
+            return np.r_[np.array([[c, s], [-s, c]]) @ (x[:2] - x[9:11]), x[2] - x[11]]
+
+        if k % 2:
+            z = moved(x) + rng.normal(0, 0.002, 3)
+            H = np.stack([moved(x + d).imag / 1e-30 for d in 1e-30j * np.eye(12)], axis=1)  # exact
+            V = np.diag([0.003**2, 0.003**2, 0.002**2])
+            gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
+            x, P = x + gain @ (z - moved(x)), P - gain @ H @ P
+            belief = add_flow(belief, t_ns, tuple(z.tolist()), 0.003, 0.002)
+    np.testing.assert_allclose(belief.x, x, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(belief.P, P, rtol=0, atol=1e-12)
+    assert add_flow(belief, t_ns - 1, (0.0, 0.0, 0.0), 0.003, 0.002) == belief  # of a key frame long gone
+
+
+# --- what cannot be ---------------------------------------------------------------------------------------------
+
+
+def test_a_stray_fix_is_refused_and_five_of_them_are_right() -> None:
+    belief = begin(0, START, R)
+    for k in range(1, 20):
+        belief = add_fix(predict(belief, HULL, DRIFT, k * 100_000_000), START, R, NOTHING)
+    far, before = (START[0] + 0.3, START[1], START[2]), belief
+    belief = add_fix(belief, far, R, NOTHING)
+    assert belief.refused == 1 and belief.x == before.x and belief.P == before.P and belief.nis > 16.27
+    assert add_fix(belief, START, R, NOTHING).refused == 0  # a good one, and all is forgiven
+    for _ in range(REFUSALS - 1):
+        belief = add_fix(belief, far, R, NOTHING)
+    assert belief.restarts == 1 and belief.pose == far and belief.covariance == R and belief.refused == 0
+
+
+def test_yaw_goes_round() -> None:
+    belief = begin(0, (1.0, 1.0, 3.14), R)
+    corrected = add_fix(belief, (1.0, 1.0, -3.14), R, NOTHING)
+    assert abs(abs(corrected.x[2]) - np.pi) < 0.002 and corrected.refused == 0
+
+
+# --- events in any order ----------------------------------------------------------------------------------------
+
+
+def story(rng):
+    """0.75 s of events of all kinds."""
+    events, first_ns = [], 10 * S
+    for k in range(15):
+        events.append(asked(first_ns + 50_000_000 * k, tuple(rng.uniform(-1, 1, 3) * [3.0, 3.0, 0.4])))
+    for k in range(7):
+        events.append(fix(first_ns + 7_000_000 + 100_000_000 * k, tuple(START + rng.normal(0, 0.003, 3)), R, R))
+    for k in range(14):
+        events.append(rate(first_ns + 3_000_000 + 50_000_000 * k, float(rng.normal(0, 0.01))))
+    for key, nows in ((107, (207, 307, 407)), (407, (507, 607))):
+        for now in nows:
+            moved = tuple(rng.normal(0, 0.003, 3))
+            events.append(flow(first_ns + now * 1_000_000, first_ns + key * 1_000_000, moved, 0.003, 0.01))
+    return events
+
+
+def ring():
+    return EventRing(begin(10 * S - 100_000_000, START, R, gyro=True), HULL, DRIFT)
+
+
+def test_any_order_of_arrival_gives_the_same_bytes() -> None:
+    events = story(np.random.default_rng(8))
+    ends = set()
+    for seed in range(3):
+        here = ring()
+        for event in sorted(events) if seed == 0 else random.Random(seed).sample(events, len(events)):
+            here.add(event)
+        assert here.dropped == 0 and here.newest.restarts == 0 and here.newest.key_ns == 10 * S + 407_000_000
+        ends.add(repr([here.newest, here.at(10 * S + 350_000_000), here.at(11 * S)]))
+    assert len(ends) == 1
+    in_step = ring()
+    for event in sorted(events):  # as they would come in time, with the ring moving on
+        in_step.advance(event.t_ns)
+        in_step.add(event)
+    assert repr([in_step.newest, in_step.at(10 * S + 350_000_000), in_step.at(11 * S)]) in ends
+
+
+def test_what_comes_too_late_is_counted_and_changes_nothing() -> None:
+    here, late = ring(), story(np.random.default_rng(8))[17]
+    for k in range(100):
+        now_ns = 10 * S + k * 50_000_000
+        here.add(asked(now_ns, (1.0, 0.0, 0.0)))
+        here.advance(now_ns)
+    before = here.newest
+    here.add(late)
+    assert here.dropped == 1 and here.newest == before
+    here.add(fix(now_ns - RING_NS + 60_000_000, before.pose, R, R))
+    assert here.dropped == 1 and here.newest != before
+
+
+def test_beliefs_are_kept_for_a_sweep() -> None:
+    here, beliefs = ring(), {}
+    for k in range(200):
+        now_ns = 10 * S + k * 50_000_000
+        here.add(asked(now_ns, (1.0, 0.5, 0.1)))
+        here.advance(now_ns)
+        beliefs[now_ns] = here.newest
+    assert here.at(now_ns - KEEP_NS) == beliefs[now_ns - KEEP_NS]
+    between = here.at(now_ns - KEEP_NS + 20_000_000)
+    assert between.t_ns == now_ns - KEEP_NS + 20_000_000 and between.x[0] != beliefs[now_ns - KEEP_NS].x[0]
+    assert here.at(now_ns - KEEP_NS - 60_000_000) is None

@@ -1,0 +1,126 @@
+"""What a vision worker's frames say of landmarks: how often, by whose clock, and at which lens position."""
+
+import time
+
+import numpy as np
+import pytest
+
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.focus import lens_position
+from agent.perception.landmarks.flow import OLDEST_NS
+from agent.perception.landmarks.watch import QUEUE, REST_M, LandmarkWatch
+from hw.camera.camera import Frame, Roi
+from tests.known_lens import PLAIN
+from tests.perception.landmarks.floor import frame as floor_frame
+from tests.perception.landmarks.floor import pose, texture
+from tests.perception.landmarks.printed import WALL, photograph, tag_light, turned
+from tests.perception.scripted_camera import EMPTY, ScriptedCamera
+
+CAMERA = CameraFit(width_px=320, height_px=240, f_px=500.0, cx_px=159.5, cy_px=119.5, bend=0.39)
+OFFSET_NS = 10**18  # from the camera's clock to the agent's
+SECOND = 1_000_000_000
+BLANK = np.full((240, 320, 3), 90, np.uint8)
+
+
+@pytest.fixture(scope="module")
+def floor():
+    return floor_frame(texture(600), CAMERA, *pose(0.0, 0.0, 0.0), seed=0)
+
+
+@pytest.fixture
+def watch():
+    return LandmarkWatch(CAMERA, PLAIN, hz=10.0)
+
+
+def see(watch, image, t_s, lens=None):
+    """t_s: by the camera's clock."""
+    t_ns = round(t_s * SECOND)
+    roi = Roi(0, 0, CAMERA.width_px, CAMERA.height_px)
+    watch.see(Frame(t_ns, round(10 * t_s), image, roi), watch.rest if lens is None else lens, OFFSET_NS)
+
+
+def test_frames_are_due_at_the_rate_that_was_asked_for(watch) -> None:
+    assert watch.wait_s(OFFSET_NS) == 0.0
+    see(watch, BLANK, 5.0)
+    now_ns = OFFSET_NS + 5 * SECOND
+    assert watch.wait_s(now_ns) == pytest.approx(0.1)
+    assert watch.wait_s(now_ns + 40_000_000) == pytest.approx(0.06)
+    assert watch.wait_s(now_ns + 100_000_000) == watch.wait_s(now_ns + 9 * SECOND) == 0.0
+
+
+def test_what_was_seen_is_fetched_once_and_in_order(watch) -> None:
+    light = np.full((240, 320), WALL)
+    tag_light(CAMERA, 3, turned(0, 0, 0), (0.0, 0.0, 0.6), light)
+    see(watch, photograph(light), 1.0)
+    see(watch, BLANK, 1.1, lens=500)
+    tags, flows = watch.drain()
+    assert [(each.t_ns - OFFSET_NS, each.frame, each.focus) for each in tags] == [
+        (SECOND, 10, watch.rest),
+        (1_100_000_000, 11, 500),
+    ]
+    assert [[tag.id for tag in each.tags] for each in tags] == [[3], []]  # a frame that shows none is said as well
+    assert flows == () and watch.drain() == ((), ())
+
+
+def test_of_what_nobody_fetches_the_newest_is_kept(watch) -> None:
+    tiny = np.full((48, 64, 3), 90, np.uint8)
+    for k in range(QUEUE + 3):
+        see(watch, tiny, 0.1 * k, lens=500)
+    assert [each.frame for each in watch.drain()[0]] == list(range(3, QUEUE + 3))
+
+
+def test_points_are_followed_only_where_the_lens_rests(watch, floor) -> None:
+    assert watch.rest == round(lens_position(PLAIN, REST_M))
+    sweep = watch.rest + 200
+    for t_s, lens in ((1.0, watch.rest), (1.1, watch.rest), (1.2, sweep), (1.3, watch.rest), (1.4, watch.rest)):
+        see(watch, floor, t_s, lens)
+    told = [(flow.since_ns - OFFSET_NS, flow.t_ns - OFFSET_NS) for flow in watch.drain()[1]]
+    assert told == [(SECOND, 1_100_000_000), (1_300_000_000, 1_400_000_000)]  # a sweep ends a key frame
+
+
+def test_a_key_frame_is_followed_until_another_is_due(watch, floor) -> None:
+    late_s = 1.2 + OLDEST_NS / SECOND
+    for t_s in (1.0, 1.1, late_s, late_s + 0.1):
+        see(watch, floor, t_s)
+    told = [(flow.since_ns - OFFSET_NS) / SECOND for flow in watch.drain()[1]]
+    assert told == [1.0, 1.0, pytest.approx(late_s)]
+    see(watch, BLANK, late_s + 0.2)  # all its points are lost: nothing to say, and no key frame either
+    see(watch, floor, late_s + 0.3)
+    see(watch, floor, late_s + 0.4)
+    told = [(flow.since_ns - OFFSET_NS) / SECOND for flow in watch.drain()[1]]
+    assert told == [pytest.approx(late_s + 0.3)]
+
+
+def test_a_lens_that_does_not_move_is_always_at_rest(watch, floor) -> None:
+    watch.rest = None
+    see(watch, floor, 1.0)
+    see(watch, floor, 1.1)
+    (tags, _), (flow,) = watch.drain()
+    assert tags.focus is None and len(flow.pairs) > 20
+
+
+# --- in a worker ---------------------------------------------------------------------------------------------------
+
+
+class Coarse(ScriptedCamera):
+    """Its lens takes every tenth position."""
+
+    def set_focus(self, position):
+        return super().set_focus(position // 10 * 10)
+
+
+@pytest.mark.parametrize("camera", [Coarse, ScriptedCamera])
+def test_the_worker_brings_the_lens_to_rest_once(worker, camera) -> None:
+    here = camera(focusable=camera is Coarse, images=lambda _: EMPTY)
+    watch = LandmarkWatch(CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5), PLAIN, 20.0)
+    rest = watch.sharp // 10 * 10 if camera is Coarse else None
+    assert watch.sharp % 10 != 0
+    out = worker(here, landmarks=watch)
+    until = time.monotonic() + 10.0
+    seen = []
+    while len(seen) < 3 and time.monotonic() < until:
+        seen += watch.drain()[0]
+        time.sleep(0.002)
+    out.close()
+    assert out.fault is None and [each.focus for each in seen[:3]] == [rest] * 3 and watch.rest == rest
+    assert [call for call in here.calls if call[0] == "focus"] == ([("focus", rest)] if camera is Coarse else [])
