@@ -82,7 +82,7 @@ class Localizer:
     def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
         """Points of a key frame in a later one; level and gimbal, at rest, at either exposure."""
         before = self.at(seen.t_ns)
-        if self._ring is None or before is None:
+        if self._ring is None or before is None or self._astray(before):
             return
         of = view(self._camera, self._body, self._surface_m, focus)
         start, end = (whole((0.0, 0.0, 0.0), _priors(level, gimbal, before)) for level, gimbal in (then, now))
