@@ -110,9 +110,6 @@ def test_tags_that_nobody_surveyed_say_nothing(swum) -> None:
             replace(frame, tags=tuple(SeenTag(586, SQUARE, 93.0, 0.0, True) for _ in frame.tags))
             for frame in inputs.landmarks or ()
         ]
-            replace(frame, tags=tuple(SeenTag(586, SQUARE, 93.0, 0.0, True) for _ in frame.tags))
-            for frame in inputs.landmarks or ()
-        )
         agent.step(replace(inputs, landmarks=tuple(strangers)), now_ns)
     assert agent.swimmer.lost and "no tag of the map" in agent.swimmer.localizer.refused
 
