@@ -30,7 +30,8 @@ def test_it_finds_itself_swims_to_its_pose_and_stays(swum) -> None:
     for off_m, off_deg in (off for *_, off, _ in told[15 * 20 :]):
         assert off_m < 0.03 and off_deg < 2.0
     where = one.state.whereabouts
-    assert np.hypot(where.x_m - one.body.at[0], where.y_m - one.body.at[1]) < 3.0 * where.place_sigma_m < 0.03
+    off_m = np.hypot(where.x_m - one.body.at[0], where.y_m - one.body.at[1])  # at one moment: how honest, others ask
+    assert off_m < 4.0 * where.place_sigma_m < 0.03
     assert where.yaw_deg == pytest.approx(np.degrees(one.body.at[2]), abs=3.0 * where.yaw_sigma_deg)
     assert where.yaw_sigma_deg < 1.0
 
