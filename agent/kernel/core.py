@@ -217,7 +217,9 @@ class Agent:
         servos_us = pan_us, tilt_us, centre_us, centre_us
         if self.swimmer is None:
             return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us)
-        ahead_n, left_n, moment_nm = self.swimmer.thrust(self._may_swim(now_ns), now_ns)
+        believed = self.current.estimator.posterior
+        target_m = believed.x_m if believed else None
+        ahead_n, left_n, moment_nm = self.swimmer.thrust(self._may_swim(now_ns), target_m, now_ns)
         return SetPoint(
             depth_m=self.swimmer.depth_m(now_ns),
             force_n=(ahead_n, left_n),

@@ -120,10 +120,10 @@ class Net:
         return None
 
     def _hold(self, inputs: Inputs) -> Outputs:
-        """What is done without the kernel: nothing new, and after a while the way up."""
+        """What is done without the kernel: nothing new, no swimming on blindly, and after a while the way up."""
         self._in_a_row += 1
         self._keys = inputs.keys
-        held = self._set_point or SetPoint(depth_m=SURFACE_M)
+        held = replace(self._set_point or SetPoint(depth_m=SURFACE_M), force_n=(0.0, 0.0), yaw_moment_nm=0.0)
         self._set_point = replace(held, depth_m=SURFACE_M) if self._in_a_row >= SURFACE_AFTER else held
         return Outputs(set_point=self._set_point)
 

@@ -32,7 +32,6 @@ SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
 LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
 
 Gimbal = tuple[float, float]  # pan and tilt as the servos really do them, degrees
-
 Carriage = tuple[Attitude, Gimbal]  # of the camera, at one moment
 
 
@@ -108,9 +107,9 @@ class Localizer:
         return None if self._ring is None else self._ring.at(t_ns)
 
     def shown(self, now_ns: int) -> Whereabouts | None:
-        """For whoever looks: with what stays the same in every fix."""
+        """For whoever looks: with what stays the same in every fix. None where it is lost."""
         here = self.at(now_ns)
-        if here is None:
+        if here is None or not within(here, LOST_M, LOST_DEG):
             return None
         xx, _, _, yy, _, pp = plus(here.covariance, here.stays)
         x_m, y_m, psi = here.pose

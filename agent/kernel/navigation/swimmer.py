@@ -10,7 +10,8 @@ from typing import NamedTuple
 from agent.kernel.config import Fleet, Goto, Pose, Robot
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
-from agent.kernel.navigation.barrier import safe_velocity
+from agent.kernel.messages import Vector
+from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar, safe_velocity
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.glance import Glance
@@ -22,6 +23,7 @@ from agent.kernel.navigation.localizer import (
     SURE_M,
     UNSURE_DEG,
     UNSURE_M,
+    Carriage,
     Gimbal,
     Localizer,
     within,
@@ -29,11 +31,11 @@ from agent.kernel.navigation.localizer import (
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.navigation.tags.layout import markers
+from agent.kernel.net import SURFACE_M
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Flow, SeenTags
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
-SURFACE_M = 0.08  # where that ends: a hull that is lifted out would plunge when somebody stops the motors
 ARRIVED_NS = 500_000_000  # after the gimbal came to rest: a few frames, which may show landmarks where it looks now
 RESTS = 16  # of the gimbal that are remembered: more than a key frame's four seconds hold
 
@@ -71,15 +73,13 @@ class Swimmer:
             self._rests.append(Rest(seek.pointing.told_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg()))
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
-            level, gimbal = attitude.at(frame.t_ns), self._gimbal_at(frame.t_ns)
-            if level is not None and gimbal is not None:
-                self.localizer.see(frame, level, gimbal)
+            carriage = self._carriage_at(frame.t_ns, attitude)
+            if carriage is not None:
+                self.localizer.see(frame, *carriage)
         for flow in flows:
-            levels = attitude.at(flow.since_ns), attitude.at(flow.t_ns)
-            gimbals = self._gimbal_at(flow.since_ns), self._gimbal_at(flow.t_ns)
-            if None not in levels and None not in gimbals:
-                then, now = zip(levels, gimbals, strict=True)
-                self.localizer.follow(flow, then, now, lens.get(flow.t_ns))  # type: ignore[arg-type]
+            then, now = self._carriage_at(flow.since_ns, attitude), self._carriage_at(flow.t_ns, attitude)
+            if then is not None and now is not None:
+                self.localizer.follow(flow, then, now, lens.get(flow.t_ns))
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)
         if here is not None:
@@ -88,6 +88,11 @@ class Swimmer:
             self._lost_since_ns = None
         elif self._lost_since_ns is None:
             self._lost_since_ns = now_ns
+
+    def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
+        """Level and gimbal at that time; None: one of them is not known."""
+        level, gimbal = attitude.at(t_ns), self._gimbal_at(t_ns)
+        return None if level is None or gimbal is None else (level, gimbal)
 
     def _gimbal_at(self, t_ns: int) -> Gimbal | None:
         """Where the gimbal rested at that time; None: it was on its way, or that was too long ago."""
@@ -120,21 +125,22 @@ class Swimmer:
         seek.look(pan, tilt, now_ns)
         return True
 
-    def thrust(self, allowed: bool, now_ns: int) -> Wrench:
-        """Force ahead and to the left, N, and yaw moment, N m."""
-        here = self.localizer.at(now_ns)
-        asked = STILL if here is None or self.lost or not allowed else self._towards(here, now_ns)
+    def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
+        """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
+        here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
+        asked = STILL if here is None or self.lost or not allowed else self._towards(here, watched_m, now_ns)
         self.localizer.sent(asked, now_ns)
         return asked
 
-    def _towards(self, here: Belief, now_ns: int) -> Wrench:
+    def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         before = self._progress or start(here.pose, 0.0, now_ns)
-        to, self._progress = reference(self._behaviour, before, here.pose, now_ns)
+        to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
         to = to._replace(speed_m_s=self._limits.speed_m_s, turn_rad_s=math.radians(self._limits.turn_deg_s))
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         xx, xy, _, yy, _, _ = here.covariance
-        velocity = safe_velocity(wanted_velocity(here, to), here.pose[:2], (xx, xy, yy), self._tank_m)
+        things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
+        velocity = safe_velocity(wanted_velocity(here, to), here.pose[:2], (xx, xy, yy), self._tank_m, things)
         return wrench(here, self.localizer.hull, to, velocity)
 
     def depth_m(self, now_ns: int) -> float:

@@ -8,7 +8,7 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Goto, Look, Orbit, Turn
 from agent.kernel.core import Agent
 from agent.kernel.navigation.event_ring import RING_NS
-from agent.kernel.navigation.swimmer import SURFACE_M
+from agent.kernel.net import SURFACE_M
 from tests.kernel.navigation.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
 
 THERE = POSE.x_m, POSE.y_m, POSE.yaw_deg

@@ -47,8 +47,10 @@ def test_a_step_that_raises_is_undone(swum, monkeypatch) -> None:
 
     with monkeypatch.context() as patch:
         patch.setattr(Agent, "_set_point", broken)
-        agent.step(inputs, now_ns)
+        held = agent.step(inputs, now_ns).set_point
     assert agent.net.holds
+    assert told[59][2].set_point.force_n != (0.0, 0.0), "it was on its way"
+    assert (*held.force_n, held.yaw_moment_nm) == (0.0, 0.0, 0.0), "and does not go on blindly"
     assert memory(agent.swimmer) == before and agent.swimmer.localizer._ring is ring
     agent.step(inputs, now_ns + STEP_NS)
     assert not agent.net.holds and memory(agent.swimmer) != before
