@@ -21,8 +21,10 @@ from tests.network.rogue import Rogue
 from tests.waiting import until
 
 FULL = {"r1": ("r2", "r3"), "r2": ("r1", "r3"), "r3": ("r1", "r2")}
-STOPPED_S = 1.5  # less than a lease, after which the link is given up
-SAY_S = 0.05  # a step; Zenoh waits a millisecond for room, and the machine may be busy
+STOPPED_S = 1.5  # at least; a lease later the link is given up
+R2_AT_R1 = "@/*/peer/token/aucamp/test/alive/r2/*"  # in the admin space: a token goes with its link
+SAY_S = 0.05  # a step; Zenoh waits a millisecond for room, and one in fifty may meet a busy machine
+WAITS_S = 1.0  # a publisher that blocks waits for five seconds until it gives the link up
 
 Fleets = Callable[..., Fleet]
 Says = Callable[..., Estimate]
@@ -66,7 +68,8 @@ def test_to_one_that_hangs(make_fleet: Fleets, estimate: Says, tmp_path: Path, m
         took_s.clear()
         hung.process.send_signal(signal.SIGSTOP)
         before, heard, stop_s = next(count), hung.heard("r1"), time.monotonic() + STOPPED_S
-        with Rogue(fleet, "r3") as second:  # two of one name: what we tell others of it has to pass the same link
+        only_r1 = replace(fleet, robot={"r1": fleet.robot["r1"]})  # who dials one that hangs leaves after ten seconds
+        with Rogue(only_r1, "r3") as second:  # two of one name: what we tell others of it has to pass the same link
             second.token(topics.ALIVE.format(fleet="test", robot="r3", session="abc"))
             sent = 0
             while time.monotonic() < stop_s or sent * 10_000 <= 5_000_000:
@@ -79,7 +82,11 @@ def test_to_one_that_hangs(make_fleet: Fleets, estimate: Says, tmp_path: Path, m
                 told = r1.faults()
                 took_s.append(time.perf_counter() - began_s)
             assert told == ("two agents: two linked to us are called r3; end one",)
-        assert max(took_s) < SAY_S, sorted(took_s)[-5:]
+            # Who goes on in the very moment in which its full link is given up may be linked again and hear nothing
+            # (github.com/eclipse-zenoh/zenoh/issues/1886, open): here it goes on after that.
+            until(lambda: not list(second.session.get(R2_AT_R1)))
+        took_s.sort()
+        assert took_s[-1] < WAITS_S and took_s[-len(took_s) // 50] < SAY_S, took_s[-5:]
         said = next(count) - before
         assert said * 10_000 > 5_000_000  # bytes: more than any buffer on the way holds
         assert hung.heard("r1") == heard
