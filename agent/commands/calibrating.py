@@ -47,3 +47,14 @@ def calibrate_camera(
     from agent.calibration.camera import run
 
     run(folder, columns, rows, square_mm, out, terminal())
+
+
+@app.command("gamma", epilog="Example: aucamp calibrate gamma blurred/ --out calibration/r1.toml")
+def calibrate_gamma(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Pictures of AprilTags, out of focus.")],
+    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] gets the gamma.")] = None,
+) -> None:
+    """How the camera codes light, from how lopsided it shows blurred edges."""
+    from agent.calibration.gamma import run
+
+    run(folder, out, terminal())
