@@ -8,7 +8,7 @@ from collections import Counter
 
 import pytest
 
-REAL_TIME = "tests/network/"
+NETWORK, DIVES = "tests/network/", "tests/network/dives/"
 NICE = 5  # a third of the other's share where both want more than there is
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # of torch and of numpy; read when they are loaded
 
@@ -20,31 +20,37 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Order a worker's work: files with the most slow tests, then with the most tests, so that the last are short."""
+    """Order the work: what keeps time with the world, then files with the most slow tests, then with the most tests, so
+    that the last are short."""
     if hasattr(config, "workerinput"):
         tests = Counter(item.path for item in items)
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-        items.sort(key=lambda item: (-slow[item.path], -tests[item.path]))
+        items.sort(key=lambda item: (not keeps_time(item.nodeid), -slow[item.path], -tests[item.path]))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """A worker that computes stands back for the one that keeps time; whoever had those tests had them first."""
-    if hasattr(item.config, "workerinput") and not item.nodeid.startswith(REAL_TIME) and os.nice(0) < NICE:
+    if hasattr(item.config, "workerinput") and not keeps_time(item.nodeid) and os.nice(0) < NICE:
         os.nice(NICE - os.nice(0))
+
+
+def keeps_time(nodeid: str) -> bool:
+    """Whether a test's processes live by the wall's clock. Dives have one of their own, which waits for them."""
+    return nodeid.startswith(NETWORK) and not nodeid.startswith(DIVES)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log):
-    """A worker takes a file at a time, and all of tests/network as if it were one.
+    """A worker takes a file at a time, and all of tests/network but its dives as if it were one.
 
-    There live whole fleets, several processes each, which must keep time with the world: beside a test that computes
-    they do, but not beside each other.
+    There live whole fleets, several processes each, which must keep time with the world: beside a test that computes,
+    or a dive, they do, but not beside each other.
     """
     from xdist.scheduler import LoadFileScheduling
 
     class ByFile(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return REAL_TIME if nodeid.startswith(REAL_TIME) else super()._split_scope(nodeid)
+            return NETWORK if keeps_time(nodeid) else super()._split_scope(nodeid)
 
     config.option.loadscopereorder = False  # files stay in our order, not in that of how many tests they have
     return ByFile(config, log)
