@@ -19,12 +19,13 @@ from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.planes import odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
+from agent.kernel.navigation.tags.defocus import readable
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
 from agent.kernel.navigation.tags.tag_priors import Priors, priors
-from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
 
@@ -44,9 +45,10 @@ class Carriage(NamedTuple):
 class Localizer:
     """Of one robot."""
 
-    def __init__(self, fleet: Fleet, camera: CameraFit) -> None:
+    def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
         assert fleet.landmarks is not None  # a rule of the fleet file
-        self._camera, self._body, self._surface_m = camera, fleet.body, fleet.tank.surface_m
+        self._camera, self._focus = calibration.camera, calibration.focus
+        self._body, self._surface_m = fleet.body, fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
         self.hull = Hull()
         self._ring: EventRing | None = None
@@ -57,16 +59,17 @@ class Localizer:
 
     def see(self, frame: SeenTags, carriage: Carriage) -> None:
         """The landmarks of a frame; level and gimbal at its exposure."""
-        if not frame.tags:
-            return
         of = view(self._camera, self._body, self._surface_m, frame.focus)
+        tags = readable(frame.tags, self._map.landmarks.size_m, of, self._focus, frame.focus)
+        if not tags:
+            return
         before = self.at(frame.t_ns)
         if self._ring is not None and (before is None or frame.t_ns in self._fixes_ns):
             return  # from before what is still remembered, or known already
         if before is None or self._astray(before):
-            found = first_fix(of, _priors(carriage, None), self._map, frame.tags)
+            found = first_fix(of, _priors(carriage, None), self._map, tags)
         else:
-            found = tag_fix(of, _priors(carriage, before), self._map, frame.tags, before.pose)
+            found = tag_fix(of, _priors(carriage, before), self._map, tags, before.pose)
         if not isinstance(found, TagFix):
             self.refused = found.reason
             return

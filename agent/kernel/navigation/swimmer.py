@@ -45,7 +45,7 @@ class Swimmer:
         there, self._limits = robot.pose, fleet.navigation.limits
         self._behaviour = robot.behaviour or Goto(x_m=there.x_m, y_m=there.y_m, yaw_deg=there.yaw_deg)
         self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
-        self.localizer = Localizer(fleet, calibration.camera)
+        self.localizer = Localizer(fleet, calibration)
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
         self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way

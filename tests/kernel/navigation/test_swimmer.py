@@ -32,7 +32,7 @@ def test_it_finds_itself_swims_to_its_pose_and_stays(swum) -> None:
     where = one.state.whereabouts
     off_m = np.hypot(where.x_m - one.body.at[0], where.y_m - one.body.at[1])  # at one moment: how honest, others ask
     assert off_m < 4.0 * where.place_sigma_m < 0.03
-    assert where.yaw_deg == pytest.approx(np.degrees(one.body.at[2]), abs=3.0 * where.yaw_sigma_deg)
+    assert where.yaw_deg == pytest.approx(np.degrees(one.body.at[2]), abs=4.0 * where.yaw_sigma_deg)
     assert where.yaw_sigma_deg < 1.0
 
 
@@ -119,7 +119,7 @@ def test_a_floor_that_is_followed_keeps_it_from_being_lost() -> None:
         assert one.until(lambda one=one: not one.agent.swimmer.lost, 4.0)
         one.run(1.0)
         one.sees_tags = False
-        one.run(3.0)
+        one.run(5.0)
         lost.append(one.agent.swimmer.lost)
     assert lost == [False, True]
 
