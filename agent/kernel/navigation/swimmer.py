@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from agent.kernel.config import Fleet, Goto, Pose, Robot
+from agent.kernel.config import Fleet, Hold, Pose, Robot
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.messages import Vector
@@ -34,6 +34,7 @@ from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Flow, SeenTags
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
+CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
 
@@ -42,8 +43,9 @@ class Swimmer:
 
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
-        there, self._limits = robot.pose, fleet.navigation.limits
-        self._behaviour = robot.behaviour or Goto(x_m=there.x_m, y_m=there.y_m, yaw_deg=there.yaw_deg)
+        self._behaviour, self._limits = robot.behaviour or Hold(), fleet.navigation.limits
+        pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
+        self._to = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
         self.localizer = Localizer(fleet, calibration)
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
@@ -107,6 +109,12 @@ class Swimmer:
         seek.look(pan, tilt, now_ns)
         return True
 
+    def calm(self, now_ns: int) -> bool:
+        """Whether a sweep may begin: it takes seconds, some of them too blurred for tags, in which a robot on its way
+        would get lost."""
+        here = self.localizer.at(now_ns)
+        return here is not None and math.hypot(here.x[3], here.x[4]) < CALM_M_S
+
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
@@ -115,7 +123,7 @@ class Swimmer:
         return asked
 
     def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
-        before = self._progress or start(here.pose, 0.0, now_ns)
+        before = self._progress or start(here.pose, 0.0, now_ns, self._to)
         to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
         to = to._replace(speed_m_s=self._limits.speed_m_s, turn_rad_s=math.radians(self._limits.turn_deg_s))
         if to.depth_m is not None:
