@@ -156,7 +156,8 @@ class Agent:
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
         believed = self.current.estimator.posterior
-        told_m, wanted = believed.x_m if believed else None, self.current.prior is None
+        told_m = believed.x_m if believed else None
+        wanted = self.current.prior is None and (self.swimmer is None or self.swimmer.calm(now_ns))
         plan = self.seek.act(now_ns, self.scheduler.target, level, told_m, wanted)
         if self.scheduler.target != before:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)

@@ -29,6 +29,10 @@ CURVE_US = (0, 30, 50, 80, 120, 170, 230, 300, 400)
 _LOWEST_BATTERY = const(11469)
 _HIGHEST_BATTERY = const(21299)
 
+# Of the full thrust, that T5-T8 give at least while a push is asked for, two against two so that it comes to nothing:
+# an ESC's zero is off by some us and the curve is somebody else's, so that near zero force a thruster does nothing.
+_PRELOAD_SHIFT = const(5)
+
 FLAT_X = (-1, -1, 1, 1)  # sign of T5-T8 along x, where each has sqrt(1/2): -sin of their angle
 FLAT_Y = (1, -1, -1, 1)  # along y: cos of their angle
 
@@ -86,12 +90,18 @@ def central(want, full, slew, forces, realised):
 
 
 def flat(fx, fy, mz, full, forces):
-    """Forces of T5-T8 for a planar push and a yaw moment, all scaled down together at the limit `full`."""
+    """Forces of T5-T8 for a planar push and a yaw moment, all scaled down together at the limit `full`.
+
+    Preload (biased thrust allocation, as ships do that hold a place) runs along the one direction that neither pushes
+    nor turns: by turns forward and in reverse. Nothing asked for is nothing given.
+    """
     turn = mz * 25 // _FLAT_ARM_MM * 10
+    preload = full >> _PRELOAD_SHIFT if fx or fy or mz else 0
     share = 4096
     for j in range(4):
         # half of sqrt(1/2) is 5793/16384
-        forces[4 + j] = f = ((FLAT_X[j] * fx + FLAT_Y[j] * fy >> 9) * 5793 >> 5) + turn
+        forces[4 + j] = f = ((FLAT_X[j] * fx + FLAT_Y[j] * fy >> 9) * 5793 >> 5) + turn + preload
+        preload = -preload
         limit = full
         if f < 0:
             f = -f

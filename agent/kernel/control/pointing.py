@@ -34,7 +34,7 @@ class Pointing:
 
     def __init__(self) -> None:
         self.goal_us: tuple[int, int] | None = None
-        self._approach_until_ns = 0
+        self.last_leg_ns = 0  # when the approach to goal_us begins its last leg
         self.told_ns = 0  # when goal_us was set: frames exposed from then on are not of the goal before
         self.steady_from_ns = 0  # frames exposed later belong to goal_us
 
@@ -46,15 +46,15 @@ class Pointing:
         travel_us = max(abs(a - b) for a, b in zip(goal_us, come_from_us, strict=True))
         travel_ns = round(travel_us / SLEW_US_PER_S * 1e9)
         self.told_ns = now_ns
-        self._approach_until_ns = now_ns + travel_ns + APPROACH_NS
-        self.steady_from_ns = self._approach_until_ns + SETTLE_NS
+        self.last_leg_ns = now_ns + travel_ns + APPROACH_NS
+        self.steady_from_ns = self.last_leg_ns + SETTLE_NS
         self.goal_us = goal_us
 
     def servos_us(self, now_ns: int) -> tuple[int, int]:
         """What to command now. There must have been a goal."""
         assert self.goal_us is not None
         pan_us, tilt_us = self.goal_us
-        return (pan_us - PLAY_US, tilt_us - PLAY_US) if now_ns < self._approach_until_ns else self.goal_us
+        return (pan_us - PLAY_US, tilt_us - PLAY_US) if now_ns < self.last_leg_ns else self.goal_us
 
     def steady(self, now_ns: int) -> bool:
         """Whether the gimbal rests at the goal."""

@@ -39,6 +39,7 @@ class Seek:
         self.pose = robot.pose  # of a robot that swims, by whoever knows it
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
+        self._elsewhere = False  # the gimbal was turned away from it, on purpose
         self._look_us = servos_us(self._camera, fleet.body, robot.look.pan_deg, robot.look.tilt_deg)
 
     @property
@@ -75,8 +76,8 @@ class Seek:
         `target`: which one to look at; a sweep that runs has to end before another may be named.
         `told_m`: where it is believed to be, world frame.
         """
-        memory, another = self._memory[target], target != self._target
-        self._target = target
+        memory, another = self._memory[target], target != self._target or self._elsewhere
+        self._target, self._elsewhere = target, False
         if self.pointing.goal_us is None:
             self._aim(self._look_us, now_ns)
         if memory.sweep.running or not (another or self.pointing.steady(now_ns)):
@@ -102,7 +103,9 @@ class Seek:
         return now_ns - since_ns > LOST_NS
 
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
-        """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way."""
+        """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
+        `act` turns it back."""
+        self._elsewhere = True
         self._aim(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
 
     def eye(self, level: Attitude, pose: Pose | None = None) -> Eye:

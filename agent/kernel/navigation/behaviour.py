@@ -19,6 +19,7 @@ THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived
 NEAR_M = 0.10  # to the goal: the way has no direction any more
 MOST_TURNED_RAD = 2.0 * math.pi  # either way
 SLACK_RAD = math.radians(10.0)  # an orbit turns round so far before that, for the body lags and swings
+GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
 STRIDE_RAD = math.radians(90.0)  # of a reference ahead of the body: which way round stays clear
 
 
@@ -26,7 +27,7 @@ class Progress(NamedTuple):
     """What a behaviour remembers between steps."""
 
     since_ns: int
-    from_m: Planar  # where it started
+    from_m: Planar  # where it started, or what it holds
     yaw: float  # to keep where the behaviour says nothing of yaw, rad
     turned: float  # by how much the body is turned since it was put into the water, rad, over all turns
     heading: float  # the yaw that `turned` was last counted at
@@ -34,20 +35,24 @@ class Progress(NamedTuple):
     there_ns: int | None = None  # since when it is where it shall be
 
 
-def start(pose: Vector, turned: float, now_ns: int) -> Progress:
-    """pose: x, y, yaw; turned: of the behaviour before (Progress.turned), 0 for the first."""
-    return Progress(now_ns, (pose[0], pose[1]), pose[2], turned, pose[2], turned)
+def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) -> Progress:
+    """pose: x, y, yaw, and what Hold holds, unless that is given: `to`. turned: of the behaviour before
+    (Progress.turned), 0 for the first."""
+    x, y, yaw = pose if to is None else to
+    return Progress(now_ns, (x, y), yaw, turned, pose[2], turned)
 
 
 def reference(
     what: Behaviour, progress: Progress, pose: Vector, now_ns: int, watched_m: Planar | None = None
 ) -> tuple[Reference, Progress]:
-    """Where the robot shall be now. watched_m: the target in view, of which Goto turns towards."""
+    """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off its
+    yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body.
+    """
     turned = progress.turned + wrap(pose[2] - progress.heading)
     progress = progress._replace(turned=turned, heading=pose[2])
     match what:
         case Hold():
-            to = Reference(progress.from_m, progress.yaw)
+            to = Reference(progress.from_m, in_sight(progress.yaw, pose, watched_m))
         case Turn():
             to = Reference(progress.from_m, math.radians(what.yaw_deg))
         case Goto():
@@ -66,6 +71,15 @@ def unwound(wanted: float, yaw: float, turned: float) -> float:
     if abs(turned + short) <= MOST_TURNED_RAD:
         return wanted
     return wrap(yaw - math.copysign(min(STRIDE_RAD, 2.0 * math.pi - abs(short)), short))
+
+
+def in_sight(yaw: float, pose: Vector, watched_m: Planar | None) -> float:
+    """The yaw nearest to the wanted one from which the gimbal reaches the target."""
+    if watched_m is None:
+        return yaw
+    bearing = math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0])
+    off = wrap(bearing - yaw)
+    return yaw if abs(off) <= GIMBAL_RAD else wrap(bearing - math.copysign(GIMBAL_RAD, off))
 
 
 def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar | None) -> float:

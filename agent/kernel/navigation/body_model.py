@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mass; drag may be half or twice as large
+
 Wrench = tuple[float, float, float]  # N forward, N left, N m
 
 STEP_NS = 20_000_000  # no longer: what drag and turn change over it is neglected to first order
@@ -38,6 +40,8 @@ class Motion(NamedTuple):
     turn_damping: float
     ax_by_yaw: float
     ay_by_yaw: float
+    doubt: float  # sigma of the acceleration, m/s^2, for what thrust and drag are not known to
+    turn_doubt: float  # rad/s^2
 
 
 def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h: float) -> Motion:
@@ -50,8 +54,11 @@ def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h
     px, py = (c * ahead - s * left) / hull.mass_kg, (s * ahead + c * left) / hull.mass_kg
     k, k_r = damping(hull, math.sqrt(vx * vx + vy * vy)), turn_damping(hull, r)
     f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
-    turn = moment / hull.inertia_kgm2 - k_r * r + dpsi
-    return Motion((f, g, n), px - k * vx + dx, py - k * vy + dy, turn, k, k_r, -py, px)
+    spin = moment / hull.inertia_kgm2
+    doubt = math.hypot(OF_THRUST * math.hypot(px, py), OF_DRAG * k * math.hypot(vx, vy))
+    turn_doubt = math.hypot(OF_THRUST * spin, OF_DRAG * k_r * r)
+    ax, ay, turn = px - k * vx + dx, py - k * vy + dy, spin - k_r * r + dpsi
+    return Motion((f, g, n), ax, ay, turn, k, k_r, -py, px, doubt, turn_doubt)
 
 
 def damping(hull: Hull, speed_m_s: float) -> float:

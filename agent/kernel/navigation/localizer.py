@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
@@ -15,14 +16,16 @@ from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
+from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.planes import odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
+from agent.kernel.navigation.tags.defocus import readable
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
 from agent.kernel.navigation.tags.tag_priors import Priors, priors
-from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
 
@@ -31,16 +34,21 @@ UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
 SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
 LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
 
-Gimbal = tuple[float, float]  # pan and tilt as the servos really do them, degrees
-Carriage = tuple[Attitude, Gimbal]  # of the camera, at one moment
+
+class Carriage(NamedTuple):
+    """Of the camera, at one moment."""
+
+    level: Attitude
+    gimbal: Gimbal
 
 
 class Localizer:
     """Of one robot."""
 
-    def __init__(self, fleet: Fleet, camera: CameraFit) -> None:
+    def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
         assert fleet.landmarks is not None  # a rule of the fleet file
-        self._camera, self._body, self._surface_m = camera, fleet.body, fleet.tank.surface_m
+        self._camera, self._focus = calibration.camera, calibration.focus
+        self._body, self._surface_m = fleet.body, fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
         self.hull = Hull()
         self._ring: EventRing | None = None
@@ -49,18 +57,19 @@ class Localizer:
         self._sampled_ns: int | None = None
         self.refused = ""  # why the newest frame with landmarks gave no pose
 
-    def see(self, frame: SeenTags, level: Attitude, gimbal_deg: Gimbal) -> None:
-        """The landmarks of a frame, exposed while the gimbal was at rest at those angles."""
-        if not frame.tags:
-            return
+    def see(self, frame: SeenTags, carriage: Carriage) -> None:
+        """The landmarks of a frame; level and gimbal at its exposure."""
         of = view(self._camera, self._body, self._surface_m, frame.focus)
+        tags = readable(frame.tags, self._map.landmarks.size_m, of, self._focus, frame.focus)
+        if not tags:
+            return
         before = self.at(frame.t_ns)
         if self._ring is not None and (before is None or frame.t_ns in self._fixes_ns):
             return  # from before what is still remembered, or known already
         if before is None or self._astray(before):
-            found = first_fix(of, priors(level, gimbal_deg, 0.0, turning=False), self._map, frame.tags)
+            found = first_fix(of, _priors(carriage, None), self._map, tags)
         else:
-            found = tag_fix(of, _priors(level, gimbal_deg, before), self._map, frame.tags, before.pose)
+            found = tag_fix(of, _priors(carriage, before), self._map, tags, before.pose)
         if not isinstance(found, TagFix):
             self.refused = found.reason
             return
@@ -84,7 +93,7 @@ class Localizer:
         if self._ring is None or before is None or self._astray(before):
             return
         of = view(self._camera, self._body, self._surface_m, focus)
-        start, end = (whole((0.0, 0.0, 0.0), _priors(level, gimbal, before)) for level, gimbal in (then, now))
+        start, end = (whole((0.0, 0.0, 0.0), _priors(carriage, before)) for carriage in (then, now))
         moved = odometry(of, start, end, seen.pairs)
         if moved is not None:
             self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad))
@@ -138,5 +147,7 @@ def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
     return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
 
 
-def _priors(level: Attitude, gimbal_deg: Gimbal, moving: Belief) -> Priors:
-    return priors(level, gimbal_deg, math.hypot(moving.x[3], moving.x[4]), turning=False)
+def _priors(carriage: Carriage, moving: Belief | None) -> Priors:
+    """moving: None of a robot that is not known to."""
+    speed_m_s = 0.0 if moving is None else math.hypot(moving.x[3], moving.x[4])
+    return priors(carriage.level, carriage.gimbal.deg, speed_m_s, turning=not carriage.gimbal.rests)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from agent.kernel.estimation.matrix import ZERO
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import STEP_NS, Hull, Wrench, motion
+from agent.kernel.navigation.body_model import STEP_NS, Hull, Motion, Wrench, motion
 from agent.kernel.navigation.dense import Rows, cholesky, dot, inverse
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
@@ -32,11 +32,12 @@ Sparse = tuple[tuple[int, float], ...]  # a row of H: (index, weight) where it i
 class Drift(NamedTuple):
     """Noise that drives the filter, per root Hz."""
 
-    speed: float = 0.01  # m/s: what drag is not known to
-    rate: float = 0.06  # rad/s
-    push: float = 0.02  # m/s^3: tether, current, and a drag that is not as believed
-    twist: float = 0.06  # rad/s^3
+    speed: float = 0.005  # m/s, of a robot at rest
+    rate: float = 0.015  # rad/s
+    push: float = 0.014  # m/s^3: a tether that pulls by 0.15 N for 4 s
+    twist: float = 0.045  # rad/s^3
     bias: float = 2e-5  # rad/s
+    doubt_s: float = 1.0  # what the model has wrong of an acceleration (Motion.doubt) is white over so long
 
 
 class Belief(NamedTuple):
@@ -84,7 +85,7 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
     steps = -(-span_ns // STEP_NS)
     h = span_ns * 1e-9 / steps
     x, P, force, gyro = belief.x, belief.P, belief.force, _has_gyro(belief)
-    q = [h * v * v for v in (drift.speed, drift.speed, drift.rate, drift.push, drift.push, drift.twist, drift.bias)]
+    n = 10 if gyro else 9
     for _ in range(steps):
         m = motion(hull, x, force, belief.asked, h)
         force, half = m.force, 0.5 * h * h
@@ -100,10 +101,18 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
         grown = 1.0 - h * m.damping, h * m.ax_by_yaw, h * m.ay_by_yaw, 1.0 - h * m.turn_damping
         once = _times_F(P, h, *grown)  # F P; of its transpose P F', the same once more gives F P F'
         rows = _times_F(tuple(zip(*once, strict=True)), h, *grown)
-        for i, variance in enumerate(q if gyro else q[:6], start=3):
-            rows[i][i] += variance
+        for i, variance in enumerate(_noise(drift, m)[: n - 3], start=3):
+            rows[i][i] += h * variance
         P = _frozen(rows)
     return belief._replace(t_ns=t_ns, x=x, P=P, force=force)
+
+
+def _noise(drift: Drift, m: Motion) -> tuple[float, ...]:
+    """Densities for v, r, d and bias: the more a robot swims, the more of it is only believed."""
+    speed2 = drift.speed * drift.speed + m.doubt * m.doubt * drift.doubt_s
+    rate2 = drift.rate * drift.rate + m.turn_doubt * m.turn_doubt * drift.doubt_s
+    push2 = drift.push * drift.push
+    return speed2, speed2, rate2, push2, push2, drift.twist * drift.twist, drift.bias * drift.bias
 
 
 def _times_F(P: Rows, h: float, v_by_v: float, vx_by_yaw: float, vy_by_yaw: float, r_by_r: float) -> list[list[float]]:

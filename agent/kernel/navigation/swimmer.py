@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
 
-from agent.kernel.config import Fleet, Goto, Pose, Robot
+from agent.kernel.config import Fleet, Hold, Pose, Robot
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar, safe_velocity
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
+from agent.kernel.navigation.gimbal_log import GimbalLog
 from agent.kernel.navigation.glance import Glance
 from agent.kernel.navigation.localizer import (
     LOST_DEG,
@@ -24,7 +23,6 @@ from agent.kernel.navigation.localizer import (
     UNSURE_DEG,
     UNSURE_M,
     Carriage,
-    Gimbal,
     Localizer,
     within,
 )
@@ -36,17 +34,8 @@ from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Flow, SeenTags
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
-ARRIVED_NS = 500_000_000  # after the gimbal came to rest: a few frames, which may show landmarks where it looks now
-RESTS = 16  # of the gimbal that are remembered: more than a key frame's four seconds hold
-
-
-class Rest(NamedTuple):
-    """The gimbal, from when it was told to turn there."""
-
-    told_ns: int
-    from_ns: int  # at rest
-    goal_us: tuple[int, int]
-    gimbal_deg: Gimbal
+CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
+ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
 
 class Swimmer:
@@ -54,31 +43,33 @@ class Swimmer:
 
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
-        there, self._limits = robot.pose, fleet.navigation.limits
-        self._behaviour = robot.behaviour or Goto(x_m=there.x_m, y_m=there.y_m, yaw_deg=there.yaw_deg)
+        self._behaviour, self._limits = robot.behaviour or Hold(), fleet.navigation.limits
+        pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
+        self._to = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
-        self.localizer = Localizer(fleet, calibration.camera)
+        self.localizer = Localizer(fleet, calibration)
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
         self._glancing = False
+        self._swept_ns = 0  # when a sweep was last seen under way
         self._progress: Progress | None = None
-        self._rests: deque[Rest] = deque(maxlen=RESTS)
+        self._gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
 
     def see(
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
     ) -> None:
-        """Landmarks and flow of the frames that were exposed while the gimbal was at rest; the others say little."""
-        goal_us = seek.pointing.goal_us
-        if goal_us is not None and (not self._rests or self._rests[-1].goal_us != goal_us):
-            self._rests.append(Rest(seek.pointing.told_ns, seek.pointing.steady_from_ns, goal_us, seek.gimbal_deg()))
+        """Landmarks and flow of frames; those that were exposed while the gimbal turned say nothing."""
+        self._gimbal.add(seek.pointing)
+        if seek.measuring:
+            self._swept_ns = now_ns
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
             carriage = self._carriage_at(frame.t_ns, attitude)
             if carriage is not None:
-                self.localizer.see(frame, *carriage)
+                self.localizer.see(frame, carriage)
         for flow in flows:
             then, now = self._carriage_at(flow.since_ns, attitude), self._carriage_at(flow.t_ns, attitude)
-            if then is not None and now is not None:
+            if then is not None and now is not None and then.gimbal.rests and now.gimbal.rests:
                 self.localizer.follow(flow, then, now, lens.get(flow.t_ns))
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)
@@ -91,17 +82,8 @@ class Swimmer:
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
-        level, gimbal = attitude.at(t_ns), self._gimbal_at(t_ns)
-        return None if level is None or gimbal is None else (level, gimbal)
-
-    def _gimbal_at(self, t_ns: int) -> Gimbal | None:
-        """Where the gimbal rested at that time; None: it was on its way, or that was too long ago."""
-        for rest in reversed(self._rests):
-            if rest.from_ns <= t_ns:
-                return rest.gimbal_deg
-            if rest.told_ns <= t_ns:
-                return None
-        return None
+        level, gimbal = attitude.at(t_ns), self._gimbal.at(t_ns)
+        return None if level is None or gimbal is None else Carriage(level, gimbal)
 
     @property
     def lost(self) -> bool:
@@ -109,21 +91,29 @@ class Swimmer:
         return self._lost_since_ns is not None
 
     def glance(self, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
-        """Turn the camera to landmarks where that is due; returns whether it was. Not while a sweep is under way."""
+        """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
+        sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
         sure = here is not None and within(here, *enough)
-        arrived = steady and now_ns > seek.pointing.steady_from_ns + ARRIVED_NS
-        if level is None or sure or not (arrived or self._glancing):
+        if level is None or sure or not (steady or self._glancing):
             self._glancing = False
             return False
         if not self._glancing:
+            if now_ns <= max(seek.pointing.steady_from_ns, self._swept_ns) + ARRIVED_NS:
+                return True
             self._glancing = True
             self._glance.reset()
         pose = None if here is None or self.lost else pose_of(here)
         pan, tilt = self._glance.direction_deg(pose, level, steady, now_ns)
         seek.look(pan, tilt, now_ns)
         return True
+
+    def calm(self, now_ns: int) -> bool:
+        """Whether a sweep may begin: it takes seconds, some of them too blurred for tags, in which a robot on its way
+        would get lost."""
+        here = self.localizer.at(now_ns)
+        return here is not None and math.hypot(here.x[3], here.x[4]) < CALM_M_S
 
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
@@ -133,7 +123,7 @@ class Swimmer:
         return asked
 
     def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
-        before = self._progress or start(here.pose, 0.0, now_ns)
+        before = self._progress or start(here.pose, 0.0, now_ns, self._to)
         to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
         to = to._replace(speed_m_s=self._limits.speed_m_s, turn_rad_s=math.radians(self._limits.turn_deg_s))
         if to.depth_m is not None:

@@ -6,6 +6,7 @@ from collections import deque
 from threading import Lock
 
 import numpy as np
+from msgspec.structs import replace
 
 from agent.kernel.ranging.calibration import CameraFit, FocusFit, at_lens_position
 from agent.kernel.ranging.focus import lens_position
@@ -50,13 +51,15 @@ class LandmarkWatch:
         """Search a whole frame; `offset_ns` from the camera's clock to the agent's."""
         t_ns = frame.t_ns + offset_ns
         found = seen_tags(frame.image, self._camera, lens_position, t_ns, frame.seq)
+        if lens_position != self.rest:
+            found = replace(found, tags=tuple(tag for tag in found.tags if tag.edges))  # blur draws corners inwards
         camera = at_lens_position(self._camera, lens_position)
         moved = None
-        if lens_position != self.rest:
-            self._tracked = None  # another blur shifts points by more than a robot at rest moves
-        elif self._tracked is not None:
-            self._tracked = follow(self._tracked, frame.image, t_ns)
-            moved = flow(self._tracked, camera)
+        if self._tracked is not None:
+            now = follow(self._tracked, frame.image, t_ns)
+            moved = flow(now, camera)
+            if lens_position == self.rest:
+                self._tracked = now  # what a blur hides for a while is not lost
         if lens_position == self.rest and (self._tracked is None or self._tracked.due):
             self._tracked = begin(frame.image, camera, t_ns)
         self._newest_ns = t_ns

@@ -202,6 +202,17 @@ def test_flat_thrusters_push_and_turn():
     assert min(forces) >= -8_001_000
 
 
+def test_flat_thrusters_never_idle_while_a_push_is_asked_for():
+    """Near zero force a thruster does nothing: the dead band of its ESC, and a zero that is off."""
+    forces = [0] * 8
+    for push in ((20_000, 0, 0), (0, -20_000, 0), (0, 0, 3_000), (300_000, 200_000, -30_000)):
+        thrust.flat(*push, FULL_UN, forces)
+        assert min(map(abs, forces[4:])) > 0.01 * FULL_UN
+        assert sum(force > 0 for force in forces[4:]) == 2
+    thrust.flat(0, 0, 0, FULL_UN, forces)
+    assert forces[4:] == [0] * 4
+
+
 def test_pulses_rise_with_thrust_and_leap_the_dead_band():
     def pulse_us(force_n: float, neutral_us: int = 1500) -> int:
         thrust.pulses([round(force_n * 1e6)] * 8, [neutral_us] * 8, FULL_UN, pulses_us)

@@ -133,6 +133,13 @@ def test_hold_stays_where_it_was_told_to() -> None:
     assert np.abs(path - [1.2, 0.7, 0.4]).max() < 1e-6 and not told[-1].done
 
 
+@pytest.mark.parametrize(("bearing_deg", "yaw_deg"), [(45.0, 0.0), (130.0, 80.0), (-100.0, -50.0)])
+def test_hold_turns_the_body_only_where_the_gimbal_does_not_reach(bearing_deg, yaw_deg) -> None:
+    bearing = math.radians(bearing_deg)
+    _, path, *_ = swum(Hold(), 4.0, watched=(1.0 + 0.8 * math.cos(bearing), 1.0 + 0.8 * math.sin(bearing)))
+    assert np.degrees(path[-1, 2]) == pytest.approx(yaw_deg, abs=1.0)
+
+
 @pytest.mark.parametrize("drag", [0.7, 1.4])
 def test_half_a_metre_and_not_beyond(drag) -> None:
     """With a drag that is as far from what is believed as after a poor calibration of the body."""

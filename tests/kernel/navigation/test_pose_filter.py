@@ -22,7 +22,8 @@ from agent.kernel.navigation.pose_filter import (
     predict,
 )
 
-HULL, DRIFT, STILL = Hull(), Drift(), Drift(0.0, 0.0, 0.0, 0.0, 0.0)
+HULL, DRIFT = Hull(), Drift(doubt_s=0.0)  # the oracles know the model
+STILL = Drift(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 R = (1e-5, 1e-6, 2e-7, 2e-5, -1e-6, 4e-6)
 NOTHING = (0.0,) * 6
 START = (1.0, 0.8, 0.5)
@@ -95,7 +96,7 @@ def oracle_step(x, force, u, h, hull=HULL):
 
 def noise(h, n=9):
     q = np.zeros(n)
-    q[3:9] = h * np.array([0.01, 0.01, 0.06, 0.02, 0.02, 0.06]) ** 2
+    q[3:9] = h * np.array([0.005, 0.005, 0.015, 0.014, 0.014, 0.045]) ** 2
     if n == 10:
         q[9] = h * 2e-5**2
     return np.diag(q)

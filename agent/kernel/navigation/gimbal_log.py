@@ -1,0 +1,64 @@
+"""Where the camera's gimbal pointed at a given time of the last seconds, and how sure that is.
+
+Tags tell the camera's heading whatever the gimbal does, so a frame that was exposed while the gimbal settles says as
+well as any where the robot is, and its yaw as well as the gimbal is known. Servos do not say where they are: what
+counts is when they were told (control/pointing.py), first to a little below the goal, then to the goal.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from agent.kernel.config import Body
+from agent.kernel.control.pointing import APPROACH_NS, PLAY_US, Pointing
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.camera_model import gimbal_deg
+
+TURNS = 16  # that are remembered: more than a key frame's four seconds hold
+LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
+
+
+class Gimbal(NamedTuple):
+    deg: tuple[float, float]  # pan and tilt as the servos really do them
+    rests: bool  # False: it settles still, and may be off by some tenths of a degree
+
+
+class Turn(NamedTuple):
+    """What the gimbal was told once."""
+
+    told_ns: int
+    leg_ns: int  # when the last leg begins, from below the goal
+    rests_ns: int
+    goal_us: tuple[int, int]
+
+
+class GimbalLog:
+    """Of one robot's camera."""
+
+    def __init__(self, camera: CameraFit, body: Body) -> None:
+        self._camera, self._body = camera, body
+        self._turns: deque[Turn] = deque(maxlen=TURNS)
+
+    def add(self, pointing: Pointing) -> None:
+        """Take note of where it is told to turn now."""
+        if pointing.goal_us is not None and (not self._turns or self._turns[-1].told_ns != pointing.told_ns):
+            turn = Turn(pointing.told_ns, pointing.last_leg_ns, pointing.steady_from_ns, pointing.goal_us)
+            self._turns.append(turn)
+
+    def at(self, t_ns: int) -> Gimbal | None:
+        """None: it was on its way, or that was too long ago."""
+        for turn in reversed(self._turns):
+            if turn.told_ns <= t_ns:
+                return self._in(turn, t_ns)
+        return None
+
+    def _in(self, turn: Turn, t_ns: int) -> Gimbal | None:
+        pan_us, tilt_us = turn.goal_us
+        if t_ns < turn.leg_ns:
+            begins_ns, pan_us, tilt_us = turn.leg_ns - APPROACH_NS, pan_us - PLAY_US, tilt_us - PLAY_US
+        else:
+            begins_ns = turn.leg_ns
+        if t_ns < begins_ns + LAG_NS:
+            return None
+        return Gimbal(gimbal_deg(self._camera, self._body, (pan_us, tilt_us)), t_ns >= turn.rests_ns)
