@@ -61,13 +61,6 @@ def free_bus():
     return open_bus()
 
 
-def open_gyro():
-    """The gyro, on the second SPI. The pull-up makes 255 of what nobody says."""
-    spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
-    pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)
-    return gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value)
-
-
 class Hal(pins.Pins):
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
@@ -90,7 +83,9 @@ class Hal(pins.Pins):
         self._current = pyb.ADC(pyb.Pin("PC2"))
         self._probe = pyb.Pin("PC4", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP)
         self._sensors = ms5837.Sensors(open_bus(), free_bus)
-        self.yaw_rate_cdeg_s = open_gyro().rate_cdeg_s
+        spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
+        pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)  # so that silence reads as 255
+        self.yaw_rate_cdeg_s = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value).rate_cdeg_s
         self._usb = pyb.USB_VCP()
         self._uart = None
         if "usb" in os.listdir():  # a file of this name: the tether is the board's own USB port

@@ -32,6 +32,7 @@ _VALID_ATTITUDE = const(2)
 _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
+_NO_RATE = const(-32768)
 
 _BUILD = b"aucamp04"
 _TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
@@ -240,10 +241,12 @@ class Tether:
         if self._protocol == 1:
             hal.write(writer.close(_TELEM_1, _TELEM_1_END))
             return
-        rate = hal.yaw_rate_cdeg_s()
-        plain = writer.plain
-        plain[_TELEM_1_END] = rate & 0xFF
-        plain[_TELEM_1_END + 1] = rate >> 8 & 0xFF
+        try:
+            rate = hal.yaw_rate_cdeg_s()
+        except OSError:  # the gyro is not worth a telemetry frame
+            rate = _NO_RATE
+        writer.plain[_TELEM_1_END] = rate & 0xFF
+        writer.plain[_TELEM_1_END + 1] = rate >> 8 & 0xFF
         hal.write(writer.close(_TELEM, _TELEM_1_END + 2))
 
     def say_status(self):

@@ -18,6 +18,7 @@ OVERHEAD = 6  # type, seq, crc
 
 TELEM_1, STATUS, EVENT, LOG = 0x01, 0x02, 0x03, 0x04
 TELEM = 0x05  # in place of TELEM_1 since version 2
+FORMAT[TELEM] = FORMAT[TELEM_1] + "h"
 SETPOINT = 0x10
 HELLO, HELLO_ACK = 0x20, 0x21
 ACK, ARM, DISARM, MODE = 0x30, 0x31, 0x32, 0x33

@@ -121,7 +121,7 @@ class Desk:
         seq = self.say(
             wire.SETPOINT, round(depth_m * 1e4), 0, 0, 0, 0, 0, *servos, 300, wire.VALID_ALL, 500, self.now_us // 1000
         )
-        self.until(lambda: any(fields[30] == seq for fields in (self.heard(wire.TELEM) or self.heard(wire.TELEM_1))[-1:]))
+        self.until(lambda: any(told[30] == seq for told in (self.heard(wire.TELEM) or self.heard(wire.TELEM_1))[-1:]))
 
     def order(self, kind: int, boot_id: int, *more: int) -> int:
         """A command; the result in its acknowledgement, the last one where it takes time."""

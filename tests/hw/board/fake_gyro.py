@@ -21,16 +21,18 @@ class FakeGyro:
     def select(self, level: int) -> None:
         self.listens = not level
 
+    def write(self, order: bytes) -> None:
+        assert self.listens and len(order) == 2 and order[0] in self.registers, "that is not the firmware's business"
+        if self.there:
+            self.registers[order[0]] = order[1]
+
     def write_readinto(self, order: bytes, answer: bytearray) -> None:
-        assert self.listens and len(order) == len(answer)
-        register, written = order[0] & 0x7F, not order[0] & 0x80
+        assert self.listens and len(order) == len(answer) and order[0] & 0x80
+        register = order[0] & 0x7F
         answer[:] = b"\xff" * len(answer)
         if not self.there:
             return
-        if written:
-            assert register in self.registers, "a register that the firmware has no business with"
-            self.registers[register] = order[1]
-        elif register == GYRO_DATA_Z1:
+        if register == GYRO_DATA_Z1:
             answer[1:3] = self._measured().to_bytes(2, "big", signed=True)
         else:
             answer[1] = self.registers[register]
