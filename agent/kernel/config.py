@@ -192,6 +192,7 @@ class Navigation(Struct, frozen=True, kw_only=True):
 
     limits: Limits = Limits()
     follow_hz: Annotated[float, Meta(ge=2, le=20)] = 10.0  # at most so many frames a second are searched for landmarks
+    gyro: bool = False  # every control module has one that says how fast the robot turns
 
 
 class Twin(Struct, frozen=True, kw_only=True):

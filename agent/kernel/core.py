@@ -89,6 +89,7 @@ class Agent:
         for sighting in inputs.sightings:
             self.seek.add_sighting(sighting)
         if self.swimmer is not None:
+            self.swimmer.feel(inputs.telemetry)
             self.swimmer.see(inputs.landmarks or (), inputs.flow or (), self.attitude, self.seek, now_ns)
         self.status.devices(self._with_faults(inputs, now_ns), self.attitude, now_ns)
         outcome = self._measure(now_ns)
@@ -204,7 +205,8 @@ class Agent:
         """What is wrong by the kernel's own account, beside what the host says."""
         told = () if inputs.faults is UNSET else inputs.faults
         ours = self.net.fault(now_ns)
-        faults = (*told, *self.inbox.faults(now_ns), *(() if ours is None else (ours,)))
+        felt = () if self.swimmer is None else self.swimmer.faults(now_ns)
+        faults = (*told, *self.inbox.faults(now_ns), *felt, *(() if ours is None else (ours,)))
         return msgspec.structs.replace(inputs, faults=faults) if faults else inputs
 
     def _note(self, level: Level, text: str, now_ns: int) -> None:

@@ -79,6 +79,7 @@ class Telemetry(Message, frozen=True, kw_only=True):
     ladder: int  # failsafe level, 0 is normal
     flags: int
     loop_us: int
+    rate_rad_s: float | UnsetType = UNSET  # yaw rate by the module's gyro; unset: it has none, or none that answers
 
 
 class Heard(Message, frozen=True, kw_only=True):

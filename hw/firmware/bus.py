@@ -3,11 +3,12 @@
 import struct
 
 TICK_US = 10000  # between two ticks of the hardware
+NO_RATE = -32768  # of wire.py: no gyro is there
 
 # twin -> firmware, where a cycle begins: board clock us; for how many of these us its tick has waited for the cycle
 # before; what everything takes, in percent of the table of times; absolute pressure of sensors 1-4 in mPa; battery mV,
-# current in 10 mA, leak probe 0/1, bit mask of sensors that answered
-TICK = "<QHH4IHHBB"
+# current in 10 mA, leak probe 0/1, bit mask of sensors that answered; yaw rate as wire.TELEM tells it
+TICK = "<QHH4IHHBBh"
 TICK_SIZE = struct.calcsize(TICK)
 
 # firmware -> twin, the answer to each: the same clock; thruster pulses T1-T8 us, servo pulses us (camera pan, camera
@@ -20,7 +21,7 @@ ACT_SIZE = struct.calcsize(ACT)
 TIMES = "AUCAMP_CYCLE_TIMES"
 
 
-def tick(clock_us, pressure_pa, battery_mv, current_10ma, leak, answered, waited_us=0, percent=100):
-    """A record for the firmware; pressures are floats."""
+def tick(clock_us, pressure_pa, battery_mv, current_10ma, leak, answered, waited_us=0, percent=100, yaw_rate=NO_RATE):
+    """A record for the firmware; pressures are floats, yaw_rate is in hundredths of a degree a second."""
     mpa = [min(max(int(1000.0 * p + 0.5), 0), 0xFFFFFFFF) for p in pressure_pa]
-    return struct.pack(TICK, clock_us, waited_us, percent, *mpa, battery_mv, current_10ma, leak, answered)
+    return struct.pack(TICK, clock_us, waited_us, percent, *mpa, battery_mv, current_10ma, leak, answered, yaw_rate)

@@ -10,7 +10,8 @@ import micropython
 import struct
 from micropython import const
 
-SCHEMA_CRC = 0xA725AA30  # of wire.TABLE: two ends that disagree on any field never arm
+# Of wire.TABLE, by version of the protocol: two ends that disagree on any field never arm
+SCHEMA_CRC = (0, 0xA725AA30, 0x9345DAF7)
 
 _MAX_PLAIN = const(255)  # bytes of a frame before COBS
 _MAX_STUFFED = const(257)  # the same after COBS, without the closing zero
@@ -18,9 +19,9 @@ _MAX_TEXT = const(48)  # bytes of a LOG line
 _LOG = const(0x04)
 _RESIDUE = const(0x2144DF1C)  # CRC-32 of anything with its own CRC-32 behind it
 
-# Payloads by type. LOG alone has a tail: its text in UTF-8.
+# Payloads by type. LOG alone has a tail: its text in UTF-8. What the board builds by hand and never hears is in wire.py.
 FORMAT = {
-    0x01: "<IBBH4ihhh3h8H4HHHBBBBH",  # TELEM
+    0x01: "<IBBH4ihhh3h8H4HHHBBBBH",  # TELEM_1
     0x02: "<IHHhHIIHHBB",  # STATUS
     0x03: "<IBBBBhH",  # EVENT
     _LOG: "<B",

@@ -7,6 +7,7 @@ import pyb
 from micropython import const
 from time import sleep_us, ticks_diff, ticks_us
 
+import gyro
 import ms5837
 import pins
 
@@ -15,6 +16,7 @@ _CAN_WATCHDOG = const(1)
 _CAN_CURRENT = const(2)
 _CAN_LEAK = const(4)
 _CAN_KILL = const(8)
+_CAN_VERSION_2 = const(32)
 _BY_ORDER = const(5)
 
 _CYCLE_US = const(10000)
@@ -62,7 +64,7 @@ def free_bus():
 class Hal(pins.Pins):
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
-    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL
+    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL | _CAN_VERSION_2
 
     def __init__(self):
         super().__init__()
@@ -81,6 +83,9 @@ class Hal(pins.Pins):
         self._current = pyb.ADC(pyb.Pin("PC2"))
         self._probe = pyb.Pin("PC4", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP)
         self._sensors = ms5837.Sensors(open_bus(), free_bus)
+        spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
+        pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)  # so that silence reads as 255
+        self.yaw_rate_cdeg_s = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value).rate_cdeg_s
         self._usb = pyb.USB_VCP()
         self._uart = None
         if "usb" in os.listdir():  # a file of this name: the tether is the board's own USB port

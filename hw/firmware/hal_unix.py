@@ -22,7 +22,7 @@ ARMED, DISARMED, FRAME, BYTE, HEARD, COLLECT, HEAP_FREE = range(7)
 class Hal:
     """One board. `wait_tick` ends a cycle and begins the next."""
 
-    capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED
+    capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED | wire.CAN_VERSION_2
     temperature_cC = 0  # the simulated bus has no thermometer
 
     def __init__(self, serial_fd, bus_fd, flash_path):
@@ -44,6 +44,7 @@ class Hal:
         self.pressure_mPa = [0] * 4  # absolute
         self.answered = 0  # bit mask of sensors that did
         self.battery_mv = self.current_10ma = self.leak = 0
+        self._yaw_rate_cdeg_s = wire.NO_RATE
         self.pulses_us = [1500] * 8
         self.servos_us = [1500] * 4
         self.light_permille = 0
@@ -64,7 +65,7 @@ class Hal:
         fields = struct.unpack(bus.TICK, self._tick)
         self._now_us, self._waited_us, self._percent = fields[:3]
         self.pressure_mPa[:] = fields[3:7]
-        self.battery_mv, self.current_10ma, self.leak, self.answered = fields[7:]
+        self.battery_mv, self.current_10ma, self.leak, self.answered, self._yaw_rate_cdeg_s = fields[7:]
         self._tick_us = self._now_us - self._waited_us
         self.ticks = (self._tick_us - before_us) // bus.TICK_US if before_us else 1
         self.dt_us = self.ticks * bus.TICK_US
@@ -94,6 +95,10 @@ class Hal:
     def now_us(self):
         """The board's clock at this cycle's tick, 32 bits."""
         return self._tick_us & 0xFFFFFFFF
+
+    def yaw_rate_cdeg_s(self):
+        """What the gyro says, wire.NO_RATE where there is none."""
+        return self._yaw_rate_cdeg_s
 
     def cycle_us(self):
         """Since this cycle's tick, as far as it has come."""

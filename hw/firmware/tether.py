@@ -9,8 +9,9 @@ import orders
 
 # Of wire.py, whose numbers these are
 _ERROR = const(2)
-_PROTOCOL = const(1)
-_TELEM = const(0x01)
+_PROTOCOL = const(2)
+_TELEM_1 = const(0x01)
+_TELEM = const(0x05)
 _STATUS = const(0x02)
 _EVENT = const(0x03)
 _SETPOINT = const(0x10)
@@ -31,9 +32,10 @@ _VALID_ATTITUDE = const(2)
 _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
+_NO_RATE = const(-32768)
 
-_BUILD = b"aucamp03"
-_TELEM_END = const(72)  # of the payload in the frame
+_BUILD = b"aucamp04"
+_TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
 _RX_BYTES = const(128)  # in a cycle: three set-points; what is more waits in the port
 _EVENT_COPIES = const(3)  # events are not acknowledged
 _FAULT_AGAIN_US = const(1000000)  # between two lines about faults: they may come with every frame
@@ -94,6 +96,7 @@ class Tether:
         self._words = [0] * 15  # of a set-point, or of telemetry
         self._host_boot = None
         self.hello = False
+        self._protocol = 1  # the host's, where this board speaks it
         self._events = []  # [copies left, fields]
         self._event_count = 0
         self._logs = []
@@ -167,7 +170,9 @@ class Tether:
             self._hal.light_permille = light if light < 1000 else 1000
 
     def _on_hello(self, protocol, schema, host_boot):
-        self.hello = protocol == _PROTOCOL and schema == frames.SCHEMA_CRC
+        self.hello = 0 < protocol <= _PROTOCOL and schema == frames.SCHEMA_CRC[protocol]
+        self._protocol = protocol if self.hello else 1
+        says = protocol if self.hello else _PROTOCOL
         if host_boot != self._host_boot:  # another host: its request numbers begin again
             self._host_boot = host_boot
             self.orders.forget()
@@ -177,7 +182,7 @@ class Tether:
                 self.log(_ERROR, text)
         # fmt: off
         self.say(
-            _HELLO_ACK, _PROTOCOL, frames.SCHEMA_CRC, _BUILD, self._uid, self.boot_id, self.reset_cause,
+            _HELLO_ACK, says, frames.SCHEMA_CRC[says], _BUILD, self._uid, self.boot_id, self.reset_cause,
             self._control.state, self._control.values_crc, len(self._control.values), self._hal.capabilities,
         )
         # fmt: on
@@ -233,7 +238,16 @@ class Tether:
         words[13] = set_point.seq | self.orders.dirty << 8
         words[14] = self.loop_us if self.loop_us < _U16 else _U16
         write_telemetry(writer.plain, words, plane.zeta_100nm, control.pulses_us, hal.servos_us)
-        hal.write(writer.close(_TELEM, _TELEM_END))
+        if self._protocol == 1:
+            hal.write(writer.close(_TELEM_1, _TELEM_1_END))
+            return
+        try:
+            rate = hal.yaw_rate_cdeg_s()
+        except OSError:  # the gyro is not worth a telemetry frame
+            rate = _NO_RATE
+        writer.plain[_TELEM_1_END] = rate & 0xFF
+        writer.plain[_TELEM_1_END + 1] = rate >> 8 & 0xFF
+        hal.write(writer.close(_TELEM, _TELEM_1_END + 2))
 
     def say_status(self):
         hal, framer, late = self._hal, self._framer, self._hal.late

@@ -9,13 +9,16 @@ try:
 except ImportError:  # beside it, as on a board
     from frames import *
 
-PROTOCOL = 1
+PROTOCOL = 2  # the newest; 1 has no yaw rate, and both ends still speak it
+OLDEST = 1
 MAX_PLAIN = 255  # bytes of a frame before COBS
 MAX_STUFFED = 257  # the same after COBS, without the closing zero
 MAX_TEXT = 48  # bytes of a LOG line
 OVERHEAD = 6  # type, seq, crc
 
-TELEM, STATUS, EVENT, LOG = 0x01, 0x02, 0x03, 0x04
+TELEM_1, STATUS, EVENT, LOG = 0x01, 0x02, 0x03, 0x04
+TELEM = 0x05  # in place of TELEM_1 since version 2
+FORMAT[TELEM] = FORMAT[TELEM_1] + "h"
 SETPOINT = 0x10
 HELLO, HELLO_ACK = 0x20, 0x21
 ACK, ARM, DISARM, MODE = 0x30, 0x31, 0x32, 0x33
@@ -23,13 +26,13 @@ PARAM_GET, PARAM_SET, PARAM_VALUE, PARAM_LIST, PARAM_SAVE = 0x34, 0x35, 0x36, 0x
 TARE, REBOOT, ESTOP = 0x39, 0x3A, 0x3B
 
 # type, name, fields with their units; "x4" repeats a field. LOG alone has a tail: its text in UTF-8.
+_MEASURED = (
+    "t_us state ladder flags zeta_dPa_x4 roll_cdeg pitch_cdeg depth_100um disturbance_mN_100uNm_x3 pulse_us_x8 "
+    "servo_us_x4 light_permille battery_mV saturated sensors_bad set_point_seq parameters_dirty loop_us"
+)
 _FIELDS = (
-    (
-        TELEM,
-        "TELEM",
-        "t_us state ladder flags zeta_dPa_x4 roll_cdeg pitch_cdeg depth_100um disturbance_mN_100uNm_x3 pulse_us_x8 "
-        "servo_us_x4 light_permille battery_mV saturated sensors_bad set_point_seq parameters_dirty loop_us",
-    ),
+    (TELEM_1, "TELEM_1", _MEASURED),
+    (TELEM, "TELEM", _MEASURED + " yaw_rate_cdeg_s"),
     (
         STATUS,
         "STATUS",
@@ -83,6 +86,8 @@ REBOOT_MAGIC = 0xB007B007  # a flipped bit in another command shall not restart 
 
 # HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32; 5 is ours
 CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL, SIMULATED = 1, 2, 4, 8, 16
+CAN_VERSION_2 = 32  # who greets in it is told the yaw rate; a board of version 1 knows no such bit
+NO_RATE = -32768  # TELEM yaw_rate_cdeg_s: no gyro, or it does not answer
 POWER_ON, BY_PIN, BY_WATCHDOG, BY_ORDER = 1, 2, 3, 5
 
 # SETPOINT valid bits: a part whose bit is clear keeps what was last set
@@ -131,9 +136,12 @@ ARM_CHECKS = (
 )
 
 
-def schema_crc():
-    """CRC-32 of the message table, which frames.SCHEMA_CRC has to be."""
-    text = "\n".join(["%02x %s %s %s" % row for row in TABLE])
+def schema_crc(protocol=PROTOCOL):
+    """CRC-32 of the message table of that version, which frames.SCHEMA_CRC has to be."""
+    rows = TABLE
+    if protocol == 1:  # whose one telemetry had this name
+        rows = [(row[0], "TELEM") + row[2:] if row[0] == TELEM_1 else row for row in TABLE if row[0] != TELEM]
+    text = "\n".join(["%02x %s %s %s" % row for row in rows])
     return binascii.crc32(text.encode())
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
+
+from msgspec import UNSET
 
 from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import wire
@@ -56,8 +59,8 @@ class TelemetryFrame(NamedTuple):
     set_point_seq: int  # number of the frame that brought the set-point in force
 
 
-def telemetry_frame(fields: Sequence[int], now_ns: int) -> TelemetryFrame:
-    """A TELEM that arrived at now_ns."""
+def telemetry_frame(fields: Sequence[int], now_ns: int, rate_cdeg_s: int = wire.NO_RATE) -> TelemetryFrame:
+    """A TELEM that arrived at now_ns, without its last field, which is rate_cdeg_s; or a TELEM_1."""
     t_us, state, ladder, flags, *rest = fields
     zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
     _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
@@ -75,6 +78,7 @@ def telemetry_frame(fields: Sequence[int], now_ns: int) -> TelemetryFrame:
         ladder=ladder,
         flags=flags,
         loop_us=loop_us,
+        rate_rad_s=UNSET if rate_cdeg_s == wire.NO_RATE else math.radians(rate_cdeg_s * 1e-2),
     )
     return TelemetryFrame(telemetry, bool(flags & wire.FLAG_HELLO), set_point_seq)
 

@@ -9,7 +9,16 @@ from typing import NamedTuple
 from agent.kernel.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
 from hw.stm32.arming import Arming
-from hw.stm32.fields import Greeting, Level, StatusText, event_line, log_line, set_point_fields, telemetry_frame
+from hw.stm32.fields import (
+    Greeting,
+    Level,
+    StatusText,
+    TelemetryFrame,
+    event_line,
+    log_line,
+    set_point_fields,
+    telemetry_frame,
+)
 from hw.stm32.orders import NO_BOARD, Order, Orders, Outcome
 
 HELLO_EVERY_NS = 500_000_000
@@ -55,6 +64,8 @@ class HostProtocol:
     def _begin(self) -> None:
         self._framer = wire.Framer(self._on_frame)
         self._hello = False
+        self._version = wire.OLDEST  # of the protocol that is greeted in: a board tells whether it knows the next
+        self._agreed = False  # that it is this one
         self._hello_due_ns: int | None = None
         self._orders.drop(NO_BOARD)
         self._arming.begin()
@@ -118,7 +129,8 @@ class HostProtocol:
 
     def hung_up(self) -> None:
         """The port has gone, and with it what was asked."""
-        self._hello = False
+        self._hello = self._agreed = False
+        self._version = wire.OLDEST
         self._orders.drop(NO_BOARD)
 
     def is_answered(self) -> bool:
@@ -128,9 +140,10 @@ class HostProtocol:
     def due(self, now_ns: int) -> bytes:
         """The frames that it is time to send, perhaps none."""
         out = b""
-        if not self._hello and (self._hello_due_ns is None or now_ns >= self._hello_due_ns):
+        greeted = self._hello and self._agreed
+        if not greeted and (self._hello_due_ns is None or now_ns >= self._hello_due_ns):
             # a zero first, so that noise before it does not swallow the frame
-            out += b"\0" + self._frame(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), self._host_boot)
+            out += b"\0" + self._frame(wire.HELLO, self._version, wire.schema_crc(self._version), self._host_boot)
             self._hello_due_ns = now_ns + HELLO_EVERY_NS
         current = self._orders.current
         idle = self._hello and self._orders.idle
@@ -161,8 +174,11 @@ class HostProtocol:
             self._on_hello_ack(*wire.unpack(kind, payload))
         elif not self._hello:
             return  # from before the greeting: perhaps seconds old
+        elif kind == wire.TELEM_1:
+            self._on_telemetry(telemetry_frame(wire.unpack(kind, payload), self._now_ns))
         elif kind == wire.TELEM:
-            self._on_telemetry(wire.unpack(kind, payload))
+            *fields, rate_cdeg_s = wire.unpack(kind, payload)
+            self._on_telemetry(telemetry_frame(fields, self._now_ns, rate_cdeg_s))
         elif kind == wire.ACK:
             self._on_ack(*wire.unpack(kind, payload))
         elif kind == wire.PARAM_VALUE:
@@ -178,9 +194,15 @@ class HostProtocol:
         self, protocol: int, schema: int, build: bytes, uid: bytes, boot_id: int, cause: int, _state: int, *rest: int
     ) -> None:
         crc, count, capabilities = rest
-        if (protocol, schema) != (wire.PROTOCOL, wire.schema_crc()) or count != len(parameters.TABLE):
+        known_protocol = wire.OLDEST <= protocol <= wire.PROTOCOL and schema == wire.schema_crc(protocol)
+        if not known_protocol or count != len(parameters.TABLE):
             self.say("error", "the board speaks another protocol; flash the firmware of this release")
             return
+        self._agreed = protocol == wire.PROTOCOL or not capabilities & wire.CAN_VERSION_2
+        if not self._agreed and self._version != wire.PROTOCOL:
+            self._version, self._hello_due_ns = wire.PROTOCOL, None  # it knows more: greet again, now
+        if self._hello and boot_id == self._boot_id:
+            return  # it has been told already who this is
         known = self.greeting
         name = build.decode(errors="replace")
         self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
@@ -196,8 +218,8 @@ class HostProtocol:
             for i, value in again.items():
                 self.ask(wire.PARAM_SET, i, parameters.TABLE[i][4], 0, value)
 
-    def _on_telemetry(self, fields: tuple[int, ...]) -> None:
-        telemetry, greeted, set_point_seq = telemetry_frame(fields, self._now_ns)
+    def _on_telemetry(self, frame: TelemetryFrame) -> None:
+        telemetry, greeted, set_point_seq = frame
         if not greeted:  # it has restarted behind our back
             self.hung_up()
             return
@@ -214,7 +236,7 @@ class HostProtocol:
         if self._orders.on_ack(req_id, kind, result, self._now_ns) is None:
             return
         if result == wire.STALE_BOOT:
-            self._hello = False
+            self._hello = self._agreed = False
         if kind == wire.ARM:
             self._arming.answered(result == wire.OK, self._now_ns)
         elif kind in (wire.DISARM, wire.ESTOP):

@@ -22,6 +22,7 @@ from hw.twin.landmarks import true_tags
 from hw.twin.physics.battery import OPEN_V, current_a, supply_v, thrust_loss
 from hw.twin.physics.body import BODY, cast_off, draw_body
 from hw.twin.physics.flow import Flow
+from hw.twin.physics.gyro import Gyros
 from hw.twin.physics.plant import Plant, set_body
 from hw.twin.physics.rotation import quaternion
 from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
@@ -71,6 +72,7 @@ class Dive:
 
         self.sensors = PressureSensors(seed, self.robots, [p.noise_m for p in rows], [p.late_samples for p in rows])
         self.tare_pa = self.sensors.tare_pa()
+        self.gyros = Gyros(seed, self.robots, fleet.navigation is not None and fleet.navigation.gyro)
         self.sensor_faults = SensorFaults(len(robots))
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
         self.boards: list[Board] = []
@@ -124,6 +126,7 @@ class Dive:
                 round(self._supply_v[i] * 1000),
                 round(self._drawn_a[i] * 100),
                 self.sensor_faults.leak[i],
+                self._rates_cdeg_s[i],
             )
 
     def move(self) -> None:
@@ -158,6 +161,7 @@ class Dive:
         if self._waves.amplitude_m:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)
         self._readings_pa = self.sensor_faults.corrupt(self.sensors.sample(self._water_pa, t_s)).tolist()
+        self._rates_cdeg_s = self.gyros.read(self.states["rates_rad_s"])
         drawn_a = current_a(self.states["thrust_n"])
         supply = supply_v(self.battery_v, drawn_a)
         self.states["thrust_loss"] = thrust_loss(supply)
@@ -264,6 +268,8 @@ def apply(event: faults.AnyEvent, dive: Dive) -> None:
             dive.shift_sensor(event.robot, event.sensor, event.offset_m)
         case faults.SensorWell():
             dive.mend_sensor(event.robot, event.sensor)
+        case faults.GyroDead() | faults.GyroStuck():
+            dive.gyros.fail(event.robot, stuck=isinstance(event, faults.GyroStuck))
         case faults.Leak():
             dive.leak(event.robot)
         case faults.Battery():

@@ -61,6 +61,14 @@ class SensorWell(Fault, frozen=True, kw_only=True, tag="sensor_well"):
     sensor: Sensor
 
 
+class GyroDead(Fault, frozen=True, kw_only=True, tag="gyro_dead"):
+    """The gyro answers no more; nothing to a robot without one."""
+
+
+class GyroStuck(Fault, frozen=True, kw_only=True, tag="gyro_stuck"):
+    """The gyro repeats its last reading."""
+
+
 class Leak(Fault, frozen=True, kw_only=True, tag="leak"):
     """Water at the probe in the hull."""
 
@@ -136,6 +144,8 @@ AnyEvent = (
     | SensorStuck
     | SensorOffset
     | SensorWell
+    | GyroDead
+    | GyroStuck
     | Leak
     | Battery
     | ThrusterDead

@@ -10,7 +10,7 @@ from hw.firmware import parameters, wire
 from hw.stm32.protocol import HostProtocol
 from tests.fuzz.wire_frames import frame, mutated, noise, random_fields
 
-UPWARDS = (wire.TELEM, wire.STATUS, wire.EVENT, wire.LOG, wire.HELLO_ACK, wire.ACK, wire.PARAM_VALUE)
+UPWARDS = (wire.TELEM, wire.TELEM_1, wire.STATUS, wire.EVENT, wire.LOG, wire.HELLO_ACK, wire.ACK, wire.PARAM_VALUE)
 STEP_NS = 20_000_000
 
 
@@ -42,8 +42,9 @@ def _stream(rng: random.Random, writer: wire.Writer, host: HostProtocol) -> byte
     kind = rng.choice(UPWARDS)
     fields = random_fields(rng, kind)
     if kind == wire.HELLO_ACK and chance < 0.8:
-        fields = (wire.PROTOCOL, wire.schema_crc(), *fields[2:8], len(parameters.TABLE), fields[9])
-    elif kind == wire.TELEM and chance < 0.8:
+        version = rng.choice((wire.OLDEST, wire.PROTOCOL))
+        fields = (version, wire.schema_crc(version), *fields[2:8], len(parameters.TABLE), fields[9])
+    elif kind in (wire.TELEM, wire.TELEM_1) and chance < 0.8:
         fields = (*fields[:3], fields[3] | wire.FLAG_HELLO, *fields[4:])
     elif kind in (wire.ACK, wire.PARAM_VALUE) and chance < 0.8 and host._orders.current is not None:
         asked = host._orders.current

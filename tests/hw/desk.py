@@ -39,6 +39,7 @@ class Desk:
         self.pressure_pa = [AIR_PA + 0.3 * PA_PER_M] * 4
         self.answered = 15
         self.battery_mv = 15000
+        self.yaw_rate = bus.NO_RATE
         self.leak = 0
         self.frame_us = self.pins_us = self.busy_us = 0  # in the last answer, as hw.firmware.bus.ACT
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
@@ -71,7 +72,8 @@ class Desk:
         """n control cycles; the pins after the last: clock, 8 pulses, 4 servos, lamp, armed."""
         for _ in range(n):
             self.now_us += 10_000
-            self.bus.sendall(bus.tick(self.now_us, self.pressure_pa, self.battery_mv, 100, self.leak, self.answered))
+            sensors = (self.pressure_pa, self.battery_mv, 100, self.leak, self.answered)
+            self.bus.sendall(bus.tick(self.now_us, *sensors, yaw_rate=self.yaw_rate))
             answer = b""
             while len(answer) < bus.ACT_SIZE:
                 chunk = self.bus.recv(bus.ACT_SIZE - len(answer))
@@ -119,7 +121,7 @@ class Desk:
         seq = self.say(
             wire.SETPOINT, round(depth_m * 1e4), 0, 0, 0, 0, 0, *servos, 300, wire.VALID_ALL, 500, self.now_us // 1000
         )
-        self.until(lambda: any(fields[-3] == seq for fields in self.heard(wire.TELEM)[-1:]))
+        self.until(lambda: any(told[30] == seq for told in (self.heard(wire.TELEM) or self.heard(wire.TELEM_1))[-1:]))
 
     def order(self, kind: int, boot_id: int, *more: int) -> int:
         """A command; the result in its acknowledgement, the last one where it takes time."""

@@ -15,8 +15,9 @@ from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow
+from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
+from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
 from agent.kernel.navigation.tags.defocus import readable
@@ -46,11 +47,11 @@ class Localizer:
     """Of one robot."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
-        assert fleet.landmarks is not None  # a rule of the fleet file
+        assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         self._camera, self._focus = calibration.camera, calibration.focus
         self._body, self._surface_m = fleet.body, fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
-        self.hull = Hull()
+        self.hull, self._gyro = Hull(), fleet.navigation.gyro
         self._ring: EventRing | None = None
         self._asked = STILL
         self._fixes_ns: deque[int] = deque()
@@ -76,7 +77,8 @@ class Localizer:
         self.refused = ""
         pose = found.theta[0], found.theta[1], found.theta[2]
         if self._ring is None or before is None or self._astray(before):
-            self._ring = EventRing(begin(frame.t_ns, pose, found.fluctuates, found.stays), self.hull, Drift())
+            begun = begin(frame.t_ns, pose, found.fluctuates, found.stays, self._gyro)
+            self._ring = EventRing(begun, self.hull, Drift())
         elif not self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
             return
         self._fixes_ns.append(frame.t_ns)
@@ -97,6 +99,11 @@ class Localizer:
         moved = odometry(of, start, end, seen.pairs)
         if moved is not None:
             self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad))
+
+    def turning(self, measured: Rate) -> None:
+        """A gyro's yaw rate; only of a fleet whose robots have one."""
+        if self._ring is not None:
+            self._ring.add(rate(*measured))
 
     def sent(self, wrench: Wrench, now_ns: int) -> None:
         """What the thrusters are asked for from now on; zeros while motors may not turn."""

@@ -14,6 +14,7 @@ from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.gimbal_log import GimbalLog
 from agent.kernel.navigation.glance import Glance
+from agent.kernel.navigation.gyro import Gyro
 from agent.kernel.navigation.localizer import (
     LOST_DEG,
     LOST_M,
@@ -31,7 +32,7 @@ from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.net import SURFACE_M
 from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Flow, SeenTags
+from agent.kernel.step_io import Flow, SeenTags, Telemetry
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
@@ -48,12 +49,26 @@ class Swimmer:
         self._to = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
         self.localizer = Localizer(fleet, calibration)
+        self._gyro = Gyro() if fleet.navigation.gyro else None
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
         self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way
         self._progress: Progress | None = None
         self._gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
+
+    def feel(self, told: Sequence[Telemetry]) -> None:
+        """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
+        if self._gyro is None:
+            return
+        readings = [reading for telemetry in told if (reading := self._gyro.read(telemetry)) is not None]
+        if readings:
+            self.localizer.turning(readings[-1])
+
+    def faults(self, now_ns: int) -> tuple[str, ...]:
+        """What is wrong with its sensors, for people."""
+        fault = None if self._gyro is None else self._gyro.fault(now_ns)
+        return () if fault is None else (fault,)
 
     def see(
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int

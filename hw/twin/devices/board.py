@@ -101,6 +101,7 @@ class Board:
         battery_mv: int = BATTERY_MV,
         current_10ma: int = CURRENT_10MA,
         leak: bool = False,
+        yaw_rate_cdeg_s: int = bus.NO_RATE,
     ) -> None:
         """One tick of the hardware: time goes on, and this is what the sensors read."""
         self._clock_us = clock_us
@@ -116,7 +117,8 @@ class Board:
         begins_us = running.begins_us(since_boot_us)
         if begins_us is not None:
             sensors = (pressure_pa, battery_mv, current_10ma, leak, answered)
-            record = bus.tick(begins_us, *sensors, waited_us=begins_us - since_boot_us, percent=self._percent)
+            waited_us = begins_us - since_boot_us
+            record = bus.tick(begins_us, *sensors, waited_us, self._percent, yaw_rate_cdeg_s)
             running.tick(begins_us, record)
 
     def act(self, patience_s: float) -> Act | None:

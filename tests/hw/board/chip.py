@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 
 from hw.firmware import emitters_unix, pwm
+from tests.hw.board.fake_gyro import FakeGyro
 from tests.hw.board.wires import Wires
 
 FIRMWARE = Path(pwm.__file__).parent
@@ -43,6 +44,7 @@ class Chip:
         self.volts = {"PC1": 1.4, "PC2": 0.5}
         self.timers: dict[int, Timer] = {}
         self.wires = Wires()
+        self.gyro = FakeGyro()
         self.received = bytearray()
         self.cause = 1
         self.backup: dict[int, int] = {}
@@ -75,6 +77,8 @@ class Chip:
             def value(self, level=None) -> int:
                 if level is not None:
                     chip.log.append(("level", self.name, int(level)))
+                    if self.name == "PE7":
+                        chip.gyro.select(level)
                 return chip.levels.get(self.name, 1 if self.pull == Pin.PULL_UP else 0)
 
         class I2C:
@@ -94,6 +98,11 @@ class Chip:
                     transfer(*arguments)
                 finally:
                     chip.pass_us(round(chip.wires.us - before))
+
+        def spi(number: int, *, baudrate: int, polarity: int, phase: int) -> FakeGyro:
+            assert baudrate <= 1_000_000 and polarity == phase  # for registers; modes 0 and 3
+            chip.log.append(("spi", number))
+            return chip.gyro
 
         class Uart:
             def __init__(self, number: int, *, baudrate: int, timeout: int, rxbuf: int) -> None:
@@ -138,7 +147,13 @@ class Chip:
             wfi=chip.sleep_until_interrupt,
         )
         machine = SimpleNamespace(
-            I2C=I2C, UART=Uart, WDT=Watchdog, reset=reset, unique_id=lambda: bytes(12), reset_cause=lambda: chip.cause
+            I2C=I2C,
+            SPI=spi,
+            UART=Uart,
+            WDT=Watchdog,
+            reset=reset,
+            unique_id=lambda: bytes(12),
+            reset_cause=lambda: chip.cause,
         )
         stm = SimpleNamespace(RTC=0x40002800, RTC_BKP19R=156, mem32=Backup(self))
         return {"pyb": pyb, "machine": machine, "stm": stm, "micropython": emitters_unix}

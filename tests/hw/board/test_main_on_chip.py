@@ -65,14 +65,14 @@ def bench(chip: Chip, hal_stm32: Any) -> Bench:
 def test_it_boots_with_the_frame_from_flash_and_says_what_there_is(bench):
     bench.run(300)
     assert [bench.chip.timers[n].frame for n in (1, 8)] == [2500, 2500]
-    telemetry, status = bench.all_of(wire.TELEM), bench.all_of(wire.STATUS)
+    telemetry, status = bench.all_of(wire.TELEM_1), bench.all_of(wire.STATUS)
     assert len(telemetry) == 150 and len(status) == 3
     times_us = [fields[0] for fields in telemetry]
     assert {(b - a) & 0xFFFFFFFF for a, b in itertools.pairwise(times_us)} == {20_000}
     assert bench.chip.timers[4].pulses == {1: 1600, 2: 1500, 3: 1500, 4: 1400}
     assert bench.chip.timers[3].pulses == {3: 1500}
     assert not bench.firmware.tether.faults
-    line_us = 10 * len(bench.writer.frame(wire.TELEM, *telemetry[0]))
+    line_us = 10 * len(bench.writer.frame(wire.TELEM_1, *telemetry[0]))
     assert 1000 < telemetry[-1][-1] < 1000 + line_us < status[-1][4] < 3000, "the bus; at most the line too"
 
 

@@ -33,6 +33,7 @@ class BareHal:
     capabilities, late = 0, 0
     current_10ma, temperature_cC = 100, 2000
     took_us = 0  # what the hardware says of each cycle
+    yaw_rate = 150
 
     def __init__(self, flash: dict[str, Any] | None = None) -> None:
         self.pressure_pa = [AIR_PA + 0.3 * PA_PER_M] * 4
@@ -56,6 +57,9 @@ class BareHal:
 
     def cycle_us(self) -> int:
         return self.took_us
+
+    def yaw_rate_cdeg_s(self) -> int:
+        return self.yaw_rate
 
     def now_us(self) -> int:
         return self.us & 0xFFFFFFFF

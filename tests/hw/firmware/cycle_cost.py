@@ -46,6 +46,9 @@ class Hal:
     def now_us(self):
         return self.us
 
+    def yaw_rate_cdeg_s(self):
+        return 150
+
     def read_into(self, buf):
         n = len(self.inbox)
         if n:

@@ -32,7 +32,7 @@ def test_speaks_50_times_a_second_and_keeps_still(desk):
 
     until(told)  # the last words of the hundredth cycle
     assert act[1:9] == NEUTRAL and act[-1] == wire.DISARMED
-    telemetry = desk.heard(wire.TELEM)
+    telemetry = desk.heard(wire.TELEM_1)
     assert len(telemetry) == 50
     assert telemetry[-1][10] == pytest.approx(3000, abs=3)  # 0.1 mm
     assert telemetry[-1][4:8] == (round(0.3 * PA_PER_M * 10),) * 4

@@ -9,16 +9,22 @@ from hw.stm32.protocol import HostProtocol
 class FakeBoard:
     """Says what a board would, byte by byte."""
 
-    def __init__(self, protocol: HostProtocol, boot_id: int = 5) -> None:
-        self.protocol, self.boot_id, self.writer = protocol, boot_id, wire.Writer()
+    def __init__(self, protocol: HostProtocol, boot_id: int = 5, version: int = wire.PROTOCOL) -> None:
+        """version: the newest that it speaks."""
+        self.protocol, self.boot_id, self.version, self.writer = protocol, boot_id, version, wire.Writer()
 
-    def greet(self, schema: int | None = None) -> None:
-        schema = wire.schema_crc() if schema is None else schema
-        count = len(parameters.TABLE)
-        self.say(wire.HELLO_ACK, wire.PROTOCOL, schema, b"testtest", b"", self.boot_id, 1, 0, 0, count, 0)
+    def greet(self, schema: int | None = None, version: int | None = None) -> None:
+        version = self.version if version is None else version
+        schema = wire.schema_crc(version) if schema is None else schema
+        can, count = 0 if self.version == 1 else wire.CAN_VERSION_2, len(parameters.TABLE)
+        self.say(wire.HELLO_ACK, version, schema, b"testtest", b"", self.boot_id, 1, 0, 0, count, can)
 
-    def telemetry(self, armed: int = 0, flags: int = wire.FLAG_HELLO) -> None:
-        self.say(wire.TELEM, 1, armed, 0, flags, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0)
+    def telemetry(self, armed: int = 0, flags: int = wire.FLAG_HELLO, rate: int = wire.NO_RATE) -> None:
+        fields = 1, armed, 0, flags, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0
+        if self.version == 1:
+            self.say(wire.TELEM_1, *fields)
+        else:
+            self.say(wire.TELEM, *fields, rate)
 
     def say(self, kind: int, *fields) -> None:
         self.say_at(1, kind, *fields)
@@ -29,6 +35,11 @@ class FakeBoard:
 
 def kinds(out: bytes) -> list[int]:
     """Types of the frames in what the host sends."""
-    got: list[int] = []
-    wire.Framer(lambda kind, _seq, _payload: got.append(kind)).feed(out, len(out))
+    return [kind for kind, _ in frames(out)]
+
+
+def frames(out: bytes) -> list[tuple[int, tuple]]:
+    """Types and fields of the frames in what the host sends."""
+    got: list[tuple[int, tuple]] = []
+    wire.Framer(lambda kind, _seq, payload: got.append((kind, wire.unpack(kind, payload)))).feed(out, len(out))
     return got

@@ -41,7 +41,7 @@ def test_parameters_get_set_list_save(desk):
     assert value_of(desk, wire.PARAM_GET, boot_id, "net_weight_N") == (0.0, 0)
     assert value_of(desk, wire.PARAM_SET, boot_id, "net_weight_N", 0, 0, 1.25) == (1.25, wire.UNSAVED)
     desk.tick(2)
-    assert desk.heard(wire.TELEM)[-1][-2] == 1, "dirty"
+    assert desk.heard(wire.TELEM)[-1][-3] == 1, "dirty"
     desk.req_id += 1
     desk.forget()
     desk.say(wire.PARAM_LIST, desk.req_id, boot_id)
@@ -55,7 +55,7 @@ def test_parameters_get_set_list_save(desk):
     assert desk.order(wire.PARAM_SAVE, boot_id) == wire.OK
     desk.forget()
     desk.tick(2)
-    assert desk.heard(wire.TELEM)[-1][-2] == 0
+    assert desk.heard(wire.TELEM)[-1][-3] == 0
     burnt = json.loads(desk.flash_path.read_text())
     assert burnt["net_weight_N"] == 1.25 and burnt["law"] == "observer" and burnt["tare_pa"] == [AIR_PA] * 4
     desk.power_off()

@@ -52,7 +52,7 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
     whose = {kind: "" if kind in everybodys else 'robot = "r1"\n' for kind in kinds}
     tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\n{whose[k]}{more.get(k, "")}\n' for i, k in enumerate(kinds)]
     scene = scene_with(tmp_path, "".join(tables))
-    assert len(scene.event) == len(kinds) == 18
+    assert len(scene.event) == len(kinds) == 20
     assert scene.event[0] == faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
 
 
@@ -108,6 +108,8 @@ def test_events_strike_in_the_order_of_their_times():
 DONE = {
     faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), for_s=0.3): call.push("r1", (0, 0, -8), (0.0, 0.0, 0.0), 0.3),
     faults.SensorDead(at_s=0, robot="r1", sensor=1): call.kill_sensor("r1", 1),
+    faults.GyroDead(at_s=0, robot="r1"): call.gyros.fail("r1", stuck=False),
+    faults.GyroStuck(at_s=0, robot="r1"): call.gyros.fail("r1", stuck=True),
     faults.SensorStuck(at_s=0, robot="r1", sensor=2): call.stick_sensor("r1", 2),
     faults.SensorOffset(at_s=0, robot="r1", sensor=3, offset_m=0.05): call.shift_sensor("r1", 3, 0.05),
     faults.SensorWell(at_s=0, robot="r1", sensor=4): call.mend_sensor("r1", 4),
@@ -130,7 +132,7 @@ DONE = {
 def test_each_kind_of_fault_does_one_thing_to_the_dive():
     assert {type(fault).__struct_config__.tag for fault in DONE} == set(faults.KINDS)
     for fault, done in DONE.items():
-        dive = Mock(spec=Dive)
+        dive = Mock(spec=[*dir(Dive), "gyros"])
         apply(fault, dive)
         assert dive.mock_calls == [done]
 

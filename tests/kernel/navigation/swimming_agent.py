@@ -70,6 +70,7 @@ class InTank:
         self.servos_us = np.array([1500.0, 1500.0])
         self.depth_m = DEPTH_M
         self.coming: deque[tuple[int, SeenTags, Flow]] = deque()
+        self.rate_rad_s = lambda body: UNSET  # what its gyro says
         self.inputs, self.outputs, self.state = Inputs(), None, None
 
     def expose(self) -> tuple[SeenTags, Flow]:
@@ -104,7 +105,8 @@ class InTank:
             flows += [flow] if flow.pairs and self.sees_floor else []
         if self.steps % FRAME_STEPS == 0:
             self.coming.append((self.steps + LATE_STEPS, *self.expose()))
-        told = telemetry(self.now_ns, self.depth_m, armed=self.armed, ladder=self.ladder)
+        rate = self.rate_rad_s(self.body)
+        told = telemetry(self.now_ns, self.depth_m, armed=self.armed, ladder=self.ladder, rate_rad_s=rate)
         self.inputs = Inputs(telemetry=(told,), landmarks=tuple(arrived) or UNSET, flow=tuple(flows) or UNSET)
         self.outputs = self.agent.step(self.inputs, self.now_ns)
         self.state = self.outputs.state or self.state

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import block_diag, solve_discrete_are
 
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import STEP_NS, Hull
@@ -140,16 +140,23 @@ def test_the_filter_is_that_of_filterpy(gyro) -> None:
     assert belief.refused == belief.restarts == 0
 
 
-def test_the_steady_covariance_solves_the_riccati_equation() -> None:
-    belief, period_ns = begin(0, START, R), 5 * STEP_NS
-    F, Q, h = np.eye(9), np.zeros((9, 9)), STEP_NS * 1e-9
+@pytest.mark.parametrize("gyro", [False, True])
+def test_the_steady_covariance_solves_the_riccati_equation(gyro) -> None:
+    """With a gyro that is read at each fix, and whose bias wanders fast enough to be steady within 20 s."""
+    belief, period_ns, drift, n = begin(0, START, R, gyro=gyro), 5 * STEP_NS, DRIFT._replace(bias=0.01), 9 + gyro
+    F, Q, h, H, V = np.eye(n), np.zeros((n, n)), STEP_NS * 1e-9, np.eye(3, n), matrix(R)
+    if gyro:
+        H, V = np.vstack([H, np.eye(1, n, 5) + np.eye(1, n, 9)]), block_diag(V, RATE_RAD_S**2)
+    q = noise(h, n)
+    q[9:, 9:] = h * 0.01**2
     for _ in range(5):
-        _, _, f = oracle_step(np.array([*START, *(0.0,) * 6]), np.zeros(3), np.zeros(3), h)
-        F, Q = f @ F, f @ Q @ f.T + noise(h)
-    steady = solve_discrete_are(F.T, np.eye(3, 9).T, Q, matrix(R))  # before each fix
+        _, _, f = oracle_step(np.array([*START, *(0.0,) * (n - 3)]), np.zeros(3), np.zeros(3), h)
+        F, Q = f @ F, f @ Q @ f.T + q
+    steady = solve_discrete_are(F.T, H.T, Q, V)  # before each fix
     for k in range(1, 200):
-        belief = predict(belief, HULL, DRIFT, k * period_ns)
+        belief = predict(belief, HULL, drift, k * period_ns)
         before, belief = belief, add_fix(belief, START, R, NOTHING)
+        belief = add_rate(belief, belief.x[5] + belief.x[9]) if gyro else belief
     np.testing.assert_allclose(before.P, steady, rtol=1e-6, atol=1e-12)
 
 
