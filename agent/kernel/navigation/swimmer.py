@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.kernel.config import Fleet, Goto, Pose
+from agent.kernel.config import Behaviour, Fleet, Goto, Pose
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar, keep_right, safe_velocity
+from agent.kernel.navigation.barrier import DELAY_S, TARGET_M, Disc, Planar, Spread, keep_right, safe_velocity
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.glance import Glance
@@ -29,6 +29,7 @@ from agent.kernel.navigation.localizer import (
     Carriage,
     Gimbal,
     Localizer,
+    pace,
     within,
 )
 from agent.kernel.navigation.neighbours import Neighbours, content_fault
@@ -75,6 +76,13 @@ class Swimmer:
         self._progress: Progress | None = None
         self._rests: deque[Rest] = deque(maxlen=RESTS)
         self._lost_since_ns: int | None = None
+
+    def begin(self, behaviour: Behaviour, now_ns: int) -> None:
+        """Do that from now on."""
+        self._behaviour = behaviour
+        here = self.localizer.at(now_ns)
+        if here is not None and self._progress is not None:
+            self._progress = start(here.pose, self._progress.turned, now_ns)
 
     def see(
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
@@ -158,12 +166,13 @@ class Swimmer:
         before = self._progress or start(here.pose, 0.0, now_ns)
         to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
         self._to = to
-        to = to._replace(speed_m_s=self._limits.speed_m_s, turn_rad_s=math.radians(self._limits.turn_deg_s))
+        share = pace(here)
+        turn_rad_s = math.radians(self._limits.turn_deg_s)
+        to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
-        xx, xy, _, yy, _, _ = plus(here.covariance, here.stays)
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
-        at_m, spread_m2, robots = here.pose[:2], (xx, xy, yy), self.neighbours.discs(now_ns)
+        at_m, spread_m2, robots = here.pose[:2], spread_ahead(here), self.neighbours.discs(now_ns)
         wanted = keep_right(wanted_velocity(here, to), at_m, spread_m2, robots)
         velocity = safe_velocity(wanted, at_m, spread_m2, self._tank_m, things, robots)
         return wrench(here, self.localizer.hull, to, velocity)
@@ -204,6 +213,15 @@ class Swimmer:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
         lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
         return SURFACE_M if lost else self._depth_m
+
+
+def spread_ahead(here: Belief) -> Spread:
+    """How well a robot knows where it will be once it has braked: it does not know its speed for certain either."""
+    P, T = here.P, DELAY_S
+    xx, xy, yy = (
+        P[i][j] + T * (P[i][j + 3] + P[i + 3][j]) + T * T * P[i + 3][j + 3] for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    return xx + here.stays[0], xy + here.stays[1], yy + here.stays[3]
 
 
 def pose_of(belief: Belief) -> Pose:
