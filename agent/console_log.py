@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from agent.kernel.messages import Estimate, Image, LogLine, State, fault_kind
+from agent.kernel.presence import Presence
 from agent.kernel.step_io import DroppedPayloads, Heard
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
@@ -22,7 +23,7 @@ LAST_S = 0.5  # how long the end waits for a terminal
 
 class Network(Protocol):
     def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]: ...
-    def say(self, estimate: Estimate) -> None: ...
+    def say(self, message: Estimate | Presence) -> None: ...
     def show(self, message: State | LogLine | Image) -> None: ...
 
 

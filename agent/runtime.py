@@ -127,6 +127,8 @@ class Runtime:
     def _say(self, outputs: Outputs) -> None:
         for estimate in outputs.says:
             self._network.say(self._sign(estimate))
+        for presence in outputs.near or ():
+            self._network.say(presence)
         for message in (*(() if outputs.state is None else (outputs.state,)), *outputs.log):
             self._network.show(message)
 

@@ -17,10 +17,11 @@ from agent.kernel import topics
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
+from agent.kernel.presence import Presence
 from agent.kernel.step_io import DroppedPayloads, Heard
-from agent.kernel.topics import IMAGE, LINK, LOG, STATE, TOPICS, Topic
+from agent.kernel.topics import IMAGE, LINK, LOG, NEAR, STATE, TOPICS, Topic
 from agent.links.inboxes import Inboxes
-from agent.links.presence import Presence
+from agent.links.tokens import Tokens
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 
@@ -38,8 +39,8 @@ class Transport:
         self.lost = 0  # outgoing link messages thrown away by fault injection
         self._fleet, self._robot, self._clock = fleet, robot, clock
         self._random = random.Random(f"{fleet.link.loss_seed} {robot}")
-        self._inboxes, self._presence = Inboxes(fleet, robot), Presence(fleet, robot)
-        self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target
+        self._inboxes, self._tokens = Inboxes(fleet, robot), Tokens(fleet, robot)
+        self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target; "": of where we are ourselves
         self._shows: dict[tuple[type[Message], str], Publish] = {}  # kind, target
         self._open = contextlib.ExitStack()
 
@@ -59,6 +60,8 @@ class Transport:
             self._shows[Image, ""] = session.publisher(IMAGE, topics.key(IMAGE, **names))
             heard = topics.key(LINK, fleet=self._fleet.fleet, src="*", dst=self._robot, target="**")
             session.subscribe(heard, self._arrived)
+            if self._fleet.navigation is not None:
+                self._swims(session)
             session.announce(topics.ALIVE.format(**names, session=session.id))
             session.watch_tokens(topics.ALIVE.format(fleet="*", robot="*", session="*"), self._token)
             session.watch_tokens(topics.TWICE.format(**names, witness="*"), self._token)
@@ -73,12 +76,19 @@ class Transport:
         """The newest link messages since the last call, neighbours in turn, and how many were turned away."""
         return self._inboxes.drain(self._clock())
 
-    def say(self, estimate: Estimate) -> None:
-        """Send to the neighbour `estimate.dst`. Never blocks; under pressure, or by fault injection, it is lost."""
+    def _swims(self, session: Session) -> None:
+        """Robots that swim tell their neighbours where they are."""
+        for name in self._fleet.robot[self._robot].neighbours:
+            key = topics.key(NEAR, fleet=self._fleet.fleet, src=self._robot, dst=name)
+            self._links[name, ""] = session.publisher(NEAR, key)
+        session.subscribe(topics.key(NEAR, fleet=self._fleet.fleet, src="*", dst=self._robot), self._arrived)
+
+    def say(self, message: Estimate | Presence) -> None:
+        """Send to the neighbour `message.dst`. Never blocks; under pressure, or by fault injection, it is lost."""
         if self._random.random() < self._fleet.link.loss:
             self.lost += 1
             return
-        self._links[estimate.dst, estimate.target](encode(estimate))
+        self._links[message.dst, message.target if isinstance(message, Estimate) else ""](encode(message))
 
     def show(self, message: State | LogLine | Image) -> None:
         """Publish to whoever looks. Never blocks; previews come from vision's thread."""
@@ -86,10 +96,10 @@ class Transport:
 
     def faults(self) -> tuple[str, ...]:
         """What is wrong with who is linked to us, each as "kind: what to do". Never waits; for the loop."""
-        return self._presence.faults(self._session.id, self._session.announce, machine.monotonic_s())
+        return self._tokens.faults(self._session.id, self._session.announce, machine.monotonic_s())
 
     def _token(self, sample: Sample) -> None:
-        self._presence.token(sample, machine.monotonic_s())  # links and their leases are the wall's
+        self._tokens.token(sample, machine.monotonic_s())  # links and their leases are the wall's
 
     def _arrived(self, sample: Sample) -> None:
         self._inboxes.put(sample, self._clock())

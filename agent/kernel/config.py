@@ -185,6 +185,7 @@ class Limits(Struct, frozen=True, kw_only=True):
 
     speed_m_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.25
     turn_deg_s: Annotated[float, Meta(gt=0, le=90)] = 57.0
+    separation_m: Annotated[float, Meta(ge=0.34, le=1.0)] = 0.34  # between centres; thruster rings touch at 0.34
 
 
 class Navigation(Struct, frozen=True, kw_only=True):

@@ -21,14 +21,17 @@ from agent.kernel.inbox import Inbox
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
+from agent.kernel.presence import Presence
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix, locate
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
+from agent.kernel.topics import NEAR
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
+NEAR_NS = round(1e9 / NEAR.hz)
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -49,15 +52,16 @@ class Agent:
         self.targets = {target: TargetState(fleet, name, target, incarnation, shared) for target in fleet.target}
         self.scheduler = TargetScheduler(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
-        self.swimmer = Swimmer(fleet, robot, calibration) if fleet.navigation else None
+        self.swimmer = Swimmer(fleet, name, calibration, incarnation) if fleet.navigation else None
         self.attitude = AttitudeLog()
-        self.inbox = Inbox(self.targets, fleet.tank, shared, schema)
+        neighbours = self.swimmer.neighbours if self.swimmer else None
+        self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours)
         self.status = Status(fleet.fleet, name, incarnation)
         self.net = Net()
         self._signed = False
 
-        self._iterated_ns = self._say_due_ns = self._show_due_ns = 0
-        self._said = self._shown = 0
+        self._iterated_ns = self._say_due_ns = self._near_due_ns = self._show_due_ns = 0
+        self._said = self._told = self._shown = 0
 
     @property
     def current(self) -> TargetState:
@@ -99,7 +103,8 @@ class Agent:
         state = self._state(now_ns)
         log = self.status.log.fetch(now_ns)
         set_point = self._set_point(now_ns)
-        return Outputs(set_point=set_point, sweep=sweep, says=says, state=state, log=log, outcome=outcome)
+        near = self._near(now_ns) or UNSET
+        return Outputs(set_point=set_point, sweep=sweep, says=says, state=state, log=log, near=near, outcome=outcome)
 
     def _measure(self, now_ns: int) -> SweepOutcome | UnsetType:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
@@ -175,6 +180,15 @@ class Agent:
             for target in self.targets.values()
             for neighbour in self._robot.neighbours
         )
+
+    def _near(self, now_ns: int) -> tuple[Presence, ...]:
+        """Tell each neighbour where a robot that swims is and where it goes."""
+        newest = self.attitude.newest
+        if self.swimmer is None or newest is None or now_ns < self._near_due_ns:
+            return ()
+        self._near_due_ns = next_due_ns(self._near_due_ns, NEAR_NS, now_ns)
+        self._told += 1
+        return self.swimmer.say(newest.depth_m, self._told, now_ns)
 
     def _state(self, now_ns: int) -> State | None:
         """One target after the other, so that each is shown at the same rate, however many there are."""

@@ -8,9 +8,12 @@ from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Tank
 from agent.kernel.estimation.evidence_checks import inside, is_covariance
 from agent.kernel.messages import Estimate
+from agent.kernel.navigation.neighbours import Neighbours
+from agent.kernel.presence import Presence
 from agent.kernel.status import Status
 from agent.kernel.step_io import DroppedPayloads, Heard
 from agent.kernel.target_state import TargetState
+from agent.kernel.topics import NEAR
 
 FOR_PEOPLE = ("clock", "fleet file", "schema")  # refusals that somebody has to put right
 FAULT_NS = 10_000_000_000  # how long such a thing is told after it was last seen
@@ -19,9 +22,17 @@ FAULT_NS = 10_000_000_000  # how long such a thing is told after it was last see
 class Inbox:
     """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
 
-    def __init__(self, targets: Mapping[str, TargetState], tank: Tank, common: str, schema: int) -> None:
-        """common: digest of what all fleet files share. schema: of the messages that are taken in."""
-        self._targets, self._tank, self._common = targets, tank, common
+    def __init__(
+        self,
+        targets: Mapping[str, TargetState],
+        tank: Tank,
+        common: str,
+        schema: int,
+        neighbours: Neighbours | None = None,
+    ) -> None:
+        """common: digest of what all fleet files share. schema: of the messages that are taken in. neighbours: where
+        they are, of a robot that swims."""
+        self._targets, self._tank, self._common, self._neighbours = targets, tank, common, neighbours
         self._accepted = frozenset({schema})
         self.refused: dict[str, int] = {}
         self._faults: dict[tuple[str, str], tuple[str, int]] = {}  # neighbour and kind: what is wrong, and when last
@@ -50,6 +61,12 @@ class Inbox:
 
     def _take(self, item: Heard, status: Status, now_ns: int) -> None:
         """One payload. Raises Refusal where it is not believed."""
+        if item.topic == NEAR.name:
+            if self._neighbours is None:
+                raise Refusal("fleet file", "it swims, and our file has no [navigation]; give all robots the same file")
+            presence = decode(item.payload, Presence, NEAR.limit, self._accepted)
+            self._neighbours.hear(item.src, presence, item.arrived_ns)
+            return
         estimate = decode(item.payload, Estimate, accepted=self._accepted)
         if estimate.common and self._common and estimate.common != self._common:
             raise Refusal("fleet file", "its fleet file is another one; give all robots of a fleet the same file")

@@ -112,7 +112,7 @@ def neighbour_state(mailbox: Mailbox, name: str, used: bool, now_ns: int) -> Nei
     return NeighbourState(
         robot=name,
         age_s=None if age_ns is None else age_ns * 1e-9,
-        valid=sender.newest is not None and sender.newest.estimate.valid,
+        valid=sender.newest is not None and sender.newest.message.valid,
         used=used,
         heard=sender.heard,
         gaps=sender.gaps,

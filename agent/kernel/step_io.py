@@ -5,12 +5,13 @@ Units, times and frames as in messages.py.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
+from agent.kernel.presence import Presence
 
 Slope = tuple[float, float]
 
@@ -88,6 +89,7 @@ class Heard(Message, frozen=True, kw_only=True):
     arrived_ns: int
     src: Id  # from the key it came on
     payload: bytes
+    topic: Literal["near"] | UnsetType = UNSET  # the row of topics.py that its key is of; unset: link
 
 
 class DroppedPayloads(Message, frozen=True, kw_only=True):
@@ -155,4 +157,5 @@ class Outputs(Message, frozen=True, kw_only=True):
     says: tuple[Estimate, ...] = ()
     state: State | None = None
     log: tuple[LogLine, ...] = ()
+    near: tuple[Presence, ...] | UnsetType = UNSET  # where a robot that swims is, to its neighbours; unset: not now
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were

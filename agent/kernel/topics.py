@@ -6,6 +6,7 @@ from collections.abc import Collection
 from typing import Literal, NamedTuple
 
 from agent.kernel.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
+from agent.kernel.presence import Presence
 
 
 class QoS(NamedTuple):
@@ -30,6 +31,10 @@ class Topic(NamedTuple):
 LINK = Topic(
     "link", "aucamp/{fleet}/link/{src}/{dst}[/{target}]", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src"
 )
+# Of robots that swim: where each is. The newest stands for those before it.
+NEAR = Topic(
+    "near", "aucamp/{fleet}/near/{src}/{dst}", Presence, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src", limit=1024
+)
 STATE = Topic(
     "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
 )
@@ -46,7 +51,7 @@ IMAGE = Topic(
     limit=MAX_JPEG + 1024,
 )
 
-TOPICS = (LINK, STATE, LOG, IMAGE)
+TOPICS = (LINK, NEAR, STATE, LOG, IMAGE)
 
 # Liveliness tokens: who is listed, never whose word counts. Two agents of one name differ in their sessions.
 ALIVE = "aucamp/{fleet}/alive/{robot}/{session}"

@@ -17,7 +17,7 @@ from msgspec import UNSET
 from agent.kernel import topics
 from agent.kernel.config import Fleet
 from agent.kernel.step_io import DroppedPayloads, Heard
-from agent.kernel.topics import LINK
+from agent.kernel.topics import LINK, NEAR, Topic
 from router_config.door import Sample, unusable
 
 KEPT = LINK.qos.buffer
@@ -29,12 +29,12 @@ FLOOD = "flood"
 
 
 class _Inbox:
-    """Places for what one neighbour says about one target."""
+    """Places for what one neighbour says about one target, or about where it is itself."""
 
-    __slots__ = ("arrived", "credit", "kept", "src")
+    __slots__ = ("arrived", "credit", "kept", "src", "topic")
 
-    def __init__(self, src: str) -> None:
-        self.src = src
+    def __init__(self, src: str, topic: Topic = LINK) -> None:
+        self.src, self.topic = src, topic
         self.kept: deque[tuple[int, bytes]] = deque(maxlen=KEPT)
         self.arrived = 0  # since the last drain
         self.credit = BURST  # messages that may come without being called a flood
@@ -50,6 +50,10 @@ class Inboxes:
             for target in targets
             for src in neighbours
         }
+        if fleet.navigation is not None:
+            self._by_key |= {
+                topics.key(NEAR, fleet=fleet.fleet, src=src, dst=robot): _Inbox(src, NEAR) for src in neighbours
+            }
         # Who speaks of a target that our file lacks has another fleet file. One place for all such: the step says so.
         self._elsewhere: Mapping[str, _Inbox] = {src: _Inbox(src) for src in neighbours}
         self._inboxes = (*self._by_key.values(), *self._elsewhere.values())  # by target, then by neighbour
@@ -62,7 +66,7 @@ class Inboxes:
         inbox = self._by_key.get(key := sample.key)
         if inbox is None:
             inbox = self._unusual(key)
-        reason = STRANGER if inbox is None else unusable(sample, LINK)
+        reason = STRANGER if inbox is None else unusable(sample, inbox.topic)
         payload = b"" if reason else sample.payload()
         with self._lock:
             if inbox is None or reason is not None:
@@ -81,15 +85,20 @@ class Inboxes:
         elapsed_s = math.inf if self._drained_ns is None else max(0, now_ns - self._drained_ns) * 1e-9
         self._drained_ns = now_ns
         with self._lock:
-            kept = [(inbox.src, list(inbox.kept)) for inbox in self._inboxes]
+            kept = [(inbox, list(inbox.kept)) for inbox in self._inboxes]
             for inbox in self._inboxes:
                 self._settle(inbox, elapsed_s)
             refused = sorted(self._refused.items())
             self._refused.clear()
         heard = tuple(
-            Heard(arrived_ns=payloads[k][0], src=src, payload=payloads[k][1])
+            Heard(
+                arrived_ns=payloads[k][0],
+                src=inbox.src,
+                payload=payloads[k][1],
+                topic="near" if inbox.topic is NEAR else UNSET,
+            )
             for k in range(KEPT)
-            for src, payloads in kept
+            for inbox, payloads in kept
             if k < len(payloads)
         )
         return heard, tuple(
@@ -110,4 +119,4 @@ class Inboxes:
     def _unusual(self, key: str) -> _Inbox | None:
         """The place of a neighbour's word on a key that is not among the expected ones."""
         row = topics.match(key)
-        return self._elsewhere.get(row[1]["src"]) if row else None
+        return self._elsewhere.get(row[1]["src"]) if row and row[0] is LINK else None

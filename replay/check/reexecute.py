@@ -16,7 +16,9 @@ from agent.clock import machine
 from agent.kernel.codec import READABLE, Refusal, decode, encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import SCHEMA, Estimate
-from agent.kernel.step_io import Inputs
+from agent.kernel.presence import Presence
+from agent.kernel.step_io import Heard, Inputs
+from agent.kernel.topics import NEAR
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences, written
 from replay.check.older import must_differ, note
@@ -226,6 +228,15 @@ def range_notes(box: BlackBox, taken: int, tally: Tally) -> list[str]:
     return notes
 
 
+def heard_words(heard: Heard) -> str:
+    """What a neighbour said. Raises Refusal if that is not of this version."""
+    if heard.topic == NEAR.name:
+        p = decode(heard.payload, Presence, accepted=READABLE)
+        return f"seq {p.seq}, it is at ({p.x_m:.3f}, {p.y_m:.3f}) m"
+    e = decode(heard.payload, Estimate, accepted=READABLE)
+    return f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
+
+
 def describe_inputs(step: Step) -> tuple[str, ...]:
     """A line for each thing that went into a step: what, how old in ms, how large."""
 
@@ -239,8 +250,7 @@ def describe_inputs(step: Step) -> tuple[str, ...]:
         lines.append(f"sighting, {age(s.t_ns)}: frame {s.frame}, sweep {s.sweep}[{s.index}], focus {s.focus}, {what}")
     for heard in inputs.heard:
         try:
-            e = decode(heard.payload, Estimate, accepted=READABLE)
-            what = f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
+            what = heard_words(heard)
         except Refusal as refusal:
             what = f"refused: {refusal}"
         lines.append(f"heard from {heard.src}, {age(heard.arrived_ns)}, {len(heard.payload)} bytes: {what}")

@@ -67,7 +67,7 @@ def test_a_planted_fault_is_found_made_small_and_kept(monkeypatch: pytest.Monkey
 
     def step(self: Robot, heard: tuple) -> object:
         outputs = sound(self, heard)
-        said = [sender.newest.estimate for sender in mailbox(self).senders.values() if sender.newest]
+        said = [sender.newest.message for sender in mailbox(self).senders.values() if sender.newest]
         assert_covariances(said)
         return outputs
 

@@ -27,15 +27,16 @@ from msgspec.structs import replace
 
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import NOTHING, Posterior, Prior, Update, Word
-from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.estimation.mode import Me, Mode
 from agent.kernel.estimation.motion import Motion
 from agent.kernel.estimation.moving_target import MovingTarget
 from agent.kernel.estimation.static_target import StaticTarget
 from agent.kernel.estimation.window import WINDOW
-from agent.kernel.messages import Epoch, Gossip, Proposal, Symmetric
+from agent.kernel.messages import Epoch, Estimate, Gossip, Proposal, Symmetric
 from agent.kernel.trust.authority import HEARSAY, Authority, Verify
 from agent.kernel.trust.epoch_vote import EpochVote
+from agent.kernel.trust.letters import Letter
 from agent.kernel.trust.signed import proposal_bytes, verify
 
 CARRIED = 8  # own samples that a new epoch begins with: fewer than it takes to notice a motion
@@ -101,8 +102,8 @@ class Evidence:
         if t > self.t + 1:  # see Paper.adopt
             self.t = t - 1
 
-    def hear(self, letter: Letter) -> tuple[str, ...]:
-        said, src = letter.estimate, letter.estimate.src
+    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+        said, src = letter.message, letter.message.src
         self._authority.heard(src, letter.arrived_ns)
         if self._starts.get(src, said.incarnation) != said.incarnation:
             self._mode.restarted(src)

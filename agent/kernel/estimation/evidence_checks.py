@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from agent.kernel.estimation.matrix import apply, inverse, minus, semidefinite, times, trace
 from agent.kernel.messages import Entry, Sample, Symmetric, Vector
+from agent.kernel.trust.transit import CLOCKS_NS
 
 R_FLOOR_M = 0.001  # no camera of ours knows the target better than this in one sample; guards over-confident vision
 MARGIN_M = 0.2  # a place may lie this far outside the tank before it is nonsense
@@ -18,7 +19,6 @@ LEAST = 1e-6  # 1/m^2, trace of an information that says anything: a sigma of a 
 SLACK = 1e-9  # of the trace: rounding of sums that travelled
 RATE = 1.25  # samples for each iteration of the origin, at most: iterations are not exactly even
 FIRST = 2  # samples that may come before the first iteration is over
-CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
 
 
 class Bounds(NamedTuple):

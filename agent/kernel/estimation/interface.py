@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
-from agent.kernel.estimation.mailbox import Letter, Mailbox
-from agent.kernel.messages import Explain, Gossip, Symmetric, Vector
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.messages import Estimate, Explain, Gossip, Symmetric, Vector
+from agent.kernel.trust.letters import Letter
 
 NOTHING: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -69,7 +70,7 @@ class Estimator(Protocol):
     def adopt(self, t: int) -> None:
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""
 
-    def hear(self, letter: Letter) -> tuple[str, ...]:
+    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
         """Take in a message that the mailbox accepted. Returns the kinds of what in it was not believed."""
 
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:

@@ -1,75 +1,22 @@
-"""The newest message of each neighbour, and how far it can be trusted to be fresh.
-
-Clocks of different robots need not agree. The smallest (arrival - sent) of the last minute stands for the constant
-part of that difference; what a message took beyond it is time it spent queued, and counts as age.
-
-Numbers and stamps may run ahead by what clocks and rates allow, and no more. What is beyond is refused and not
-remembered, so that one wrong number does not silence a neighbour; one that insists is believed (see also transit.py).
-"""
+"""What neighbours said last of one target, and which of them can be used."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from agent.kernel.codec import Refusal
-from agent.kernel.estimation.evidence_checks import CLOCKS_NS
 from agent.kernel.messages import Estimate
-from agent.kernel.trust.transit import Transit
+from agent.kernel.trust.letters import Letters
 
-SAID_HZ = 100  # messages of a neighbour about a target, at most: five times what a fleet file can ask for
-AHEAD_S = 10  # of such messages that may be missing at any time
-INSISTS = 3  # messages in a row whose numbers fell back: a neighbour that had told a wrong one
 LATEST_T = 10**8  # iterations; a year has a third of it at one a second
-TWIN_NS = 10_000_000_000  # two starts of one robot that take turns within this time are two robots
 
 
-class Letter(NamedTuple):
-    """A believed message with its time of arrival on this robot's clock."""
-
-    estimate: Estimate
-    arrived_ns: int
-    late_ns: int  # queued on the way, beyond the quickest message of the last minute
-
-
-class Sender(NamedTuple):
-    """What is kept of one neighbour."""
-
-    heard: int = 0
-    gaps: int = 0
-    newest: Letter | None = None
-    before: tuple[int, int] | None = None  # the incarnation before, and when it was last heard
-    fallen: tuple[int, int] = (0, 0)  # messages in a row that went back, and the number of the last of them
-    doubled_ns: int | None = None  # when two incarnations last took turns
-
-
-class Mailbox:
-    """Newest letter per neighbour; refuses what cannot be a neighbour's next word."""
+class Mailbox(Letters[Estimate]):
+    """Newest letter per neighbour about one target; refuses what cannot be a neighbour's next word."""
 
     def __init__(self, fleet: str, me: str, target: str, neighbours: tuple[str, ...]) -> None:
-        self._fleet, self._me, self._target = fleet, me, target
-        self.senders: dict[str, Sender] = {name: Sender() for name in sorted(neighbours)}
-        self._transit: dict[str, Transit] = {name: Transit() for name in self.senders}
+        super().__init__(fleet, me, neighbours)
+        self._target = target
 
-    def put(self, src: str, estimate: Estimate, arrived_ns: int) -> Letter:
-        """Keep a decoded message that came on the key of `src`. Raises Refusal when it does not belong there."""
-        if src not in self.senders:
-            raise Refusal("address", "not a neighbour")
-        if estimate.src != src:
-            raise Refusal("address", "sender differs from its key")
-        if (estimate.fleet, estimate.dst, estimate.target) != (self._fleet, self._me, self._target):
-            raise Refusal("address", "not addressed to us")
-        if estimate.incarnation > arrived_ns + CLOCKS_NS:
-            raise Refusal("clock", "its clock is more than three hours ahead of ours; set the clocks")
-        sender = self._numbered(src, estimate, arrived_ns)
-        late_ns = self._transit[src].late_ns(arrived_ns - estimate.sent_ns, arrived_ns)
-        letter = Letter(estimate, arrived_ns, late_ns)
-        self.senders[src] = sender._replace(heard=sender.heard + 1, newest=letter, fallen=(0, 0))
-        return letter
-
-    def age_ns(self, src: str, now_ns: int) -> int | None:
-        """How old the newest word of a neighbour is; None when it never spoke."""
-        letter = self.senders[src].newest
-        return None if letter is None else now_ns - letter.arrived_ns + letter.late_ns
+    def _addressed(self, message: Estimate) -> bool:
+        return super()._addressed(message) and message.target == self._target
 
     def usable(self, now_ns: int, validity_ns: int) -> tuple[tuple[str, Estimate], ...]:
         """N_i ∩ S^t: neighbours heard of late that see the target, in the order of their names."""
@@ -77,7 +24,7 @@ class Mailbox:
         for name, sender in self.senders.items():
             age_ns = self.age_ns(name, now_ns)
             if sender.newest is not None and age_ns is not None and age_ns <= validity_ns:
-                estimate = sender.newest.estimate
+                estimate = sender.newest.message
                 if estimate.valid and estimate.x_m is not None:
                     found.append((name, estimate))
         return tuple(found)
@@ -91,46 +38,9 @@ class Mailbox:
         """The iteration that the swarm has reached: the second largest of neighbours heard of late, for one of them may
         lie, or that of the only neighbour that there is; 0 when too few are heard."""
         reached = sorted(
-            sender.newest.estimate.t
+            sender.newest.message.t
             for name, sender in self.senders.items()
             if sender.newest is not None and (self.age_ns(name, now_ns) or 0) <= validity_ns
         )
         needed = min(2, len(self.senders))
         return min(reached[-needed], LATEST_T) if reached and len(reached) >= needed else 0
-
-    def doubled(self, now_ns: int) -> tuple[str, ...]:
-        """Names under which two robots speak."""
-        times = {name: sender.doubled_ns for name, sender in self.senders.items()}
-        return tuple(name for name, at_ns in times.items() if at_ns is not None and now_ns - at_ns <= TWIN_NS)
-
-    def _numbered(self, src: str, estimate: Estimate, arrived_ns: int) -> Sender:
-        """The neighbour with what the number of this message tells. Raises Refusal where it cannot be the next one."""
-        sender = self.senders[src]
-        if sender.newest is None or sender.newest.estimate.incarnation != estimate.incarnation:
-            up_s = max(0, estimate.sent_ns - estimate.incarnation) // 10**9
-            if estimate.seq > SAID_HZ * (up_s + AHEAD_S):
-                raise Refusal("order", "its first number is beyond what it can have said since it started")
-            self._transit[src] = Transit()
-            return _restarted(sender, estimate.incarnation, arrived_ns)
-        newest = sender.newest
-        gap = estimate.seq - newest.estimate.seq - 1
-        if gap < 0:
-            count, last = sender.fallen
-            count = count + 1 if estimate.seq > last or count == 0 else 1
-            if count < INSISTS:
-                self.senders[src] = sender._replace(fallen=(count, estimate.seq))
-                raise Refusal("order", "repeated or out of order")
-            gap = 0
-        elif gap > SAID_HZ * ((arrived_ns - newest.arrived_ns) // 10**9 + AHEAD_S):
-            raise Refusal("order", "its number runs ahead of what it can have said")
-        return sender._replace(gaps=sender.gaps + gap)
-
-
-def _restarted(sender: Sender, incarnation: int, now_ns: int) -> Sender:
-    """A neighbour with a new incarnation; one that returns to the incarnation before is two robots of one name."""
-    newest, before = sender.newest, sender.before
-    returned = before is not None and before[0] == incarnation and now_ns - before[1] <= TWIN_NS
-    return sender._replace(
-        before=None if newest is None else (newest.estimate.incarnation, newest.arrived_ns),
-        doubled_ns=now_ns if returned else sender.doubled_ns,
-    )

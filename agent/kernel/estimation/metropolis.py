@@ -21,10 +21,11 @@ import math
 from collections.abc import Mapping
 
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
-from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.estimation.matrix import trace
 from agent.kernel.estimation.paper import UNKNOWN, mix
 from agent.kernel.messages import Estimate, Explain, Vector
+from agent.kernel.trust.letters import Letter
 
 CLIP = 3.0  # sigma of the own samples' mean: honest neighbours, who share most of their past, are nearer
 
@@ -47,7 +48,7 @@ class Metropolis:
         if t > self.t + 1:  # see Paper.adopt
             self.t = t - 1
 
-    def hear(self, letter: Letter) -> tuple[str, ...]:
+    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
         return ()
 
     def say(self, to: str, now_ns: int) -> Word:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
-from agent.kernel.estimation.evidence_checks import CLOCKS_NS, Bounds
+from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.messages import Explain, Gossip, Symmetric
 from agent.kernel.trust.authority import Authority
+from agent.kernel.trust.transit import CLOCKS_NS
 
 SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
 

@@ -16,8 +16,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
-from agent.kernel.estimation.mailbox import Letter, Mailbox
-from agent.kernel.messages import Explain, Symmetric, Vector
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.messages import Estimate, Explain, Symmetric, Vector
+from agent.kernel.trust.letters import Letter
 
 
 class Paper:
@@ -39,7 +40,7 @@ class Paper:
         if t > self.t + 1:
             self.t = t - 1
 
-    def hear(self, letter: Letter) -> tuple[str, ...]:
+    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
         return ()  # only the newest word counts, and the mailbox has it
 
     def say(self, to: str, now_ns: int) -> Word:

@@ -26,7 +26,9 @@ WALL_M = 0.20  # from a wall, and from the skin of a thing: a ring of 0.17 m and
 TARGET_M = 0.35
 BRAKE_M_S2 = 0.5
 DELAY_S = 0.35  # until a robot brakes: its step, its thrusters, and the age of what it heard
+STOPS_S = 1.0  # without a word of it a robot is not expected to swim on for longer than this
 NEAR_1_S, APART_1_S = 1.0, 1.5  # speed for each metre left, and for each metre too near
+RIGHT = 0.5  # of the speed that is lost to a neighbour, to the right of it; one that waits beside a goal is 27 deg off
 ROUNDS = 20  # where nothing is safe; 6 were not enough among three robots in a small tank
 PARALLEL = 1e-9
 STILL: Planar = (0.0, 0.0)
@@ -40,6 +42,7 @@ class Disc(NamedTuple):
     velocity_m_s: Planar = STILL
     spread_m2: Spread = (0.0, 0.0, 0.0)
     yields: bool = False  # it keeps clear of the robot as well, so that each has half of the way
+    strays_m: float = 0.0  # how far from there it may be by now, for all that anybody knows
 
 
 class HalfPlane(NamedTuple):
@@ -49,15 +52,17 @@ class HalfPlane(NamedTuple):
     least: float
 
 
-def robot(at_m: Planar, velocity_m_s: Planar, spread_m2: Spread, age_s: float = 0.0) -> Disc:
+def robot(at_m: Planar, velocity_m_s: Planar, spread_m2: Spread, age_s: float = 0.0, clear_m: float = RINGS_M) -> Disc:
     """A neighbour as it said that it is, so long ago.
 
-    Where it is by now is less sure: had it braked as hard as it can, it would be three sigmas from where it was going.
+    Where it is by now is less and less sure: it may have braked or turned as hard as it can. One that has long been
+    silent is taken to rest where it was going.
     """
-    (x, y), (vx, vy), (xx, xy, yy) = at_m, velocity_m_s, spread_m2
-    off = 0.5 * BRAKE_M_S2 * age_s * age_s / SIGMAS
-    spread = xx + off * off, xy, yy + off * off
-    return Disc((x + age_s * vx, y + age_s * vy), RINGS_M, velocity_m_s, spread, yields=True)
+    (x, y), (vx, vy) = at_m, velocity_m_s
+    on_s = min(age_s, STOPS_S)
+    moves = velocity_m_s if age_s < STOPS_S else STILL
+    place = x + on_s * vx, y + on_s * vy
+    return Disc(place, clear_m, moves, spread_m2, yields=True, strays_m=0.5 * BRAKE_M_S2 * age_s * age_s)
 
 
 def safe_velocity(
@@ -79,6 +84,17 @@ def safe_velocity(
         *(clear_of(at_m, spread_m2, disc) for disc in robots),
     ]
     return nearest(planes, wanted) or _in_turn(planes, wanted)
+
+
+def keep_right(wanted: Planar, at_m: Planar, spread_m2: Spread, robots: Iterable[Disc]) -> Planar:
+    """The wanted velocity, drawn to the right of the neighbour that is most in its way.
+
+    Two that want to pass each other would stop face to face. Where both keep to the right, both get by.
+    """
+    planes = (clear_of(at_m, spread_m2, disc) for disc in robots)
+    ways = ((least - (u[0] * wanted[0] + u[1] * wanted[1]), u) for u, least in planes)
+    short, (ux, uy) = max(ways, default=(0.0, STILL))
+    return (wanted[0] - RIGHT * short * uy, wanted[1] + RIGHT * short * ux) if short > 0.0 else wanted
 
 
 def nearest(planes: Sequence[HalfPlane], wanted: Planar) -> Planar | None:
@@ -130,7 +146,8 @@ def clear_of(at_m: Planar, spread_m2: Spread, disc: Disc) -> HalfPlane:
     ux, uy = (x / distance_m, y / distance_m) if distance_m > 0.0 else (1.0, 0.0)
     xx, xy, yy = (p + q for p, q in zip(spread_m2, disc.spread_m2, strict=True))
     sigma_m = math.sqrt(max(0.0, ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy))
-    spare_m = distance_m - (disc.clear_m + SIGMAS * sigma_m + MARGIN_M)
+    said_m = distance_m - (disc.clear_m + SIGMAS * sigma_m + MARGIN_M)
+    spare_m = max(said_m - disc.strays_m, min(said_m, 0.0))  # nobody flees from where it only may be
     recedes = ux * disc.velocity_m_s[0] + uy * disc.velocity_m_s[1]
     return HalfPlane((ux, uy), -approach_m_s(spare_m) + (0.5 * recedes if disc.yields else recedes))
 

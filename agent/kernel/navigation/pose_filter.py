@@ -22,7 +22,8 @@ GATE = 16.27  # NIS of three numbers: one in a thousand is larger
 REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
 RATE_RAD_S = math.radians(0.3)  # noise of the gyro
 FIRST_BIAS_RAD_S = math.radians(0.6)
-FIRST = (1e-3, 1e-3, 1e-2, 4e-3, 4e-3, 1e-1)  # variances of v, r and d before anything was learnt
+# Variances of v, r and d before anything was learnt: who was lost swims on for a while, and spins.
+FIRST = (2e-2, 2e-2, 2.5e-1, 4e-3, 4e-3, 1e-1)
 
 State = tuple[float, ...]
 Covariance = tuple[tuple[float, ...], ...]
@@ -66,7 +67,7 @@ class Belief(NamedTuple):
 
 
 def begin(t_ns: int, pose: Vector, covariance: Symmetric, stays: Symmetric = ZERO, gyro: bool = False) -> Belief:
-    """At rest at that pose, nothing learnt."""
+    """At that pose, at rest for all that is known, nothing learnt."""
     xx, xy, xp, yy, yp, pp = covariance
     variances = (*FIRST, FIRST_BIAS_RAD_S * FIRST_BIAS_RAD_S) if gyro else FIRST
     n = 3 + len(variances)

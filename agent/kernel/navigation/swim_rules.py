@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import combinations
 
 from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot
-from agent.kernel.navigation.barrier import MARGIN_M, RINGS_M, WALL_M
+from agent.kernel.navigation.barrier import MARGIN_M, WALL_M
 
 ROUNDING_M = 1e-9  # what a centre less its radius may lack
 
@@ -29,8 +29,8 @@ def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     for (a, one), (b, other) in combinations(fleet.robot.items(), 2):
         key = "behaviour" if isinstance(other.behaviour, Goto) else "pose"
         apart_m = math.dist(_goal(one), _goal(other))
-        if apart_m < RINGS_M + MARGIN_M:
-            why = f"{apart_m:.2f} m from '{a}', and their thrusters touch at {RINGS_M} m; move one of them"
+        if apart_m < (least_m := fleet.navigation.limits.separation_m) + MARGIN_M:
+            why = f"{apart_m:.2f} m from '{a}', and robots keep {least_m} m and a margin apart; move one of them"
             yield f"robot.{b}.{key}", why
 
 

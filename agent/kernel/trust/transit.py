@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
 WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
 BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
 STEP_NS = 200_000_000  # a message that was quicker by more than this tells of another clock, or lies

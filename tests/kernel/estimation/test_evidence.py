@@ -18,8 +18,8 @@ from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
 from agent.kernel.codec import decode
 from agent.kernel.estimation.evidence import ENTRIES
 from agent.kernel.estimation.interface import Prior
-from agent.kernel.estimation.mailbox import Letter
 from agent.kernel.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding, Proposal
+from agent.kernel.trust.letters import Letter
 from tests.kernel.estimation.linked_robots import COV, NAMES, SECOND_NS, Net, line
 from tests.places import ROOT
 

@@ -7,11 +7,12 @@ import msgspec
 import pytest
 
 from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.estimation.evidence_checks import CLOCKS_NS
 from agent.kernel.estimation.evidence_table import INCARNATIONS
 from agent.kernel.estimation.interface import Prior
-from agent.kernel.estimation.mailbox import Letter, Mailbox
+from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.messages import Entry, Estimate, Gossip
+from agent.kernel.trust.letters import Letter
+from agent.kernel.trust.transit import CLOCKS_NS
 from tests.kernel.estimation.linked_robots import COV, NAMES, PUBLIC, SECOND_NS, SIGN, Net
 from tests.sample_messages import estimate
 

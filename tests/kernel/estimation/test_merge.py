@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.kernel.estimation.evidence_checks import CLOCKS_NS, FIRST, Bounds, entry_fault, floored
+from agent.kernel.estimation.evidence_checks import FIRST, Bounds, entry_fault, floored
 from agent.kernel.estimation.evidence_table import INCARNATIONS, Table
 from agent.kernel.estimation.fuse import fuse
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.matrix import plus, times
 from agent.kernel.messages import Entry
+from agent.kernel.trust.transit import CLOCKS_NS
 
 BOUNDS = Bounds(frozenset({"r1", "r2", "r3"}), (1.5, 1.2, 0.8), 1_000_000_000)
 COV = (1e-4, 0.0, 0.0, 4e-4, 1e-5, 1e-4)

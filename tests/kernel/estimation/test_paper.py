@@ -150,7 +150,7 @@ def test_mailbox_counts_gaps_refuses_repeats_and_believes_a_restart() -> None:
     with pytest.raises(Refusal):
         box.put("r2", estimate(seq=6), 0)
     box.put("r2", estimate(seq=0, incarnation=2), 0)
-    assert box.senders["r2"].newest.estimate.incarnation == 2
+    assert box.senders["r2"].newest.message.incarnation == 2
 
 
 def test_a_burst_of_queued_messages_is_old_although_it_just_arrived() -> None:

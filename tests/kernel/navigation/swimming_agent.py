@@ -27,6 +27,7 @@ CAMERA = CameraFit(
 CALIBRATION = Calibration(robot="any", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
 POSE = Pose(x_m=1.0, y_m=0.9, yaw_deg=40.0)
 DEPTH_M = 0.3
+AT_REST = (0.0, 0.0, 0.0)
 
 
 def robot(name="r1", pose=POSE, **about) -> Robot:
@@ -57,11 +58,11 @@ def fleet(*, swims=True, **about) -> Fleet:
 class InTank:
     """One agent, and what is true."""
 
-    def __init__(self, of: Fleet, at=None, seed=None) -> None:
+    def __init__(self, of: Fleet, at=None, seed=None, name="r1", hull=None) -> None:
         """at: x, y and yaw, m and rad; where the file says, if not given. seed: of the errors of what is seen."""
-        pose = of.robot["r1"].pose
-        self.fleet, self.agent = of, Agent(of, "r1", CALIBRATION, incarnation=7)
-        self.body = Swimmer.resting(at or (pose.x_m, pose.y_m, np.radians(pose.yaw_deg)))
+        pose = of.robot[name].pose
+        self.fleet, self.agent = of, Agent(of, name, CALIBRATION, incarnation=7)
+        self.body = Swimmer.resting(at or (pose.x_m, pose.y_m, np.radians(pose.yaw_deg)), hull)
         self.rng = None if seed is None else np.random.default_rng(seed)
         self.now_ns, self.steps, self.frames = START_NS, 0, 0
         self.armed, self.ladder = True, 0
@@ -94,8 +95,9 @@ class InTank:
             self.key = self.now_ns, slopes
         return Flow(t_ns=self.now_ns, since_ns=since_ns, pairs=tuple(map(tuple, pairs.tolist())))
 
-    def step(self, step_ns=STEP_NS, more=()):
-        """One step of the agent; more: landmarks beside those that are seen."""
+    def step(self, step_ns=STEP_NS, more=(), heard=(), pull=AT_REST):
+        """One step of the agent; more: landmarks beside those that are seen; heard: of neighbours; pull: on the body,
+        N, N, N m in the world."""
         self.now_ns += step_ns
         self.steps += 1
         arrived, flows = list(more), []
@@ -107,12 +109,14 @@ class InTank:
             self.coming.append((self.steps + LATE_STEPS, *self.expose()))
         rate = self.rate_rad_s(self.body)
         told = telemetry(self.now_ns, self.depth_m, armed=self.armed, ladder=self.ladder, rate_rad_s=rate)
-        self.inputs = Inputs(telemetry=(told,), landmarks=tuple(arrived) or UNSET, flow=tuple(flows) or UNSET)
+        self.inputs = Inputs(
+            telemetry=(told,), heard=tuple(heard), landmarks=tuple(arrived) or UNSET, flow=tuple(flows) or UNSET
+        )
         self.outputs = self.agent.step(self.inputs, self.now_ns)
         self.state = self.outputs.state or self.state
         wanted = np.array(self.outputs.set_point.servos_us[:2], float)
         self.servos_us += np.clip(wanted - self.servos_us, -SLEW_US, SLEW_US)
-        self.body.swim(self.wrench, step_ns * 1e-9)
+        self.body.swim(self.wrench, step_ns * 1e-9, pull)
         return self.outputs
 
     def run(self, seconds, step_ns=STEP_NS) -> None:

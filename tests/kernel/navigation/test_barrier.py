@@ -74,8 +74,18 @@ def test_a_neighbour_has_half_of_the_way_and_a_fish_none() -> None:
 def test_an_old_word_of_a_neighbour_is_worth_less() -> None:
     old = robot((1.0, 1.0), (0.2, -0.1), (1e-4, 0.0, 1e-4), age_s=0.5)
     assert old.at_m == pytest.approx((1.1, 0.95)) and old.yields
-    off = 0.5 * BRAKE_M_S2 * 0.25 / SIGMAS
-    assert old.spread_m2 == pytest.approx((1e-4 + off**2, 0.0, 1e-4 + off**2))
+    assert old.spread_m2 == (1e-4, 0.0, 1e-4) and old.strays_m == pytest.approx(0.5 * BRAKE_M_S2 * 0.25)
+
+
+def test_one_that_is_silent_is_not_approached_and_nobody_flees_from_it() -> None:
+    """Half a metre to spare by its last word, 0.12 m too little by its age: no nearer, and no further."""
+    here, there = (1.0, 1.0), (1.0, 1.0 + RINGS_M + MARGIN_M + 0.5)
+    for age_s, least in ((0.0, -approach_m_s(0.5)), (1.0, -approach_m_s(0.25)), (1.6, 0.0), (600.0, 0.0)):
+        plane = clear_of(here, KNOWN, robot(there, STILL, KNOWN, age_s))
+        assert plane.least == pytest.approx(least) and plane.normal == pytest.approx((0.0, -1.0))
+    near = (1.0, 1.0 + RINGS_M)  # by its last word
+    assert clear_of(here, KNOWN, robot(near, STILL, KNOWN, 600.0)).least == pytest.approx(APART_1_S * MARGIN_M)
+    assert robot(near, (0.1, 0.0), KNOWN, 600.0).at_m == pytest.approx((1.1, near[1]))  # it does not swim to the moon
 
 
 def test_a_safe_velocity_stays_as_it_is() -> None:

@@ -14,7 +14,7 @@ from agent.kernel import topics
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Entry, Estimate, Gossip
-from agent.links import presence
+from agent.links import tokens
 from agent.transport import Transport
 from tests.network.hostile.bystander import bystander
 from tests.network.rogue import Rogue
@@ -38,7 +38,7 @@ def long(estimate: Estimate) -> Estimate:
 
 
 def test_to_one_that_hangs(make_fleet: Fleets, estimate: Says, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(presence, "LASTING_S", 0.2)
+    monkeypatch.setattr(tokens, "LASTING_S", 0.2)
     fleet, count = make_fleet(FULL), itertools.count(1)
     with ExitStack() as stack:
         r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))

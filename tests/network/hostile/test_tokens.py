@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from agent.kernel import topics
 from agent.kernel.config import Fleet
-from agent.links.presence import FOREIGN, LASTING_S, SESSIONS, Presence
+from agent.links.tokens import FOREIGN, LASTING_S, SESSIONS, Tokens
 from agent.transport import Transport
 from tests.network.conftest import unused_port
 from tests.network.rogue import Rogue
@@ -61,7 +61,7 @@ def test_a_restart_is_no_second_agent(make_fleet: Fleets) -> None:
     with Transport(fleet, "r1", time.time_ns) as r1:
         for _ in range(3):
             with Transport(fleet, "r2", time.time_ns):
-                until(lambda: r1._presence._since_s["r2"])
+                until(lambda: r1._tokens._since_s["r2"])
         assert r1.faults() == ()
 
 
@@ -77,35 +77,35 @@ def alive(fleet: str = "test", robot: str = "r2", session: str = "a") -> Token:
 
 
 @pytest.fixture
-def presence(make_fleet: Fleets) -> Presence:
-    return Presence(make_fleet(FULL), "r1")
+def tokens(make_fleet: Fleets) -> Tokens:
+    return Tokens(make_fleet(FULL), "r1")
 
 
-def told(presence: Presence, now_s: float) -> tuple[str, ...]:
-    return presence.faults("00", lambda key: lambda: None, now_s)
+def told(tokens: Tokens, now_s: float) -> tuple[str, ...]:
+    return tokens.faults("00", lambda key: lambda: None, now_s)
 
 
-def test_two_are_two_only_when_a_lost_link_cannot_be_the_reason(presence: Presence) -> None:
-    presence.token(alive(session="a"), 0.0)
-    presence.token(alive(session="b"), 10.0)
-    assert told(presence, 9.9 + LASTING_S) == ()
-    assert len(told(presence, 10.0 + LASTING_S)) == 1
+def test_two_are_two_only_when_a_lost_link_cannot_be_the_reason(tokens: Tokens) -> None:
+    tokens.token(alive(session="a"), 0.0)
+    tokens.token(alive(session="b"), 10.0)
+    assert told(tokens, 9.9 + LASTING_S) == ()
+    assert len(told(tokens, 10.0 + LASTING_S)) == 1
 
 
-def test_a_thousand_tokens_take_no_room(presence: Presence) -> None:
+def test_a_thousand_tokens_take_no_room(tokens: Tokens) -> None:
     for k in range(1000):
-        presence.token(alive(session=f"{k:x}"), 0.0)
-        presence.token(alive(fleet=f"f{k}"), 0.0)
-        presence.token(alive(robot=f"x{k}"), 0.0)
-        presence.token(alive(fleet="f" * 1000), 0.0)
-        presence.token(Token(topics.TWICE.format(fleet="test", robot="r1", witness=f"x{k}")), 0.0)
-    assert {name: len(since_s) for name, since_s in presence._since_s.items()} == {"r1": 0, "r2": SESSIONS, "r3": 0}
-    assert len(presence._foreign) == FOREIGN
-    assert len(told(presence, LASTING_S)) == 1 + FOREIGN
-    assert all(len(text) < 120 for text in told(presence, LASTING_S))
+        tokens.token(alive(session=f"{k:x}"), 0.0)
+        tokens.token(alive(fleet=f"f{k}"), 0.0)
+        tokens.token(alive(robot=f"x{k}"), 0.0)
+        tokens.token(alive(fleet="f" * 1000), 0.0)
+        tokens.token(Token(topics.TWICE.format(fleet="test", robot="r1", witness=f"x{k}")), 0.0)
+    assert {name: len(since_s) for name, since_s in tokens._since_s.items()} == {"r1": 0, "r2": SESSIONS, "r3": 0}
+    assert len(tokens._foreign) == FOREIGN
+    assert len(told(tokens, LASTING_S)) == 1 + FOREIGN
+    assert all(len(text) < 120 for text in told(tokens, LASTING_S))
 
 
-def test_what_no_agent_would_announce_is_nothing(presence: Presence) -> None:
+def test_what_no_agent_would_announce_is_nothing(tokens: Tokens) -> None:
     for text in ("", "x", "aucamp/test/alive/r2", f"aucamp/test/alive/r2/{os.urandom(4)!r}", "aucamp/A B/alive/r2/a"):
-        presence.token(Token(text), 0.0)
-    assert told(presence, LASTING_S) == ()
+        tokens.token(Token(text), 0.0)
+    assert told(tokens, LASTING_S) == ()

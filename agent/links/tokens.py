@@ -31,7 +31,7 @@ class _Foreign(NamedTuple):
     session: str
 
 
-class Presence:
+class Tokens:
     """What tokens say, as far as it concerns one robot. `token` is called in Zenoh's threads, `faults` in the loop."""
 
     def __init__(self, fleet: Fleet, robot: str) -> None:
