@@ -12,6 +12,7 @@ import pytest
 from agent.kernel.config import ConfigError
 from replay.check.check import check, text
 from replay.check.compare import Difference, differences, distance_ulps
+from replay.check.reexecute import CPU_CLASS
 from replay.files.environment import environment
 from replay.files.log import Record
 from tests.places import GOLDEN
@@ -43,6 +44,11 @@ def nudged(step: int, path: tuple = X, ulps: int = 1):
         return msgpack.packb(outputs)
 
     return change
+
+
+def here() -> dict[str, str]:
+    """What makes a recording one of this machine's class: its floats are to be the same to the bit."""
+    return {name: value for name, value in environment().items() if name in CPU_CLASS}
 
 
 def only(step: int, change):
@@ -103,7 +109,7 @@ def test_a_forged_message_is_seen_although_the_replay_is_identical(tmp_path: Pat
 
 def test_the_first_divergence_has_its_step_field_bits_and_inputs(tmp_path: Path) -> None:
     step = stated(100)
-    file = rewritten(R1, tmp_path / "r1.mcap", nudged(step, ulps=3))
+    file = rewritten(R1, tmp_path / "r1.mcap", nudged(step, ulps=3), run=here())
     checked = check([file])
     assert checked.exit_code == 1
     first = checked.first
@@ -120,7 +126,7 @@ def test_the_first_divergence_has_its_step_field_bits_and_inputs(tmp_path: Path)
 
 def test_one_ulp_in_one_step_is_enough(tmp_path: Path) -> None:
     step = stated(100)
-    checked = check([rewritten(R1, tmp_path / "r1.mcap", only(step, nudged(step)))])
+    checked = check([rewritten(R1, tmp_path / "r1.mcap", only(step, nudged(step)), run=here())])
     assert checked.exit_code == 1
     assert checked.results[0].fields["state.posterior_m"].steps == 1
 
