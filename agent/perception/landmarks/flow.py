@@ -50,6 +50,7 @@ class Tracked(NamedTuple):
     t_ns: int
     points_px: Points  # where each was last seen
     left: Mask  # (n,) which are still followed
+    step_px: float = 0.0  # by which half of them moved, and more, since the frame before
 
     @property
     def due(self) -> bool:
@@ -90,7 +91,8 @@ def follow(tracked: Tracked, image: Image, t_ns: int) -> Tracked:
         inside = ((fine >= 0.0) & (fine <= (full.shape[1] - 1, full.shape[0] - 1))).all(axis=1)
         agree = np.hypot(*(fine - coarse).T) <= AGREE_PX
         left[k], points[k] = seen & seen_too & inside & agree, fine
-    return Tracked(key, t_ns, points, left)
+    went = np.hypot(*(points - tracked.points_px)[left].T)
+    return Tracked(key, t_ns, points, left, float(np.median(went)) if len(went) else np.inf)
 
 
 def flow(tracked: Tracked, camera: CameraFit) -> Flow:

@@ -18,6 +18,7 @@ from agent.perception.landmarks.tags import seen_tags
 from hw.camera.camera import Frame
 
 QUEUE = 64  # frames that nobody has fetched: 6 s
+STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
 WIDER = 1.2  # than a target, what points shall keep away from
 REST_M = 0.9  # where the lens is sharp between sweeps: from 0.5 m on a tag of 8 cm can be read
 
@@ -56,13 +57,14 @@ class LandmarkWatch:
         if lens_position != self.rest:
             found = replace(found, tags=tuple(tag for tag in found.tags if tag.edges))  # blur draws corners inwards
         camera = at_lens_position(self._camera, lens_position)
-        moved = None
+        moved, stopped = None, False
         if self._tracked is not None:
             now = follow(self._tracked, frame.image, t_ns)
             moved = flow(now, camera)
             if lens_position == self.rest:
+                stopped = now.step_px <= STILL_PX < self._tracked.step_px  # after a turn of the gimbal
                 self._tracked = now  # what a blur hides for a while is not lost
-        if lens_position == self.rest and (self._tracked is None or self._tracked.due):
+        if lens_position == self.rest and (self._tracked is None or self._tracked.due or stopped):
             self._tracked = begin(frame.image, camera, t_ns, [box for box in map(_around, targets) if box])
         self._newest_ns = t_ns
         with self._lock:

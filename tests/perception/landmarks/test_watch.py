@@ -109,6 +109,14 @@ def test_a_key_frame_is_followed_until_another_is_due(watch, floor) -> None:
     assert told == [pytest.approx(late_s + 0.3)]
 
 
+def test_a_key_frame_begins_when_the_gimbal_has_stopped(watch, floor) -> None:
+    turned = np.roll(floor, 40, axis=1)
+    for t_s, image in ((1.0, floor), (1.1, turned), (1.2, turned), (1.3, turned), (1.4, turned)):
+        see(watch, image, t_s)
+    told = [round((flow.since_ns - OFFSET_NS) / SECOND, 2) for flow in watch.drain()[1]]
+    assert told == [1.0, 1.0, 1.2, 1.2]
+
+
 def test_points_keep_away_from_targets(watch, floor) -> None:
     roi, ball = Roi(0, 0, 320, 240), (160.0, 120.0)
     found = Sighting(t_ns=0, frame=0, target="ball", found=True, centre_px=ball, radius_px=50.0)
