@@ -216,7 +216,7 @@ class Vision:
         sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
         self._last.update(zip(targets, sightings, strict=True))
         if self._landmarks is not None and searched:
-            self._landmarks.see(frame, self._lens_position, self._clock.camera_offset_ns)
+            self._landmarks.see(frame, self._lens_position, self._clock.camera_offset_ns, sightings)
         self.frames += 1
         with self._changed:
             for sighting in sightings:

@@ -45,8 +45,8 @@ def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) ->
 def reference(
     what: Behaviour, progress: Progress, pose: Vector, now_ns: int, watched_m: Planar | None = None
 ) -> tuple[Reference, Progress]:
-    """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off its
-    yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body.
+    """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off
+    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body.
     """
     turned = progress.turned + wrap(pose[2] - progress.heading)
     progress = progress._replace(turned=turned, heading=pose[2])

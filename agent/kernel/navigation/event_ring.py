@@ -50,9 +50,9 @@ def fix(t_ns: int, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Eve
     return Event(t_ns, "2 fix", 0, (*pose, *fluctuates, *stays))
 
 
-def flow(t_ns: int, since_ns: int, moved: Vector, sigma_m: float, sigma_rad: float) -> Event:
+def flow(t_ns: int, since_ns: int, moved: Vector, covariance: Symmetric) -> Event:
     """Odometry since a key frame (planes.Moved)."""
-    return Event(t_ns, "3 flow", since_ns, (*moved, sigma_m, sigma_rad))
+    return Event(t_ns, "3 flow", since_ns, (*moved, *covariance))
 
 
 def rate(t_ns: int, rate_rad_s: float) -> Event:
@@ -144,7 +144,7 @@ def _apply(belief: Belief, event: Event) -> Belief:
             fluctuates, stays = (v[3], v[4], v[5], v[6], v[7], v[8]), (v[9], v[10], v[11], v[12], v[13], v[14])
             return add_fix(belief, (v[0], v[1], v[2]), fluctuates, stays)
         case "3 flow":
-            return add_flow(belief, event.since_ns, (v[0], v[1], v[2]), v[3], v[4])
+            return add_flow(belief, event.since_ns, (v[0], v[1], v[2]), (v[3], v[4], v[5], v[6], v[7], v[8]))
         case "4 key":
             return keep_key(belief)
         case "5 rate":

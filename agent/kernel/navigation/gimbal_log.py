@@ -17,6 +17,7 @@ from agent.kernel.ranging.camera_model import gimbal_deg
 
 TURNS = 16  # that are remembered: more than a key frame's four seconds hold
 LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
+REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)
 
 
 class Gimbal(NamedTuple):
@@ -29,7 +30,6 @@ class Turn(NamedTuple):
 
     told_ns: int
     leg_ns: int  # when the last leg begins, from below the goal
-    rests_ns: int
     goal_us: tuple[int, int]
 
 
@@ -43,7 +43,7 @@ class GimbalLog:
     def add(self, pointing: Pointing) -> None:
         """Take note of where it is told to turn now."""
         if pointing.goal_us is not None and (not self._turns or self._turns[-1].told_ns != pointing.told_ns):
-            turn = Turn(pointing.told_ns, pointing.last_leg_ns, pointing.steady_from_ns, pointing.goal_us)
+            turn = Turn(pointing.told_ns, pointing.last_leg_ns, pointing.goal_us)
             self._turns.append(turn)
 
     def at(self, t_ns: int) -> Gimbal | None:
@@ -61,4 +61,4 @@ class GimbalLog:
             begins_ns = turn.leg_ns
         if t_ns < begins_ns + LAG_NS:
             return None
-        return Gimbal(gimbal_deg(self._camera, self._body, (pan_us, tilt_us)), t_ns >= turn.rests_ns)
+        return Gimbal(gimbal_deg(self._camera, self._body, (pan_us, tilt_us)), t_ns >= turn.leg_ns + REST_NS)

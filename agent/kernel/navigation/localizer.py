@@ -25,7 +25,7 @@ from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
-from agent.kernel.navigation.tags.tag_priors import Priors, priors
+from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
@@ -50,6 +50,7 @@ class Localizer:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         self._camera, self._focus = calibration.camera, calibration.focus
         self._body, self._surface_m = fleet.body, fleet.tank.surface_m
+        self._water_m = fleet.tank.size_m[0], fleet.tank.size_m[1], fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
         self.hull, self._gyro = Hull(), fleet.navigation.gyro
         self._ring: EventRing | None = None
@@ -90,15 +91,16 @@ class Localizer:
         return not within(then, LOST_M, LOST_DEG) and self._ring.newest.t_ns < then.t_ns
 
     def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
-        """Points of a key frame in a later one; level and gimbal, at rest, at either exposure."""
-        before = self.at(seen.t_ns)
-        if self._ring is None or before is None or self._astray(before):
+        """Points of a key frame in a later one; level and gimbal at either exposure."""
+        key, before = self.at(seen.since_ns), self.at(seen.t_ns)
+        if self._ring is None or key is None or before is None or self._astray(before):
             return
         of = view(self._camera, self._body, self._surface_m, focus)
-        start, end = (whole((0.0, 0.0, 0.0), _priors(carriage, before)) for carriage in (then, now))
-        moved = odometry(of, start, end, seen.pairs)
+        start, end = whole(key.pose, _priors(then, key)), whole(before.pose, _priors(now, before))
+        settling = (not then.gimbal.rests) + (not now.gimbal.rests)
+        moved = odometry(of, start, end, seen.pairs, self._water_m, settling * math.radians(TURNING_DEG))
         if moved is not None:
-            self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad))
+            self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.covariance))
 
     def turning(self, measured: Rate) -> None:
         """A gyro's yaw rate; only of a fleet whose robots have one."""

@@ -1,12 +1,15 @@
-"""How a robot moved since a key frame, from points that were seen on the tank's floor then and are seen there now.
+"""How a robot moved since a key frame, from points of the tank's floor and walls that were seen then and are seen now.
 
-With depth, level and gimbal known at either time, and x = y = psi = 0, the rays of a pair of slopes meet the floor at a
-(then) and b (now), in the robot's upright frame of that time. What turns and shifts b onto a is how the robot moved:
+Where the robot was at the key frame is known to millimetres, so each ray of then meets the floor or a wall at a known
+point a. Now that point is seen in another direction. In the upright frame that the body had at the key frame, the robot
+is at t, turned by dpsi, and sees a at
 
-    dpsi = atan2( sum(b x a), sum(b . a) ) of centred pairs ;  t = mean a - R(dpsi) mean b
+    q = R(dpsi)' (a - t) - o ;  bearing = atan2(q_y, q_x) ;  elevation = atan2(q_z, |q_xy|) + e
 
-Always from the key frame, never from the frame before: noise of the level (0.05 degrees is 1 mm on the floor) would
-make each increment wrong, one after the other.
+t, dpsi and e minimise the sum of squares, by Gauss-Newton. e, by which all points are seen too high alike, is what
+noise of the level does (0.05 degrees, which looks like 6 mm of way on a floor 1.2 m off), or a gimbal that settles.
+
+Always from the key frame, never from the frame before: increments would be wrong one after the other.
 """
 
 from __future__ import annotations
@@ -15,84 +18,147 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.kernel.messages import Vector
+from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.dense import backward, cholesky, forward, inverse
 from agent.kernel.navigation.tags.projection import Theta, Upright, View, direction, upright
 
-FARTHEST_M = 1.2  # of a point on the floor from the camera: beyond, level noise and slant make it worthless
-FEWEST = 12  # pairs on the floor; half of them and more agree
-ROUNDS = 4
-STRAY = 3.0  # times the median residual: beyond it a point was mistaken for another
-AGREE_M = 0.01  # median residual of points that lie on the floor: a pixel is 1 mm at a metre
+FARTHEST_M = 3.0  # of a point from the camera
+FEWEST = 12  # points that agree
+ROUNDS, SETTLED = 5, 1e-4  # m and rad: a tenth of what a point errs; the next step would be a hundredth of that
+STRAY = 3.0  # times the median residual: beyond it a point was mistaken for another, or swims
+SEEN_RAD = 0.0005  # sigma of a point's direction at least: half a pixel
+AGREE_RAD = 0.004  # median residual of points that lie on floor and walls: four pixels
 STANDS_M = 0.002  # sigma of a robot that stays where it is: level noise of two frames
 OF_WAY = 0.008  # and what of the way adds to it
-TURN_RAD = math.radians(0.1)
+TURN_RAD = math.radians(0.05)
+LEVEL_RAD = math.radians(0.07)  # sigma of e: level noise of two frames
 LONGEST_M = 0.5  # new key frames are due every 0.25 m; what is farther than twice that is a mistake
 
 Pair = tuple[float, float, float, float]  # slopes x, y then; x, y now
-Point = tuple[float, float]
+Normal = tuple[list[list[float]], list[float]]
+Box = tuple[float, float, float]  # length, breadth and depth of the water, m
+
+
+class Point(NamedTuple):
+    """A point of floor or wall: where, in the upright frame of then, and in which direction it is seen now."""
+
+    place_m: Vector
+    bearing: float
+    elevation: float
 
 
 class Moved(NamedTuple):
     """The robot now, in the upright frame that it had at the key frame: z of pose_filter.add_flow."""
 
     pose: Vector  # x ahead and y to the left, m; yaw, rad
-    sigma_m: float
-    sigma_rad: float
+    covariance: Symmetric
     pairs: int  # that agreed
 
 
-def odometry(of: View, then: Theta, now: Theta, pairs: Sequence[Pair]) -> Moved | None:
-    """None where too few points are on the floor and agree.
+def odometry(of: View, then: Theta, now: Theta, pairs: Sequence[Pair], box_m: Box, unsettled: float) -> Moved | None:
+    """None where too few points agree.
 
-    then, now: depth, level and gimbal at either exposure; their x, y and psi do not count.
+    then, now: at either exposure; place and yaw of then tell which wall a ray meets, those of now where to begin.
+    unsettled: sigma of the angle that a gimbal which was not at rest may be off by, rad.
     """
     eye_then, eye_now = upright(of, then), upright(of, now)
-    met: list[tuple[Point, Point]] = []
+    points = []
     for x_then, y_then, x_now, y_now in pairs:
-        a, b = on_floor(eye_then, (x_then, y_then)), on_floor(eye_now, (x_now, y_now))
-        if a is not None and b is not None:
-            met.append((a, b))
-    if len(met) < FEWEST:
-        return None
-    kept, pose, median_m = met, _carry(met), 0.0
+        place_m = meets(eye_then, then, (x_then, y_then), box_m)
+        if place_m is not None:
+            x, y, z = direction(eye_now, (x_now, y_now))
+            points.append(Point(place_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y))))
+    state, kept, off, L = [*_between(then, now), 0.0], points, 0.0, None
+    lift = math.hypot(LEVEL_RAD, unsettled)
     for _ in range(ROUNDS):
-        misses = [_miss(pose, a, b) for a, b in met]
-        median_m = sorted(misses)[len(misses) // 2]
-        kept = [pair for pair, miss in zip(met, misses, strict=True) if miss <= STRAY * median_m]
-        pose = _carry(kept)
-    way_m = math.hypot(pose[0], pose[1])
-    if median_m > AGREE_M or way_m > LONGEST_M:
+        if len(kept) < FEWEST:
+            return None
+        H, g = _normal(eye_now, state, kept, lift / max(off, SEEN_RAD))
+        L = cholesky(H)
+        if L is None:
+            return None
+        step = backward(L, forward(L, g))
+        state = [a + b for a, b in zip(state, step, strict=True)]
+        misses = [_miss(eye_now, state, point) for point in points]
+        off = sorted(misses)[len(misses) // 2]
+        kept = [point for point, miss in zip(points, misses, strict=True) if miss <= STRAY * max(off, SEEN_RAD)]
+        if max(map(abs, step)) < SETTLED:
+            break
+    way_m = math.hypot(state[0], state[1])
+    if L is None or len(kept) < FEWEST or off > AGREE_RAD or way_m > LONGEST_M:
         return None
-    return Moved(pose, math.hypot(STANDS_M, OF_WAY * way_m), TURN_RAD, len(kept))
+    C, s2 = inverse(L), max(off, SEEN_RAD) ** 2
+    m2, rad2 = STANDS_M * STANDS_M + (OF_WAY * way_m) ** 2, TURN_RAD * TURN_RAD + unsettled * unsettled
+    covariance = s2 * C[0][0] + m2, s2 * C[0][1], s2 * C[0][2], s2 * C[1][1] + m2, s2 * C[1][2], s2 * C[2][2] + rad2
+    return Moved((state[0], state[1], wrap(state[2])), covariance, len(kept))
 
 
-def on_floor(eye: Upright, slope: Point) -> Point | None:
-    """Where a ray meets the floor, in the robot's upright frame; None where that is far off, or never."""
+def meets(eye: Upright, at: Theta, slope: tuple[float, float], box_m: Box) -> Vector | None:
+    """Where a ray meets floor or wall, in the robot's upright frame, heights above the floor; None where that is too
+    far off, or the surface."""
     x, y, z = direction(eye, slope)
-    length = math.sqrt(x * x + y * y + z * z)
-    if not -z * FARTHEST_M > eye.height_m * length:
+    c, s = math.cos(at[2]), math.sin(at[2])
+    right, back = eye.origin_m[0], eye.origin_m[1]
+    reach = eye.height_m / -z if z < 0.0 else math.inf
+    for where, way, length in (
+        (at[0] + c * right - s * back, c * x - s * y, box_m[0]),
+        (at[1] + s * right + c * back, s * x + c * y, box_m[1]),
+    ):
+        if way != 0.0:
+            reach = min(reach, ((length if way > 0.0 else 0.0) - where) / way)
+    up = eye.height_m + reach * z
+    if not (0.0 < reach * math.sqrt(x * x + y * y + z * z) <= FARTHEST_M and up < box_m[2]):
         return None
-    along = eye.height_m / -z
-    return eye.origin_m[0] + along * x, eye.origin_m[1] + along * y
+    return right + reach * x, back + reach * y, up
 
 
-def _carry(pairs: Sequence[tuple[Point, Point]]) -> Vector:
-    """(x, y, dpsi) with a = R(dpsi) b + (x, y), by least squares."""
-    n = len(pairs)
-    ax = ay = bx = by = 0.0
-    for (px, py), (qx, qy) in pairs:
-        ax, ay, bx, by = ax + px, ay + py, bx + qx, by + qy
-    ax, ay, bx, by = ax / n, ay / n, bx / n, by / n
-    across = along = 0.0
-    for (px, py), (qx, qy) in pairs:
-        px, py, qx, qy = px - ax, py - ay, qx - bx, qy - by
-        across += qx * py - qy * px
-        along += qx * px + qy * py
-    turn = math.atan2(across, along)
-    c, s = math.cos(turn), math.sin(turn)
-    return ax - (c * bx - s * by), ay - (s * bx + c * by), turn
+def _between(then: Theta, now: Theta) -> Vector:
+    """Pose of the second in the frame of the first."""
+    c, s = math.cos(then[2]), math.sin(then[2])
+    east, north = now[0] - then[0], now[1] - then[1]
+    return c * east + s * north, c * north - s * east, wrap(now[2] - then[2])
 
 
-def _miss(pose: Vector, a: Point, b: Point) -> float:
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return math.hypot(a[0] - (c * b[0] - s * b[1] + pose[0]), a[1] - (s * b[0] + c * b[1] + pose[1]))
+def _from(eye: Upright, state: Sequence[float], point: Point) -> tuple[float, float, float, float, float]:
+    """The point from the camera of now, and its place before the eye's own offset is taken off."""
+    c, s = math.cos(state[2]), math.sin(state[2])
+    u, v = point.place_m[0] - state[0], point.place_m[1] - state[1]
+    a, b = c * u + s * v, c * v - s * u
+    return a - eye.origin_m[0], b - eye.origin_m[1], point.place_m[2] - eye.height_m, a, b
+
+
+def _normal(
+    eye: Upright, state: Sequence[float], points: Sequence[Point], lift: float
+) -> tuple[list[list[float]], list[float]]:
+    """J' J and J' r over directions, and the prior of e, whose sigma is `lift` of a direction's."""
+    c, s = math.cos(state[2]), math.sin(state[2])
+    H = [[0.0] * 4 for _ in range(4)]
+    H[3][3] = 1.0 / (lift * lift)
+    g = [0.0, 0.0, 0.0, -state[3] * H[3][3]]
+    for point in points:
+        qx, qy, qz, a, b = _from(eye, state, point)
+        rho2 = max(qx * qx + qy * qy, 1e-6)
+        rho, far2 = math.sqrt(rho2), rho2 + qz * qz
+        level = rho / math.sqrt(far2)  # by which a bearing is less than an angle
+        bx, by = -qy / rho2 * level, qx / rho2 * level  # of the bearing by q
+        ex, ey = -qz * qx / (far2 * rho), -qz * qy / (far2 * rho)  # of the elevation
+        aside = wrap(point.bearing - math.atan2(qy, qx)) * level
+        above = point.elevation - math.atan2(qz, rho) - state[3]
+        for row, miss in (
+            ((-c * bx + s * by, -s * bx - c * by, b * bx - a * by, 0.0), aside),
+            ((-c * ex + s * ey, -s * ex - c * ey, b * ex - a * ey, 1.0), above),
+        ):
+            for i in range(4):
+                g[i] += row[i] * miss
+                for k in range(i + 1):
+                    H[i][k] += row[i] * row[k]
+    return H, g
+
+
+def _miss(eye: Upright, state: Sequence[float], point: Point) -> float:
+    """Angle between where a point is seen and where it should be."""
+    qx, qy, qz, _, _ = _from(eye, state, point)
+    rho = math.hypot(qx, qy)
+    aside = wrap(point.bearing - math.atan2(qy, qx)) * rho / max(math.hypot(rho, qz), 1e-9)
+    return math.hypot(aside, point.elevation - math.atan2(qz, rho) - state[3])

@@ -152,7 +152,7 @@ def keep_key(belief: Belief) -> Belief:
     return belief._replace(x=(*x, *x[:3]), P=(*wider, *wider[:3]), key_ns=belief.t_ns)
 
 
-def add_flow(belief: Belief, since_ns: int, moved: Vector, sigma_m: float, sigma_rad: float) -> Belief:
+def add_flow(belief: Belief, since_ns: int, moved: Vector, covariance: Symmetric) -> Belief:
     """Corrected by odometry: (x, y, yaw) of now, in the frame that the body had at the key frame exposed at since_ns.
 
     Of a key frame that was let go it says nothing any more.
@@ -171,8 +171,8 @@ def add_flow(belief: Belief, since_ns: int, moved: Vector, sigma_m: float, sigma
     )
     turned = wrap(belief.x[2] - key_psi)
     misses = moved[0] - ahead, moved[1] - left, wrap(moved[2] - turned)
-    m2, rad2 = sigma_m * sigma_m, sigma_rad * sigma_rad
-    corrected = _correct(belief, H, misses, ((m2, 0.0, 0.0), (0.0, m2, 0.0), (0.0, 0.0, rad2)))
+    xx, xy, xp, yy, yp, pp = covariance
+    corrected = _correct(belief, H, misses, ((xx, xy, xp), (xy, yy, yp), (xp, yp, pp)))
     return corrected if corrected.nis <= GATE else belief._replace(nis=corrected.nis)
 
 

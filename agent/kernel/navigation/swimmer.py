@@ -104,7 +104,7 @@ class Swimmer:
                 self.localizer.see(frame, carriage)
         for flow in flows:
             then, now = self._carriage_at(flow.since_ns, attitude), self._carriage_at(flow.t_ns, attitude)
-            if then is not None and now is not None and then.gimbal.rests and now.gimbal.rests:
+            if then is not None and now is not None:
                 self.localizer.follow(flow, then, now, lens.get(flow.t_ns))
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)

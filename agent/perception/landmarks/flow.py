@@ -8,6 +8,7 @@ Look in half size first, which is fast and reaches far, then in full size, which
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -23,6 +24,7 @@ from hw.camera.camera import Image
 
 Points = NDArray[np.float32]  # (n, 2) pixels of the full size
 Mask = NDArray[np.bool_]
+Box = tuple[tuple[float, float], tuple[float, float]]  # middle and size, pixels of the full size
 
 POINTS, QUALITY, APART_PX = 150, 0.01, 12.0
 WINDOW_PX = 15  # in either size
@@ -48,6 +50,7 @@ class Tracked(NamedTuple):
     t_ns: int
     points_px: Points  # where each was last seen
     left: Mask  # (n,) which are still followed
+    step_px: float = 0.0  # by which half of them moved, and more, since the frame before
 
     @property
     def due(self) -> bool:
@@ -56,11 +59,18 @@ class Tracked(NamedTuple):
         return old or self.left.sum() < max(KEPT * len(self.left), 1)
 
 
-def begin(image: Image, camera: CameraFit, t_ns: int) -> Tracked:
-    """A key frame: a whole frame (height, width, 3), with the camera at its lens position."""
+def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = ()) -> Tracked:
+    """A key frame: a whole frame (height, width, 3), with the camera at its lens position. No points on what is found
+    in it: that is neither floor nor wall, and may swim."""
     full = green(image)
     half = _halved(full)
-    corners = cv2.goodFeaturesToTrack(half, POINTS, QUALITY, 0.5 * APART_PX)
+    free = np.full(half.shape, 255, np.uint8)
+    for (x, y), (width, height) in around:
+        left, right, top, bottom = (
+            max(0, round(0.5 * edge)) for edge in (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
+        )
+        free[top : bottom + 1, left : right + 1] = 0
+    corners = cv2.goodFeaturesToTrack(half, POINTS, QUALITY, 0.5 * APART_PX, mask=free)
     found = (
         np.zeros((0, 2), np.float32) if corners is None else _from_half(np.asarray(corners, np.float32).reshape(-1, 2))
     )
@@ -81,7 +91,8 @@ def follow(tracked: Tracked, image: Image, t_ns: int) -> Tracked:
         inside = ((fine >= 0.0) & (fine <= (full.shape[1] - 1, full.shape[0] - 1))).all(axis=1)
         agree = np.hypot(*(fine - coarse).T) <= AGREE_PX
         left[k], points[k] = seen & seen_too & inside & agree, fine
-    return Tracked(key, t_ns, points, left)
+    went = np.hypot(*(points - tracked.points_px)[left].T)
+    return Tracked(key, t_ns, points, left, float(np.median(went)) if len(went) else np.inf)
 
 
 def flow(tracked: Tracked, camera: CameraFit) -> Flow:

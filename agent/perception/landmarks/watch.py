@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from threading import Lock
 
 import numpy as np
@@ -10,13 +11,15 @@ from msgspec.structs import replace
 
 from agent.kernel.ranging.calibration import CameraFit, FocusFit, at_lens_position
 from agent.kernel.ranging.focus import lens_position
-from agent.kernel.step_io import Flow, SeenTags
+from agent.kernel.step_io import Flow, SeenTags, Sighting
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes
-from agent.perception.landmarks.flow import Tracked, begin, flow, follow
+from agent.perception.landmarks.flow import Box, Tracked, begin, flow, follow
 from agent.perception.landmarks.tags import seen_tags
 from hw.camera.camera import Frame
 
 QUEUE = 64  # frames that nobody has fetched: 6 s
+STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
+WIDER = 1.2  # than a target, what points shall keep away from
 REST_M = 0.9  # where the lens is sharp between sweeps: from 0.5 m on a tag of 8 cm can be read
 
 
@@ -47,21 +50,22 @@ class LandmarkWatch:
             return 0.0
         return max(0.0, self.period_s - (now_ns - self._newest_ns) * 1e-9)
 
-    def see(self, frame: Frame, lens_position: int | None, offset_ns: int) -> None:
-        """Search a whole frame; `offset_ns` from the camera's clock to the agent's."""
+    def see(self, frame: Frame, lens_position: int | None, offset_ns: int, targets: Sequence[Sighting] = ()) -> None:
+        """Search a whole frame; `offset_ns` from the camera's clock to the agent's. targets: that were found in it."""
         t_ns = frame.t_ns + offset_ns
         found = seen_tags(frame.image, self._camera, lens_position, t_ns, frame.seq)
         if lens_position != self.rest:
             found = replace(found, tags=tuple(tag for tag in found.tags if tag.edges))  # blur draws corners inwards
         camera = at_lens_position(self._camera, lens_position)
-        moved = None
+        moved, stopped = None, False
         if self._tracked is not None:
             now = follow(self._tracked, frame.image, t_ns)
             moved = flow(now, camera)
             if lens_position == self.rest:
+                stopped = now.step_px <= STILL_PX < self._tracked.step_px  # after a turn of the gimbal
                 self._tracked = now  # what a blur hides for a while is not lost
-        if lens_position == self.rest and (self._tracked is None or self._tracked.due):
-            self._tracked = begin(frame.image, camera, t_ns)
+        if lens_position == self.rest and (self._tracked is None or self._tracked.due or stopped):
+            self._tracked = begin(frame.image, camera, t_ns, [box for box in map(_around, targets) if box])
         self._newest_ns = t_ns
         with self._lock:
             self._tags.append(found)
@@ -75,3 +79,12 @@ class LandmarkWatch:
             self._tags.clear()
             self._flows.clear()
         return tags, flows
+
+
+def _around(target: Sighting) -> Box | None:
+    """A found target with the blur around it."""
+    side_px = 2.0 * (target.radius_px or 0.0)
+    size_px = target.size_px or (side_px, side_px)
+    if not target.found or target.centre_px is None:
+        return None
+    return target.centre_px, (WIDER * size_px[0], WIDER * size_px[1])

@@ -4,7 +4,7 @@ import pytest
 
 from agent.kernel.config import Body
 from agent.kernel.control.pointing import APPROACH_NS, PLAY_US, Pointing
-from agent.kernel.navigation.gimbal_log import LAG_NS, GimbalLog
+from agent.kernel.navigation.gimbal_log import LAG_NS, REST_NS, GimbalLog
 from agent.kernel.ranging.camera_model import servos_us
 from tests.kernel.navigation.swimming_agent import CAMERA
 
@@ -24,7 +24,7 @@ def turned():
 
 def test_at_rest_it_is_where_it_was_told(turned) -> None:
     log, pointing = turned
-    for t_ns, pan_deg in ((pointing.told_ns - 1, 0.0), (pointing.steady_from_ns, 30.0), (10 * START_NS, 30.0)):
+    for t_ns, pan_deg in ((pointing.told_ns - 1, 0.0), (pointing.last_leg_ns + REST_NS, 30.0), (10 * START_NS, 30.0)):
         gimbal = log.at(t_ns)
         assert gimbal.rests and gimbal.deg == pytest.approx((pan_deg, 0.0), abs=0.1)
 
@@ -41,7 +41,7 @@ def test_while_it_settles_it_is_about_there_first_below_the_goal(turned) -> None
     for t_ns, deg in (
         (pointing.last_leg_ns - 1, (30.0 - PLAY_DEG, -PLAY_DEG)),
         (pointing.last_leg_ns + LAG_NS, (30.0, 0.0)),
-        (pointing.steady_from_ns - 1, (30.0, 0.0)),
+        (pointing.last_leg_ns + REST_NS - 1, (30.0, 0.0)),
     ):
         gimbal = log.at(t_ns)
         assert not gimbal.rests and gimbal.deg == pytest.approx(deg, abs=0.1)

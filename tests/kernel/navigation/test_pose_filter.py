@@ -25,6 +25,7 @@ from agent.kernel.navigation.pose_filter import (
 HULL, DRIFT = Hull(), Drift(doubt_s=0.0)  # the oracles know the model
 STILL = Drift(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 R = (1e-5, 1e-6, 2e-7, 2e-5, -1e-6, 4e-6)
+FLOW = (9e-6, 0.0, 0.0, 9e-6, 0.0, 4e-6)  # of odometry
 NOTHING = (0.0,) * 6
 START = (1.0, 0.8, 0.5)
 S = 1_000_000_000
@@ -185,10 +186,10 @@ def test_odometry_by_a_clone_is_a_filter_of_both_poses() -> None:
             V = np.diag([0.003**2, 0.003**2, 0.002**2])
             gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
             x, P = x + gain @ (z - moved(x)), P - gain @ H @ P
-            belief = add_flow(belief, t_ns, tuple(z.tolist()), 0.003, 0.002)
+            belief = add_flow(belief, t_ns, tuple(z.tolist()), FLOW)
     np.testing.assert_allclose(belief.x, x, rtol=0, atol=1e-12)
     np.testing.assert_allclose(belief.P, P, rtol=0, atol=1e-12)
-    assert add_flow(belief, t_ns - 1, (0.0, 0.0, 0.0), 0.003, 0.002) == belief  # of a key frame long gone
+    assert add_flow(belief, t_ns - 1, (0.0, 0.0, 0.0), FLOW) == belief  # of a key frame long gone
 
 
 # --- what cannot be ---------------------------------------------------------------------------------------------
@@ -228,7 +229,7 @@ def story(rng):
     for key, nows in ((107, (207, 307, 407)), (407, (507, 607))):
         for now in nows:
             moved = tuple(rng.normal(0, 0.003, 3))
-            events.append(flow(first_ns + now * 1_000_000, first_ns + key * 1_000_000, moved, 0.003, 0.01))
+            events.append(flow(first_ns + now * 1_000_000, first_ns + key * 1_000_000, moved, FLOW))
     return events
 
 

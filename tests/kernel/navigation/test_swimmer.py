@@ -8,6 +8,8 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Goto, Look, Orbit, Turn
 from agent.kernel.core import Agent
 from agent.kernel.navigation.event_ring import RING_NS
+from agent.kernel.navigation.localizer import UNSURE_DEG, UNSURE_M, within
+from agent.kernel.navigation.swimmer import ARRIVED_NS
 from agent.kernel.net import SURFACE_M
 from tests.kernel.navigation.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
 
@@ -122,6 +124,34 @@ def test_a_floor_that_is_followed_keeps_it_from_being_lost() -> None:
         one.run(5.0)
         lost.append(one.agent.swimmer.lost)
     assert lost == [False, True]
+
+
+def test_after_a_sweep_it_waits_for_sharp_frames_before_it_glances() -> None:
+    one = InTank(fleet(look=Look(pan_deg=20.0)))
+    assert one.until(lambda: not one.agent.swimmer.lost, 4.0)
+    one.run(2.0)
+    one.sees_tags, swimmer, at_us = False, one.agent.swimmer, one.agent.seek.pointing.goal_us
+    for _ in range(60):
+        swimmer._swept_ns = one.now_ns  # as if one sweep followed the other
+        one.step()
+    assert one.agent.seek.pointing.goal_us == at_us and not within(
+        swimmer.localizer.at(one.now_ns), UNSURE_M, UNSURE_DEG
+    )
+    one.run(ARRIVED_NS * 1e-9 - 0.05)
+    assert one.agent.seek.pointing.goal_us == at_us
+    one.run(0.1)
+    assert one.agent.seek.pointing.goal_us != at_us
+
+
+def test_no_sweep_begins_while_it_swims_fast() -> None:
+    one = InTank(fleet(), ASTRAY)
+    assert not one.agent.swimmer.calm(one.now_ns)  # it does not even know where it is
+    assert one.until(lambda: not one.agent.swimmer.lost, 4.0)
+    calm, fast = [], []
+    for _ in range(120):
+        one.step()
+        (fast if np.hypot(*one.body.speed[:2]) > 0.2 else calm).append(one.agent.swimmer.calm(one.now_ns))
+    assert fast and not any(fast) and calm[-1]
 
 
 # --- what the file says ------------------------------------------------------------------------------------------

@@ -45,6 +45,16 @@ def test_points_are_where_the_floor_is(tracks):
         assert error.max() < 2.0
 
 
+def test_no_points_are_on_what_was_found(frames):
+    box = (300.0, 200.0), (160.0, 120.0)
+    everywhere, around = begin(frames[0], CAMERA, 0), begin(frames[0], CAMERA, 0, [box])
+
+    def inside(tracked):
+        return (np.abs(tracked.key.points_px - box[0]) < np.array(box[1]) / 2 - 1.0).all(axis=1)
+
+    assert inside(everywhere).any() and not inside(around).any() and len(around.key.points_px) > 50
+
+
 def test_a_new_key_frame_is_due_when_the_old_one_goes_out_of_sight(tracks):
     assert not tracks[1].due
     lost = tracks[1]._replace(left=np.arange(len(tracks[1].left)) < 0.5 * len(tracks[1].left))

@@ -7,7 +7,9 @@ import pytest
 
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.focus import lens_position
+from agent.kernel.step_io import Sighting
 from agent.perception.landmarks.flow import OLDEST_NS
+from agent.perception.landmarks.slopes import to_pixels
 from agent.perception.landmarks.watch import QUEUE, REST_M, LandmarkWatch
 from hw.camera.camera import Frame, Roi
 from tests.known_lens import PLAIN
@@ -105,6 +107,25 @@ def test_a_key_frame_is_followed_until_another_is_due(watch, floor) -> None:
     see(watch, floor, late_s + 0.4)
     told = [(flow.since_ns - OFFSET_NS) / SECOND for flow in watch.drain()[1]]
     assert told == [pytest.approx(late_s + 0.3)]
+
+
+def test_a_key_frame_begins_when_the_gimbal_has_stopped(watch, floor) -> None:
+    turned = np.roll(floor, 40, axis=1)
+    for t_s, image in ((1.0, floor), (1.1, turned), (1.2, turned), (1.3, turned), (1.4, turned)):
+        see(watch, image, t_s)
+    told = [round((flow.since_ns - OFFSET_NS) / SECOND, 2) for flow in watch.drain()[1]]
+    assert told == [1.0, 1.0, 1.2, 1.2]
+
+
+def test_points_keep_away_from_targets(watch, floor) -> None:
+    roi, ball = Roi(0, 0, 320, 240), (160.0, 120.0)
+    found = Sighting(t_ns=0, frame=0, target="ball", found=True, centre_px=ball, radius_px=50.0)
+    lost = Sighting(t_ns=0, frame=0, target="fish", found=False)
+    for k in range(2):
+        watch.see(Frame(k * SECOND // 10, k, floor, roi), watch.rest, OFFSET_NS, [found, lost])
+    (_, (flow,)) = watch.drain()
+    then = to_pixels(CAMERA, np.array(flow.pairs)[:, :2])
+    assert (np.abs(then - ball) > 55.0).any(axis=1).all()
 
 
 def test_a_lens_that_does_not_move_is_always_at_rest(watch, floor) -> None:
