@@ -14,7 +14,7 @@ from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
@@ -23,7 +23,7 @@ from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
 from agent.kernel.navigation.tags.tag_priors import Priors, priors
-from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.calibration import BodyFit, CameraFit
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
 
@@ -39,11 +39,11 @@ Carriage = tuple[Attitude, Gimbal]  # of the camera, at one moment
 class Localizer:
     """Of one robot."""
 
-    def __init__(self, fleet: Fleet, camera: CameraFit) -> None:
+    def __init__(self, fleet: Fleet, camera: CameraFit, hull: Hull) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         self._camera, self._body, self._surface_m = camera, fleet.body, fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
-        self.hull, self._gyro = Hull(), fleet.navigation.gyro
+        self.hull, self._gyro = hull, fleet.navigation.gyro
         self._ring: EventRing | None = None
         self._asked = STILL
         self._fixes_ns: deque[int] = deque()
@@ -113,6 +113,11 @@ class Localizer:
         """Where it was or is; None: nobody knows."""
         return None if self._ring is None else self._ring.at(t_ns)
 
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What has told it of its motion in the last moments, oldest first: forces asked for, fixes, rates."""
+        return () if self._ring is None else self._ring.events
+
     def shown(self, now_ns: int) -> Whereabouts | None:
         """For whoever looks: with what stays the same in every fix. None where it is lost."""
         here = self.at(now_ns)
@@ -137,6 +142,13 @@ class Localizer:
         self._sampled_ns = t_ns
         factor = kappa(max(since_s, 0.1), longest_gap_s(self._fixes_ns, now_ns))
         return there, OwnPose(there.covariance, there.stays, factor)
+
+
+def hull_of(fit: BodyFit | None) -> Hull:
+    """A robot's own constants where they were measured (`aucamp calibrate body`), else those of robots like it."""
+    if fit is None:
+        return Hull()
+    return Hull(fit.mass_kg, fit.drag, fit.drag2, fit.inertia_kgm2, fit.turn_drag, fit.turn_drag2, fit.lag_s)
 
 
 def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:

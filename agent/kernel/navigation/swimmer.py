@@ -27,6 +27,7 @@ from agent.kernel.navigation.localizer import (
     Carriage,
     Gimbal,
     Localizer,
+    hull_of,
     within,
 )
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
@@ -58,7 +59,7 @@ class Swimmer:
         there, self._limits = robot.pose, fleet.navigation.limits
         self._behaviour = robot.behaviour or Goto(x_m=there.x_m, y_m=there.y_m, yaw_deg=there.yaw_deg)
         self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
-        self.localizer = Localizer(fleet, calibration.camera)
+        self.localizer = Localizer(fleet, calibration.camera, hull_of(calibration.body))
         self._gyro = Gyro() if fleet.navigation.gyro else None
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
         self._glancing = False
@@ -150,6 +151,8 @@ class Swimmer:
     def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         before = self._progress or start(here.pose, 0.0, now_ns)
         to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
+        if to.coast:
+            return STILL
         to = to._replace(speed_m_s=self._limits.speed_m_s, turn_rad_s=math.radians(self._limits.turn_deg_s))
         if to.depth_m is not None:
             self._depth_m = to.depth_m
