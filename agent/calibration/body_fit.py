@@ -8,7 +8,7 @@ and the water's gusts, which the filter follows, are not taken for drag.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 PRIOR = np.array([0.7] * 6 + [0.2])
 # What disturbs a robot that is calibrated: a tether's pull of 0.05 N that forgets itself in 4 s, and no more.
 QUIET = Drift(speed=0.005, rate=0.02, push=0.006, twist=0.02)
-FARTHEST = 50.0  # NIS of a fix beyond which it is none, whatever the constants are
 MIN_FIXES, MIN_SPEED_M_S, MIN_RATE_RAD_S = 60, 0.12, 0.3
 MIN_COAST_S = 5.0  # of moving without force, altogether
 HUBER = 2.5  # standard deviations, beyond which a fix pulls with constant force
@@ -120,15 +119,15 @@ def whitened(of: Hull, trial: Trial) -> Array:
 
 
 def _corrected(belief: Belief, fix: Event) -> tuple[Belief, list[float]]:
-    """The belief after a fix, and the three whitened numbers by which that was missed."""
+    """The belief after a fix, and the three whitened numbers by which that was missed.
+
+    None is refused: with constants that are far off, a filter that refuses fixes loses its way.
+    """
     pose, R = _fix(fix)
     P = np.array(belief.P)
     y = np.array([pose[0] - belief.x[0], pose[1] - belief.x[1], wrap(pose[2] - belief.x[2])])
     L = np.linalg.cholesky(P[:3, :3] + R)
     e = np.linalg.solve(L, y)
-    nis = float(e @ e)
-    if nis > FARTHEST:
-        return belief, (e * math.sqrt(FARTHEST / nis)).tolist()
     G = np.linalg.solve(L, P[:3])  # P H' S^-1 = G' L^-1
     x = np.array(belief.x) + G.T @ e
     x[2] = wrap(x[2])
