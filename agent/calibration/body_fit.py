@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from agent.calibration.fit import CalibrationRefused
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import Hull
+from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import Event
 from agent.kernel.navigation.pose_filter import RATE_RAD_S, Belief, Drift, add_rate, begin, predict
 from agent.kernel.ranging.calibration import BodyFit
@@ -102,12 +103,15 @@ def whitened(of: Hull, trial: Trial) -> Array:
     events = trial.events
     first = next(i for i, event in enumerate(events) if event.kind == "2 fix")
     pose, _ = _fix(events[first])
+    before = [_wrench(event) for event in events[:first] if event.kind == "1 asked"]
+    acting = before[-1] if before else (0.0, 0.0, 0.0)
     belief = begin(events[first].t_ns, pose, _six(events[first]), gyro=trial.gyro)
+    belief = belief._replace(asked=acting, force=acting)
     out: list[float] = []
     for event in events[first + 1 :]:
         belief = predict(belief, of, QUIET, event.t_ns)
         if event.kind == "1 asked":
-            belief = belief._replace(asked=(event.values[0], event.values[1], event.values[2]))
+            belief = belief._replace(asked=_wrench(event))
         elif event.kind == "2 fix":
             belief, missed = _corrected(belief, event)
             out += missed
@@ -141,6 +145,11 @@ def _fix(event: Event) -> tuple[tuple[float, float, float], Array]:
     return (x, y, psi), np.array([[xx, xy, xp], [xy, yy, yp], [xp, yp, pp]])
 
 
+def _wrench(event: Event) -> Wrench:
+    ahead, left, moment = event.values
+    return ahead, left, moment
+
+
 def _six(event: Event) -> tuple[float, float, float, float, float, float]:
     xx, xy, xp, yy, yp, pp = event.values[3:9]
     return xx, xy, xp, yy, yp, pp
@@ -158,7 +167,7 @@ def _check(trial: Trial) -> int:
     moments = [abs(event.values[2]) for event in asked]
     coasts_s = sum(
         (after.t_ns - event.t_ns) * 1e-9
-        for event, after in zip(asked, asked[1:], strict=False)
+        for event, after in pairwise(asked)
         if not any(event.values) and after.t_ns > event.t_ns
     )
     if max(forces, default=0.0) < 0.5 or max(moments, default=0.0) < 0.02 or coasts_s < MIN_COAST_S:

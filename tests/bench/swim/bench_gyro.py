@@ -38,6 +38,13 @@ def held(seed: int, gyro: bool) -> dict[str, float]:
     }
 
 
+def run() -> dict[str, dict]:
+    """Two seeds; more by hand."""
+    without, with_one = ([held(seed, gyro)["yaw_rms_deg"] for seed in (1, 2)] for gyro in (False, True))
+    mean, against = float(np.mean(with_one)), float(np.mean(without))
+    return {"hold_yaw_with_gyro": {"value": mean, "unit": "deg rms", "against": "without one", "ratio": mean / against}}
+
+
 if __name__ == "__main__":
     for seed in map(int, sys.argv[1:]):
         for gyro in (False, True):

@@ -1,7 +1,7 @@
 """A robot that swims in the twin's water by its own agent and the real firmware; its tags come from distributions.
 
-Body, thrusters, tether, current, servos and pressure are the twin's, drawn by its seed; frames are not rendered: what the
-camera would see of the tags is projected, with the noise that corners have. So minutes take seconds.
+Body, thrusters, tether, current, servos and pressure are the twin's, drawn by its seed; frames are not rendered: what
+the camera would see of the tags is projected, with the noise that corners have. So minutes take seconds.
 """
 
 from __future__ import annotations
