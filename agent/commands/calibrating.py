@@ -58,3 +58,14 @@ def calibrate_gamma(
     from agent.calibration.gamma import run
 
     run(folder, out, terminal())
+
+
+@app.command("body", epilog="Example: aucamp calibrate body runs/trial/r1.mcap --out calibration/r1.toml")
+def calibrate_body(
+    recording: Annotated[Path, typer.Argument(metavar="FILE", help="Black box of a robot with behaviour 'trial'.")],
+    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[body] is to be written.")] = None,
+) -> None:
+    """Mass, inertia and drag of a robot that swims, from the recording of a trial."""
+    from agent.calibration.body import run
+
+    run(recording, out, terminal())

@@ -145,7 +145,17 @@ class Orbit(Struct, frozen=True, kw_only=True, tag_field="kind", tag="orbit"):
     speed_m_s: float = 0.1  # positive: anticlockwise, seen from above
 
 
-Behaviour = Hold | Goto | Turn | Orbit
+class Trial(Struct, frozen=True, kw_only=True, tag_field="kind", tag="trial"):
+    """Swim what `aucamp calibrate body` reads mass and drag from, to and fro along yaw_deg, and turning."""
+
+    x_m: float  # the middle
+    y_m: float
+    yaw_deg: float = 0.0
+    half_m: Positive = 0.5  # from the middle to where legs begin, and nearly to where their coasts end
+    speed_m_s: Positive = 0.25  # of the faster legs
+
+
+Behaviour = Hold | Goto | Turn | Orbit | Trial
 
 
 class Robot(Struct, frozen=True, kw_only=True):

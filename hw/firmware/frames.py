@@ -19,7 +19,7 @@ _MAX_TEXT = const(48)  # bytes of a LOG line
 _LOG = const(0x04)
 _RESIDUE = const(0x2144DF1C)  # CRC-32 of anything with its own CRC-32 behind it
 
-# Payloads by type. LOG alone has a tail: its text in UTF-8. What the board builds by hand and never hears is in wire.py.
+# Payloads by type. LOG alone has a tail: its text in UTF-8. TELEM, which the board builds by hand, is in wire.py.
 FORMAT = {
     0x01: "<IBBH4ihhh3h8H4HHHBBBBH",  # TELEM_1
     0x02: "<IHHhHIIHHBB",  # STATUS

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Turn
+from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Trial, Turn
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
 from agent.kernel.navigation.pilot import Reference
+from agent.kernel.navigation.trial import Stage, trial
 
 THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived: so near, for so long
 NEAR_M = 0.10  # to the goal: the way has no direction any more
@@ -33,6 +34,7 @@ class Progress(NamedTuple):
     heading: float  # the yaw that `turned` was last counted at
     turned_first: float  # `turned` at the start
     there_ns: int | None = None  # since when it is where it shall be
+    stage: Stage = Stage()  # of a trial
 
 
 def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) -> Progress:
@@ -60,8 +62,11 @@ def reference(
             to = Reference((what.x_m, what.y_m), progress.yaw, depth_m=what.depth_m)
         case Orbit():
             to = _on_orbit(what, progress, now_ns)
+        case Trial():
+            to, stage = trial(what, progress.stage, pose, now_ns)
+            progress = progress._replace(stage=stage)
     there_ns = _there_since(to, progress, pose, now_ns) if isinstance(what, Goto | Turn) else None
-    done = there_ns is not None and now_ns - there_ns >= THERE_NS
+    done = to.done or (there_ns is not None and now_ns - there_ns >= THERE_NS)
     return to._replace(yaw=unwound(to.yaw, pose[2], turned), done=done), progress._replace(there_ns=there_ns)
 
 

@@ -76,6 +76,11 @@ class EventRing:
     def newest(self) -> Belief:
         return self._beliefs[-1] if self._beliefs else self._settled[-1]
 
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Those that may still be followed by earlier ones."""
+        return tuple(self._events)
+
     def add(self, event: Event) -> bool:
         """Take in an event, whatever came before; False: it came too late. A flow brings the key frame that it is
         measured from."""

@@ -15,7 +15,7 @@ from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import odometry
@@ -26,7 +26,7 @@ from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
 from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors
-from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.calibration import BodyFit, Calibration
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
 
@@ -52,7 +52,7 @@ class Localizer:
         self._body, self._surface_m = fleet.body, fleet.tank.surface_m
         self._water_m = fleet.tank.size_m[0], fleet.tank.size_m[1], fleet.tank.surface_m
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
-        self.hull, self._gyro = Hull(), fleet.navigation.gyro
+        self.hull, self._gyro = hull_of(calibration.body), fleet.navigation.gyro
         self._ring: EventRing | None = None
         self._asked = STILL
         self._fixes_ns: deque[int] = deque()
@@ -124,6 +124,11 @@ class Localizer:
         """Where it was or is; None: nobody knows."""
         return None if self._ring is None else self._ring.at(t_ns)
 
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What has told it of its motion in the last moments, oldest first: forces asked for, fixes, rates."""
+        return () if self._ring is None else self._ring.events
+
     def shown(self, now_ns: int) -> Whereabouts | None:
         """For whoever looks: with what stays the same in every fix. None where it is lost."""
         here = self.at(now_ns)
@@ -148,6 +153,13 @@ class Localizer:
         self._sampled_ns = t_ns
         factor = kappa(max(since_s, 0.1), longest_gap_s(self._fixes_ns, now_ns))
         return there, OwnPose(there.covariance, there.stays, factor)
+
+
+def hull_of(fit: BodyFit | None) -> Hull:
+    """A robot's own constants where they were measured (`aucamp calibrate body`), else those of robots like it."""
+    if fit is None:
+        return Hull()
+    return Hull(fit.mass_kg, fit.drag, fit.drag2, fit.inertia_kgm2, fit.turn_drag, fit.turn_drag2, fit.lag_s)
 
 
 def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:

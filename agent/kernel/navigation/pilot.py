@@ -42,6 +42,7 @@ class Reference(NamedTuple):
     speed_m_s: float = SPEED_M_S  # at most, beside that of the reference
     turn_rad_s: float = TURN_RAD_S
     done: bool = False
+    coast: bool = False  # without any force
 
 
 def wanted_velocity(belief: Belief, to: Reference) -> Planar:

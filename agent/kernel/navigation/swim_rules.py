@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 
-from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot
-from agent.kernel.navigation.barrier import MARGIN_M, WALL_M
+from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot, Trial
+from agent.kernel.navigation.barrier import MARGIN_M, RINGS_M, WALL_M
 
 ROUNDING_M = 1e-9  # what a centre less its radius may lack
 
@@ -46,10 +46,15 @@ def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
         if what.depth_m is not None and what.depth_m > fleet.tank.surface_m:
             return f"{what.depth_m} m is below the floor; the water is {fleet.tank.surface_m} m deep"
         return _outside(fleet, what.x_m, what.y_m)
-    if isinstance(what, Orbit):
+    if isinstance(what, Orbit | Trial):
         assert fleet.navigation is not None
         if abs(what.speed_m_s) > (most := fleet.navigation.limits.speed_m_s):
             return f"{abs(what.speed_m_s)} m/s is faster than navigation.limits.speed_m_s, {most}; swim slower"
+    if isinstance(what, Trial):
+        heading = math.radians(what.yaw_deg)
+        x, y = what.half_m * math.cos(heading), what.half_m * math.sin(heading)
+        return _outside(fleet, what.x_m - x, what.y_m - y) or _outside(fleet, what.x_m + x, what.y_m + y)
+    if isinstance(what, Orbit):
         (x, y), r = (what.x_m, what.y_m), what.radius_m
         return _outside(fleet, x - r, y - r) or _outside(fleet, x + r, y + r)
     return None

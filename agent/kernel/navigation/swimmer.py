@@ -171,6 +171,8 @@ class Swimmer:
         before = self._progress or start(here.pose, 0.0, now_ns, self._home)
         to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
         self._to = to
+        if to.coast:
+            return STILL
         share = pace(here)
         turn_rad_s = math.radians(self._limits.turn_deg_s)
         to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)

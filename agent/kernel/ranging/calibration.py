@@ -60,12 +60,28 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     noise_deg: Positive = 0.1  # repeatability of the gimbal
 
 
+class BodyFit(Struct, frozen=True, kw_only=True):
+    """How a robot moves in the plane for each newton that it asks of its thrusters, whatever these then really give."""
+
+    mass_kg: Positive  # with the water that moves along
+    drag: Positive  # N s/m
+    drag2: Positive  # N s^2/m^2
+    inertia_kgm2: Positive  # likewise
+    turn_drag: Positive  # N m s
+    turn_drag2: Positive  # N m s^2
+    lag_s: Positive  # of the thrusters
+    sigma: tuple[float, float, float, float, float, float, float]  # relative standard deviations, in this order
+    misfit: Positive  # rms of the whitened residuals; 1 where the filter's noise is as large as it believes
+    fixes: int  # poses that it was fitted to
+
+
 class Calibration(Struct, frozen=True, kw_only=True):
     robot: str
     made: str  # date, UTC
     source: str  # what was in front of which camera
     focus: FocusFit
     camera: CameraFit
+    body: BodyFit | None = None  # none: of a robot like others; only one that swims needs it
 
 
 def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFit:
