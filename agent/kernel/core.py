@@ -54,7 +54,7 @@ class Agent:
         self.seek = Seek(fleet, robot, calibration)
         self.swimmer = Swimmer(fleet, name, calibration, incarnation) if fleet.navigation else None
         self.attitude = AttitudeLog()
-        neighbours = self.swimmer.neighbours if self.swimmer else None
+        neighbours = self.swimmer.company.neighbours if self.swimmer else None
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours)
         self.status = Status(fleet.fleet, name, incarnation)
         self.net = Net()
@@ -217,7 +217,7 @@ class Agent:
         """What is wrong by the kernel's own account, beside what the host says."""
         told = () if inputs.faults is UNSET else inputs.faults
         ours = self.net.fault(now_ns)
-        silent = () if self.swimmer is None else self.swimmer.neighbours.faults(now_ns)
+        silent = () if self.swimmer is None else self.swimmer.company.neighbours.faults(now_ns)
         faults = (*told, *self.inbox.faults(now_ns), *silent, *(() if ours is None else (ours,)))
         return msgspec.structs.replace(inputs, faults=faults) if faults else inputs
 

@@ -101,12 +101,12 @@ def test_a_step_takes_it_from_the_key_of_its_sender_alone() -> None:
     agent = Agent(FLEET, "r01", CALIBRATION, incarnation=7)
     item = Heard(arrived_ns=2 * S, src="r02", payload=encode(presence()), topic="near")
     assert taken(agent.inbox, replace(item, src="r03")) == {"address": 1}
-    assert taken(agent.inbox, item) == {"address": 1} and len(agent.swimmer.neighbours.discs(3 * S)) == 1
+    assert taken(agent.inbox, item) == {"address": 1} and len(agent.swimmer.company.neighbours.discs(3 * S)) == 1
     assert taken(agent.inbox, replace(item, payload=b"\xc1"))["garbage"] == 1
     nan = encode(presence(seq=2)).replace(encode_float(0.2), encode_float(float("nan")))
     assert taken(agent.inbox, replace(item, payload=nan))["content"] == 1
     assert taken(agent.inbox, replace(item, payload=item.payload + bytes(NEAR.limit)))["size"] == 1
-    assert len(agent.swimmer.neighbours.discs(3 * S)) == 1
+    assert len(agent.swimmer.company.neighbours.discs(3 * S)) == 1
 
 
 def encode_float(value: float) -> bytes:
