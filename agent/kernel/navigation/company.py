@@ -3,6 +3,7 @@ for landmarks."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from msgspec.structs import replace
@@ -10,7 +11,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Fleet
 from agent.kernel.estimation.matrix import plus
 from agent.kernel.navigation.barrier import DELAY_S, Disc, Planar, Spread, keep_right, safe_velocity
-from agent.kernel.navigation.localizer import UNSURE_DEG, UNSURE_M, within
+from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, UNSURE_DEG, UNSURE_M, within
 from agent.kernel.navigation.neighbours import Neighbours, content_fault
 from agent.kernel.navigation.pilot import Reference
 from agent.kernel.navigation.pose_filter import Belief
@@ -39,25 +40,21 @@ class Company:
         wanted = keep_right(wanted, at_m, spread_m2, robots)
         return safe_velocity(wanted, at_m, spread_m2, self._tank_m, things, robots)
 
-    def waits(self, here: Belief | None, now_ns: int) -> bool:
-        """Whether it leaves it to others to look for landmarks just now, asked before each step of a look: one of a
-        fleet at a time, so that the target is watched. Who is worse off than that a wait could be afforded looks."""
+    def waits(self, here: Belief | None, looks: bool, now_ns: int) -> bool:
+        """Whether it leaves it to others to look for landmarks just now: one of a fleet at a time, so that the target
+        is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it does."""
+        since_ns = self._looks_since_ns = (self._looks_since_ns or now_ns) if looks else None
         if here is None or not within(here, WAIT_WITHIN * UNSURE_M, WAIT_WITHIN * UNSURE_DEG):
             return False
-        others, since_ns = self.neighbours.glancing(now_ns), self._looks_since_ns
+        others = self.neighbours.glancing(now_ns)
         if since_ns is None:
             return bool(others)
         return now_ns - since_ns < YIELD_NS and any(name < self._name for name in others)
 
-    def looks(self, at_landmarks: bool, now_ns: int) -> None:
-        """What its camera is at now."""
-        if not at_landmarks:
-            self._looks_since_ns = None
-        elif self._looks_since_ns is None:
-            self._looks_since_ns = now_ns
-
-    def say(self, here: Belief, behaviour: str, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
-        """Where it is and where it goes, to each neighbour."""
+    def say(
+        self, here: Belief, behaviour: str, looks: bool, depth_m: float, seq: int, now_ns: int
+    ) -> tuple[Presence, ...]:
+        """Where it is and where it goes, to each neighbour; looks: its camera is at landmarks."""
         to = self._goal or Reference(here.pose[:2], here.pose[2])
         said = Presence(
             fleet=self._fleet,
@@ -79,11 +76,20 @@ class Company:
             goal_y_m=to.place_m[1],
             goal_yaw_rad=to.yaw,
             behaviour=behaviour,
-            glance_until_ns=0 if self._looks_since_ns is None else now_ns + CLAIM_NS,
+            glance_until_ns=now_ns + CLAIM_NS if looks else 0,
         )
         if content_fault(said, self._tank_m) is not None:  # nobody would believe it
             return ()
         return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.letters.senders)
+
+
+def pace(belief: Belief) -> float:
+    """Share of its speed that a robot may swim at: all of it until it is unsure of its place, nothing once it is lost.
+    It would be lost while it swims, and then drift on."""
+    xx, _, _, yy, _, pp = belief.covariance
+    place, yaw = math.sqrt(xx + yy), math.degrees(math.sqrt(pp))
+    sure = min((LOST_M - place) / (LOST_M - UNSURE_M), (LOST_DEG - yaw) / (LOST_DEG - UNSURE_DEG))
+    return min(max(sure, 0.0), 1.0)
 
 
 def spread_ahead(here: Belief) -> Spread:

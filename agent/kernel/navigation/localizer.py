@@ -138,14 +138,5 @@ def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
     return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
 
 
-def pace(belief: Belief) -> float:
-    """Share of its speed that a robot may swim at: all of it until it is unsure of its place, nothing once it is lost.
-    It would be lost while it swims, and then drift on."""
-    xx, _, _, yy, _, pp = belief.covariance
-    place, yaw = math.sqrt(xx + yy), math.degrees(math.sqrt(pp))
-    sure = min((LOST_M - place) / (LOST_M - UNSURE_M), (LOST_DEG - yaw) / (LOST_DEG - UNSURE_DEG))
-    return min(max(sure, 0.0), 1.0)
-
-
 def _priors(level: Attitude, gimbal_deg: Gimbal, moving: Belief) -> Priors:
     return priors(level, gimbal_deg, math.hypot(moving.x[3], moving.x[4]), turning=False)

@@ -14,7 +14,7 @@ from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
-from agent.kernel.navigation.company import Company
+from agent.kernel.navigation.company import Company, pace
 from agent.kernel.navigation.glance import Glance
 from agent.kernel.navigation.localizer import (
     LOST_DEG,
@@ -27,7 +27,6 @@ from agent.kernel.navigation.localizer import (
     Carriage,
     Gimbal,
     Localizer,
-    pace,
     within,
 )
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
@@ -121,16 +120,11 @@ class Swimmer:
 
     def glance(self, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
         """Turn the camera to landmarks where that is due; returns whether it was. Not while a sweep is under way."""
-        looks = self._look(seek, level, now_ns)
-        self.company.looks(looks, now_ns)
-        return looks
-
-    def _look(self, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
         sure = here is not None and within(here, *enough)
         arrived = steady and now_ns > seek.pointing.steady_from_ns + ARRIVED_NS
-        waits = not self.lost and self.company.waits(here, now_ns)
+        waits = self.company.waits(here, self._glancing, now_ns)
         if level is None or sure or waits or not (arrived or self._glancing):
             self._glancing = False
             return False
@@ -163,7 +157,7 @@ class Swimmer:
     def say(self, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
         """Where it is and where it goes, to each neighbour; nothing while it does not know where it is."""
         here, kind = self.localizer.at(now_ns), str(self._behaviour.__struct_config__.tag)
-        return () if here is None or self.lost else self.company.say(here, kind, depth_m, seq, now_ns)
+        return () if here is None or self.lost else self.company.say(here, kind, self._glancing, depth_m, seq, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
