@@ -3,6 +3,7 @@
 from typing import Any
 
 from agent.kernel.messages import Estimate
+from agent.kernel.presence import Presence
 from agent.kernel.step_io import Telemetry
 
 
@@ -10,6 +11,15 @@ def estimate(src: str = "r2", dst: str = "r1", **about: Any) -> Estimate:
     """What `src` says to `dst` about the ball of fleet "tank"; without an estimate unless x_m and cov_m2 are given."""
     rest = {"fleet": "tank", "incarnation": 1, "seq": 0, "sent_ns": 0, "target": "ball", "t": 0, "valid": False}
     return Estimate(src=src, dst=dst, **{**rest, **about})
+
+
+def presence(src: str = "r2", dst: str = "r1", **about: Any) -> Presence:
+    """What `src` of fleet "tank" says to `dst` of where it is: in the middle, at rest."""
+    head = {"fleet": "tank", "incarnation": 1, "seq": 0, "sent_ns": 0, "t_ns": 0}
+    place = {"x_m": 0.75, "y_m": 0.6, "yaw_rad": 0.0, "depth_m": 0.4, "cov": (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-3)}
+    moves = {"v_x_m_s": 0.0, "v_y_m_s": 0.0, "rate_rad_s": 0.0}
+    goal = {"goal_x_m": 0.75, "goal_y_m": 0.6, "goal_yaw_rad": 0.0, "behaviour": "hold"}
+    return Presence(src=src, dst=dst, **{**head, **place, **moves, **goal, **about})
 
 
 def telemetry(t_ns: int, depth_m: float = 0.4, **about: Any) -> Telemetry:

@@ -54,7 +54,7 @@ class Agent:
         self.seek = Seek(fleet, robot, calibration)
         self.swimmer = Swimmer(fleet, name, calibration, incarnation) if fleet.navigation else None
         self.attitude = AttitudeLog()
-        neighbours = self.swimmer.neighbours if self.swimmer else None
+        neighbours = self.swimmer.company.neighbours if self.swimmer else None
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours)
         self.status = Status(fleet.fleet, name, incarnation)
         self.net = Net()

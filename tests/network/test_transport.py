@@ -9,15 +9,18 @@ from collections.abc import Callable, Iterator
 import msgspec
 import pytest
 import zenoh
+from msgspec.structs import replace
 
 from agent.kernel import topics
 from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.config import ConfigError, Fleet, Navigation
 from agent.kernel.messages import MAX_PAYLOAD, Estimate, State
+from agent.kernel.presence import Presence
 from agent.kernel.step_io import Heard
 from agent.kernel.topics import LINK
 from agent.transport import Transport
 from router_config.session import peer_config
+from tests.sample_messages import presence
 from tests.waiting import until
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
@@ -83,6 +86,22 @@ def test_only_the_addressed_neighbour_hears(make_fleet: Fleets, estimate: Says) 
         assert all(before_ns <= heard.arrived_ns <= time.time_ns() for heard in ear.heard)
         assert Ear(r3).listen().heard == []
         assert ear.refused == {}
+
+
+def test_robots_that_swim_hear_where_others_are_but_for_what_is_lost(make_fleet: Fleets) -> None:
+    fleet, said = replace(make_fleet(PAIR, loss=0.3), navigation=Navigation()), itertools.count()
+    with all_up(fleet, "r1", "r2") as (r1, r2):
+        ear = Ear(r2)
+
+        def heard() -> int:
+            r1.say(presence("r1", "r2", fleet="test", seq=next(said)))
+            return len(ear.listen().heard)
+
+        until(lambda: heard() > 20)
+        assert {(item.src, item.topic) for item in ear.heard} == {("r1", "near")} and ear.refused == {}
+        numbers = [decode(item.payload, Presence).seq for item in ear.heard]
+        assert numbers == sorted(numbers)
+        assert 0.1 < r1.lost / next(said) < 0.5
 
 
 def test_a_link_that_is_not_in_the_fleet_file_does_not_exist(make_fleet: Fleets, estimate: Says) -> None:

@@ -17,7 +17,7 @@ from docs import write_messages
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.log import read
 from tests.places import GOLDEN
-from tests.sample_messages import estimate
+from tests.sample_messages import estimate, presence
 from tests.schema_check import SCHEMAS, wrong
 
 IMAGE = Image(
@@ -61,7 +61,9 @@ def test_what_robots_said_in_the_golden_dives_is_what_the_schemas_say(case: str)
     assert heard > 10 and said > 10
 
 
-@pytest.mark.parametrize("message", [IMAGE, STATE, LINE, estimate()], ids=lambda message: type(message).__name__)
+@pytest.mark.parametrize(
+    "message", [IMAGE, STATE, LINE, estimate(), presence()], ids=lambda message: type(message).__name__
+)
 def test_a_message_that_a_robot_would_refuse_is_wrong(message: Any) -> None:
     name = type(message).__name__
     assert not wrong(name, encode(message))

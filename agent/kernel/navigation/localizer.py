@@ -168,15 +168,6 @@ def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
     return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
 
 
-def pace(belief: Belief) -> float:
-    """Share of its speed that a robot may swim at: all of it until it is unsure of its place, nothing once it is lost.
-    It would be lost while it swims, and then drift on."""
-    xx, _, _, yy, _, pp = belief.covariance
-    place, yaw = math.sqrt(xx + yy), math.degrees(math.sqrt(pp))
-    sure = min((LOST_M - place) / (LOST_M - UNSURE_M), (LOST_DEG - yaw) / (LOST_DEG - UNSURE_DEG))
-    return min(max(sure, 0.0), 1.0)
-
-
 def _priors(carriage: Carriage, moving: Belief | None) -> Priors:
     """moving: None of a robot that is not known to."""
     speed_m_s = 0.0 if moving is None else math.hypot(moving.x[3], moving.x[4])

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import combinations
 
 from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot, Trial
-from agent.kernel.navigation.barrier import MARGIN_M, RINGS_M, WALL_M
+from agent.kernel.navigation.barrier import MARGIN_M, WALL_M
 
 ROUNDING_M = 1e-9  # what a centre less its radius may lack
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from msgspec.structs import replace
-
 from agent.kernel.config import Behaviour, Fleet, Hold, Pose
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
-from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.barrier import DELAY_S, TARGET_M, Disc, Planar, Spread, keep_right, safe_velocity
+from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
+from agent.kernel.navigation.company import Company, pace
 from agent.kernel.navigation.gimbal_log import GimbalLog
 from agent.kernel.navigation.glance import Glance
 from agent.kernel.navigation.gyro import Gyro
@@ -28,11 +26,9 @@ from agent.kernel.navigation.localizer import (
     UNSURE_M,
     Carriage,
     Localizer,
-    pace,
     within,
 )
-from agent.kernel.navigation.neighbours import Neighbours, content_fault
-from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
+from agent.kernel.navigation.pilot import wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.net import SURFACE_M
@@ -43,9 +39,6 @@ from agent.kernel.step_io import Flow, SeenTags, Telemetry
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
-CLAIM_NS = 500_000_000  # of looking at landmarks, said anew ten times a second
-WAIT_WITHIN = 2.0  # times as unsure as where a look is due: until then one that finds another looking waits
-YIELD_NS = 500_000_000  # two that began at once have heard of it by now; the one whose name comes first goes on
 
 
 class Swimmer:
@@ -53,18 +46,15 @@ class Swimmer:
 
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
-        robot, self._limits = fleet.robot[name], fleet.navigation.limits
-        self._name, self._fleet, self._incarnation = name, fleet.fleet, incarnation
-        self._behaviour = robot.behaviour or Hold()
+        robot, self.company = fleet.robot[name], Company(fleet, name, incarnation)
+        self._limits, self._behaviour = fleet.navigation.limits, robot.behaviour or Hold()
         pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
         self._home = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
-        self._depth_m, self._tank_m = robot.depth_m, fleet.tank.size_m
+        self._depth_m = robot.depth_m
         self.localizer = Localizer(fleet, calibration)
-        self.neighbours = Neighbours(fleet, name)
         self._gyro = Gyro() if fleet.navigation.gyro else None
-        self._to: Reference | None = None  # where it is told to be now
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
-        self._glancing, self._glancing_since_ns = False, 0
+        self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way
         self._progress: Progress | None = None
         self._gimbal = GimbalLog(calibration.camera, fleet.body)
@@ -81,7 +71,7 @@ class Swimmer:
     def faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong with its sensors and its neighbours, for people."""
         fault = None if self._gyro is None else self._gyro.fault(now_ns)
-        return (*(() if fault is None else (fault,)), *self.neighbours.faults(now_ns))
+        return (*(() if fault is None else (fault,)), *self.company.neighbours.faults(now_ns))
 
     def begin(self, behaviour: Behaviour, now_ns: int) -> None:
         """Do that from now on."""
@@ -131,13 +121,14 @@ class Swimmer:
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
         sure = here is not None and within(here, *enough)
-        if level is None or sure or not (steady or self._glancing) or self._waits(here, now_ns):
+        waits = self.company.waits(here, self._glancing, now_ns)
+        if level is None or sure or waits or not (steady or self._glancing):
             self._glancing = False
             return False
         if not self._glancing:
             if now_ns <= max(seek.pointing.steady_from_ns, self._swept_ns) + ARRIVED_NS:
                 return True
-            self._glancing, self._glancing_since_ns = True, now_ns
+            self._glancing = True
             self._glance.reset()
         pose = None if here is None or self.lost else pose_of(here)
         pan, tilt = self._glance.direction_deg(pose, level, steady, now_ns)
@@ -150,16 +141,6 @@ class Swimmer:
         here = self.localizer.at(now_ns)
         return here is not None and math.hypot(here.x[3], here.x[4]) < CALM_M_S
 
-    def _waits(self, here: Belief | None, now_ns: int) -> bool:
-        """Whether others look for landmarks just now: one of a fleet at a time, so that the target is watched. Who is
-        worse off than that a wait could be afforded looks all the same."""
-        if here is None or self.lost or not within(here, WAIT_WITHIN * UNSURE_M, WAIT_WITHIN * UNSURE_DEG):
-            return False
-        others = self.neighbours.glancing(now_ns)
-        if not self._glancing:
-            return bool(others)
-        return now_ns - self._glancing_since_ns < YIELD_NS and any(name < self._name for name in others)
-
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
@@ -170,65 +151,25 @@ class Swimmer:
     def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         before = self._progress or start(here.pose, 0.0, now_ns, self._home)
         to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
-        self._to = to
         if to.coast:
             return STILL
-        share = pace(here)
-        turn_rad_s = math.radians(self._limits.turn_deg_s)
+        share, turn_rad_s = pace(here), math.radians(self._limits.turn_deg_s)
         to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
-        at_m, spread_m2, robots = here.pose[:2], spread_ahead(here), self.neighbours.discs(now_ns)
-        wanted = keep_right(wanted_velocity(here, to), at_m, spread_m2, robots)
-        velocity = safe_velocity(wanted, at_m, spread_m2, self._tank_m, things, robots)
+        velocity = self.company.velocity(wanted_velocity(here, to), here, to, things, now_ns)
         return wrench(here, self.localizer.hull, to, velocity)
 
     def say(self, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
         """Where it is and where it goes, to each neighbour; nothing while it does not know where it is."""
-        here = self.localizer.at(now_ns)
-        if here is None or self.lost:
-            return ()
-        to = self._to or Reference(here.pose[:2], here.pose[2])
-        said = Presence(
-            fleet=self._fleet,
-            src=self._name,
-            dst=self._name,
-            incarnation=self._incarnation,
-            seq=seq,
-            sent_ns=now_ns,
-            t_ns=now_ns,
-            x_m=here.pose[0],
-            y_m=here.pose[1],
-            yaw_rad=here.pose[2],
-            depth_m=depth_m,
-            cov=plus(here.covariance, here.stays),
-            v_x_m_s=here.x[3],
-            v_y_m_s=here.x[4],
-            rate_rad_s=here.x[5],
-            goal_x_m=to.place_m[0],
-            goal_y_m=to.place_m[1],
-            goal_yaw_rad=to.yaw,
-            behaviour=str(self._behaviour.__struct_config__.tag),
-            glance_until_ns=now_ns + CLAIM_NS if self._glancing else 0,
-        )
-        if content_fault(said, self._tank_m) is not None:  # nobody would believe it
-            return ()
-        return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.letters.senders)
+        here, kind = self.localizer.at(now_ns), str(self._behaviour.__struct_config__.tag)
+        return () if here is None or self.lost else self.company.say(here, kind, self._glancing, depth_m, seq, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
         lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
         return SURFACE_M if lost else self._depth_m
-
-
-def spread_ahead(here: Belief) -> Spread:
-    """How well a robot knows where it will be once it has braked: it does not know its speed for certain either."""
-    P, T = here.P, DELAY_S
-    xx, xy, yy = (
-        P[i][j] + T * (P[i][j + 3] + P[i + 3][j]) + T * T * P[i + 3][j + 3] for i, j in ((0, 0), (0, 1), (1, 1))
-    )
-    return xx + here.stays[0], xy + here.stays[1], yy + here.stays[3]
 
 
 def pose_of(belief: Belief) -> Pose:

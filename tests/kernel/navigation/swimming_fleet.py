@@ -6,7 +6,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from agent.kernel.codec import encode
-from agent.kernel.config import Fleet, Goto, Pose
+from agent.kernel.config import Fleet, Goto, Link, Pose
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.step_io import Heard
 from tests.kernel.navigation.swimming_agent import STEP_NS, InTank, fleet, robot
@@ -19,6 +19,7 @@ def fleet_of(poses, **about) -> Fleet:
     names = [f"r{k:02}" for k in range(1, len(poses) + 1)]
     return replace(
         fleet(),
+        link=Link(send_hz=1.0),  # of what nobody knows of the target: that is not what these are for
         robot={
             name: robot(
                 name,

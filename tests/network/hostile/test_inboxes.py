@@ -4,12 +4,14 @@ import time
 from collections.abc import Callable
 
 import pytest
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.kernel import topics
 from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.config import Fleet, Target
+from agent.kernel.config import Fleet, Navigation, Target
 from agent.kernel.messages import MAX_PAYLOAD, Estimate
+from agent.kernel.presence import Presence
 from agent.kernel.topics import LINK
 from agent.links.inboxes import BURST, FASTEST_HZ, Inboxes
 from agent.transport import Transport
@@ -70,6 +72,28 @@ def test_each_target_has_places_of_its_own(make_fleet: Fleets) -> None:
     inboxes.put(Arriving("r2", b"buoy", "/buoy"), 9)
     inboxes.put(Arriving("r3", b"buoy", "/buoy"), 9)
     assert heard(inboxes) == [("r2", b"1"), ("r2", b"buoy"), ("r3", b"buoy"), ("r2", b"2")]
+
+
+def test_where_a_neighbour_swims_has_places_of_its_own_and_is_named(make_fleet: Fleets) -> None:
+    fleet = make_fleet(FULL)
+    swims = Inboxes(replace(fleet, navigation=Navigation()), "r1")
+    arriving = Arriving("r2", b"here", encoding=encoding(Presence))
+    arriving.key = topics.key(topics.NEAR, fleet="test", src="r2", dst="r1")
+    for inboxes, kept in ((swims, [(b"here", "near"), (b"ball", UNSET)]), (Inboxes(fleet, "r1"), [(b"ball", UNSET)])):
+        inboxes.drain(0)
+        inboxes.put(Arriving("r2", b"ball"), 1)
+        for _ in range(len(kept) - 1):
+            inboxes.put(arriving, 2)
+        arriving_too_large = Arriving("r2", bytes(topics.NEAR.limit + 1), encoding=encoding(Presence))
+        arriving_too_large.key = arriving.key
+        inboxes.put(arriving_too_large, 3)
+        got, turned_away = inboxes.drain(STEP_NS)
+        assert sorted([(item.payload, item.topic) for item in got], key=lambda k: k[0], reverse=True) == kept
+        assert [row.reason for row in turned_away] == ["too large" if len(kept) == 2 else "unknown sender"]
+    for _ in range(5000):
+        swims.put(arriving, 4)
+    got, turned_away = swims.drain(2 * STEP_NS)
+    assert len(got) == 2 and [(row.reason, row.src) for row in turned_away] == [("flood", "r2")]
 
 
 def test_a_target_that_our_file_lacks_is_for_the_step_to_refuse(inboxes: Inboxes) -> None:

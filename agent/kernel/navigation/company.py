@@ -1,0 +1,101 @@
+"""A robot among others that swim: it tells them where it is, keeps clear of them, and takes turns with them at looking
+for landmarks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from msgspec.structs import replace
+
+from agent.kernel.config import Fleet
+from agent.kernel.estimation.matrix import plus
+from agent.kernel.navigation.barrier import DELAY_S, Disc, Planar, Spread, keep_right, safe_velocity
+from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, UNSURE_DEG, UNSURE_M, within
+from agent.kernel.navigation.neighbours import Neighbours, content_fault
+from agent.kernel.navigation.pilot import Reference
+from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.presence import Presence
+
+CLAIM_NS = 500_000_000  # of looking at landmarks, said anew ten times a second
+WAIT_WITHIN = 2.0  # times as unsure as where a look is due: until then one that finds another looking waits
+YIELD_NS = 500_000_000  # two that began at once have heard of it by now; the one whose name comes first goes on
+
+
+class Company:
+    """Of one robot, between steps."""
+
+    def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:
+        self._fleet, self._name, self._incarnation, self._tank_m = fleet.fleet, name, incarnation, fleet.tank.size_m
+        self.neighbours = Neighbours(fleet, name)
+        self._looks_since_ns: int | None = None  # at landmarks
+        self._goal: Reference | None = None  # where it was told to be last
+
+    def velocity(
+        self, wanted: Planar, here: Belief, to: Reference, things: Iterable[Disc], now_ns: int
+    ) -> tuple[float, float]:
+        """The velocity nearest to the wanted one, in the world, that keeps clear of walls, things and neighbours."""
+        self._goal = to
+        at_m, spread_m2, robots = here.pose[:2], spread_ahead(here), self.neighbours.discs(now_ns)
+        wanted = keep_right(wanted, at_m, spread_m2, robots)
+        return safe_velocity(wanted, at_m, spread_m2, self._tank_m, things, robots)
+
+    def waits(self, here: Belief | None, looks: bool, now_ns: int) -> bool:
+        """Whether it leaves it to others to look for landmarks just now: one of a fleet at a time, so that the target
+        is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it does."""
+        since_ns = self._looks_since_ns = (self._looks_since_ns or now_ns) if looks else None
+        if here is None or not within(here, WAIT_WITHIN * UNSURE_M, WAIT_WITHIN * UNSURE_DEG):
+            return False
+        others = self.neighbours.glancing(now_ns)
+        if since_ns is None:
+            return bool(others)
+        return now_ns - since_ns < YIELD_NS and any(name < self._name for name in others)
+
+    def say(
+        self, here: Belief, behaviour: str, looks: bool, depth_m: float, seq: int, now_ns: int
+    ) -> tuple[Presence, ...]:
+        """Where it is and where it goes, to each neighbour; looks: its camera is at landmarks."""
+        to = self._goal or Reference(here.pose[:2], here.pose[2])
+        said = Presence(
+            fleet=self._fleet,
+            src=self._name,
+            dst=self._name,
+            incarnation=self._incarnation,
+            seq=seq,
+            sent_ns=now_ns,
+            t_ns=now_ns,
+            x_m=here.pose[0],
+            y_m=here.pose[1],
+            yaw_rad=here.pose[2],
+            depth_m=depth_m,
+            cov=plus(here.covariance, here.stays),
+            v_x_m_s=here.x[3],
+            v_y_m_s=here.x[4],
+            rate_rad_s=here.x[5],
+            goal_x_m=to.place_m[0],
+            goal_y_m=to.place_m[1],
+            goal_yaw_rad=to.yaw,
+            behaviour=behaviour,
+            glance_until_ns=now_ns + CLAIM_NS if looks else 0,
+        )
+        if content_fault(said, self._tank_m) is not None:  # nobody would believe it
+            return ()
+        return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.letters.senders)
+
+
+def pace(belief: Belief) -> float:
+    """Share of its speed that a robot may swim at: all of it until it is unsure of its place, nothing once it is lost.
+    It would be lost while it swims, and then drift on."""
+    xx, _, _, yy, _, pp = belief.covariance
+    place, yaw = math.sqrt(xx + yy), math.degrees(math.sqrt(pp))
+    sure = min((LOST_M - place) / (LOST_M - UNSURE_M), (LOST_DEG - yaw) / (LOST_DEG - UNSURE_DEG))
+    return min(max(sure, 0.0), 1.0)
+
+
+def spread_ahead(here: Belief) -> Spread:
+    """How well a robot knows where it will be once it has braked: it does not know its speed for certain either."""
+    P, T = here.P, DELAY_S
+    xx, xy, yy = (
+        P[i][j] + T * (P[i][j + 3] + P[i + 3][j]) + T * T * P[i + 3][j + 3] for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    return xx + here.stays[0], xy + here.stays[1], yy + here.stays[3]
