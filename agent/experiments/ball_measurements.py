@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
 from agent.experiments.choices import DEFAULT_SENSOR
+from agent.experiments.measured_level import level_of
 from agent.experiments.posed_robot import PosedRobot, rotation_of
 from agent.experiments.result import Row
 from agent.fleet_files import shipped_fleet
@@ -36,8 +37,7 @@ from agent.perception.clarity.region import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
 from hw.camera.camera import CameraError
-from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
-from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
+from hw.twin.physics.body import SURVEY_DEG, SURVEY_M
 from hw.twin.scene import Solid
 
 Array = NDArray[np.float64]
@@ -47,8 +47,6 @@ RANGE_M = (0.25, 1.20)  # camera to ball
 WATERS: tuple[WaterKind, ...] = ("tap", "pool", "coastal")
 SWAY_M, SWAY_DEG = 0.001, 0.1  # of a moored robot
 HOVER_DEG = 0.3  # roll and pitch
-DIVE_S = 120.0  # sensors have drifted for up to so long
-AVERAGED = 10  # samples of a pressure sensor, 0.1 s: what the control module's observer makes of them
 AIM_DEG = 2.0  # a ball nearer to the middle than this is not followed
 CLEAR_M = 0.10  # from a wall to the middle of a robot
 CORNER_M = (0.20, 0.40)  # from two walls to the ball
@@ -85,7 +83,7 @@ def ball_measurements(
     near = [float(rng.uniform(*CORNER_M)) for _ in range(2)]  # a corner: the rest of the tank is as far as can be
     x, y = (n if rng.random() < 0.5 else side - n for n, side in zip(near, fleet.tank.size_m[:2], strict=True))
     ball_m = (x, y, radius_m)
-    robot.submerge(WATERS[seed % len(WATERS)], Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3))
+    robot.submerge(WATERS[seed % len(WATERS)], (Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3),))
     vision = Vision(_no_camera, fleet, known.camera, load_detectors(fleet, known.camera), StandingClock())
     for _ in range(count):
         reach_m = float(rng.uniform(*RANGE_M)) if distance_m is None else distance_m
@@ -122,11 +120,7 @@ def draw_placement(fleet: Fleet, ball_m: Vector, distance_m: float, rng: np.rand
         y_m=y + float(rng.normal(0.0, off_m)),
         yaw_deg=yaw_deg + float(rng.normal(0.0, off_deg)),
     )
-    drift = rng.normal(0.0, DRIFT_M_S, 4) * rng.uniform(0.0, DIVE_S)
-    error_m = drift + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
-    # z rises to the left with roll, and falls ahead with pitch: a sensor that reads too deep stands too low.
-    roll_off, pitch_off = (float(math.degrees((error_m * CORNERS[:, k]).sum() / (4.0 * SENSOR_M))) for k in (1, 0))
-    level = (fleet.tank.surface_m - z + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off)
+    level = level_of(fleet.tank.surface_m - z, roll_deg, pitch_deg, rng)
     return Placement(distance_m, (x, y, z), (roll_deg, pitch_deg, yaw_deg), pose, level)
 
 

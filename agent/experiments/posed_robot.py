@@ -6,6 +6,8 @@ bench is as wrong in the water as it would be. It offers what every camera offer
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import Bench
+from hw.twin.landmarks import PaintedTag
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.scene import Scene, Solid, generator, load_scene
@@ -42,10 +45,10 @@ class PosedRobot:
         """The bench's whole procedure. Raises CalibrationRefused."""
         return calibrate(self._fleet, self._name, self, self._bench.place, lambda done, total: None)
 
-    def submerge(self, water: WaterKind, ball: Solid) -> None:
-        """Hours later, in this kind of water, before this ball alone."""
+    def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
+        """Hours later, in this kind of water, before these solids and tags alone."""
         kind = msgspec.structs.replace(self._scene.water, preset=water)
-        self._bench = self._with(msgspec.structs.replace(self._scene, water=kind, solid=(ball,)), DIVE_NS)
+        self._bench = self._with(msgspec.structs.replace(self._scene, water=kind, solid=solids), DIVE_NS, tags)
 
     def stand(self, position_m: Vector, rotation: Array, servos_us: tuple[int, int]) -> None:
         """The body's centre and turn (body to world), and the pulses of pan and tilt, reached from shorter ones."""
@@ -65,9 +68,10 @@ class PosedRobot:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _with(self, scene: Scene, start_ns: int) -> Bench:
+    def _with(self, scene: Scene, start_ns: int, tags: Sequence[PaintedTag] = ()) -> Bench:
         fleet = self._fleet
-        painter = Painter(scene, fleet.tank, fleet.water.refractive_index, self._lens, fleet.twin.seed, self._name)
+        index, seed = fleet.water.refractive_index, fleet.twin.seed
+        painter = Painter(scene, fleet.tank, index, self._lens, seed, self._name, tags)
         painter.prepare()
         bench = Bench(fleet, self._name, self._lens, self._vcm, painter, start_ns)
         bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))

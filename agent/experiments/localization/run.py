@@ -29,8 +29,8 @@ from agent.experiments.localization.graphs import graph, metropolis_weights, pap
 from agent.experiments.localization.liar_cases import liar_cases
 from agent.experiments.localization.liar_rows import UNIT as LIAR_UNIT
 from agent.experiments.localization.liar_rows import attack_draws, liar_cost, liar_row, liar_verdicts
-from agent.experiments.localization.pieces import Task, all_draws
 from agent.experiments.localization.world import MonteCarloWorld, seen
+from agent.experiments.pieces import Task, all_draws
 from agent.experiments.result import ExperimentResult, Row
 from agent.progress import Progress
 

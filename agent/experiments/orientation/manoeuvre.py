@@ -8,7 +8,6 @@ within the same tick: figures repeat to about 0.02 s, not to the bit.
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -16,11 +15,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from agent.experiments.board_host import Host
 from agent.experiments.orientation.settling import LIMIT_S, STAY_S, Track
 from agent.failure import Failed
 from agent.kernel.config import Fleet, Pose, Robot, Target, Twin
 from agent.kernel.step_io import SetPoint, Telemetry
-from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board
 from hw.twin.dive import Dive
 from hw.twin.pace import run_in_lock_step
@@ -37,7 +36,6 @@ PUSH_N, PUSH_S, PUSH_ARM_M = 8.0, 0.3, 0.13  # down, at a corner of the plane of
 ARM_WITHIN_S = 6.0  # 3 s of neutral for the ESCs, then the first attempt, repeated every 0.5 s
 FIND_S = 3.0  # let go by the crew, the law finds the net weight
 HOVER_S = 4.0
-SET_POINT_TICKS = 5  # 20 Hz
 
 
 class Case(NamedTuple):
@@ -107,7 +105,7 @@ def carry_out(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m
     def go_on(seconds: float) -> None:
         for _ in range(round(seconds * 1e9) // TICK_NS):
             for host in hosts:
-                host.exchange(depth_m, dive)
+                host.exchange(SetPoint(depth_m=depth_m), dive)
             run_in_lock_step(dive, 1)
             rows.append([(surface_m - s["position_m"][2], *euler_rad(s["quaternion"])[:2]) for s in dive.states])
 
@@ -139,42 +137,6 @@ def carry_out(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m
         )
         for i, host in enumerate(hosts)
     ]
-
-
-class Host:
-    """The ground computer's half of one tether."""
-
-    def __init__(self, board: Board) -> None:
-        self.protocol = HostProtocol(1)
-        self.heard: list[Telemetry] = []
-        self._path = board.port
-        self._port = -1
-
-    def __enter__(self) -> Host:
-        self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        self.protocol.connected()
-        self.protocol.arm()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._port)
-
-    def exchange(self, depth_m: float, dive: Dive) -> None:
-        """Take what the board said, say what is due; a set-point in every SET_POINT_TICKS-th tick."""
-        now_ns, protocol = dive.now_ns, self.protocol
-        with contextlib.suppress(BlockingIOError):  # nothing said since
-            protocol.receive(os.read(self._port, 4096), now_ns)
-        self.heard += protocol.telemetry
-        protocol.telemetry.clear()
-        out = protocol.due(now_ns)
-        if dive.ticks % SET_POINT_TICKS == 0:
-            out += protocol.set_point(SetPoint(depth_m=depth_m), now_ns)
-        if out:
-            os.write(self._port, out)
-
-    def last_said(self) -> str:
-        """The board's last line of text."""
-        return self.protocol.lines[-1].text if self.protocol.lines else "nothing heard"
 
 
 def tank(names: Sequence[str], world: int) -> Fleet:

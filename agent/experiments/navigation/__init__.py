@@ -1,0 +1,1 @@
+"""How well a robot that swims knows where it is, and does what it is told to."""

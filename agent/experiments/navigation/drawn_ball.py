@@ -1,0 +1,108 @@
+"""What a robot's camera would tell of a ball: outline, and clarity at each lens position of a sweep, never rendered.
+
+What it errs by is what the kernel is told that it errs by: the picture by its noise; the lens by its calibration's
+covariance and noise, drawn once, and for each sweep; so that a measurement is as good as it says.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import CameraFit, FocusFit
+from agent.kernel.ranging.camera_model import centre_behind_skin_m, pixel
+from agent.kernel.ranging.fix import CENTRE_NOISE_PX
+from agent.kernel.step_io import Sighting, SweepPlan
+from hw.twin.devices.camera_device import look
+from hw.twin.history import RobotPose
+from hw.twin.scene import generator
+
+# What the bench finds of a robot of the twin, rounded.
+FOCUS = FocusFit(
+    u_inf_m=0.0012,
+    b_m=136.5,
+    rho0=91.7,
+    covariance=(6.0357e-07, -4.6495e-04, 5.7052e-04, 0.36813, -0.46705, 0.62577),
+    noise=0.4,
+    width=119.0,
+    lowest=208,
+    highest=717,
+    r2=0.999,
+    rmse_m=0.008,
+    held_out_rmse_m=0.008,
+)
+RADIUS_SIGMA_PX = 0.2
+FARTHEST_M = 1.6
+
+
+class DrawnBall:
+    """One robot's view of one ball."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, ball_m: Vector) -> None:
+        (self._target, target), *_ = fleet.target.items()
+        assert target.radius_m is not None  # a ball
+        self._rng = generator(fleet.twin.seed, name, "drawn ball")
+        self._radius_m, self._ball_m = target.radius_m, np.array(ball_m)
+        self._camera, self._camera_m = camera, fleet.body.camera_m
+        xx, xy, xz, yy, yz, zz = FOCUS.covariance
+        covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
+            np.zeros(3), covariance
+        )
+        self._shift, self._sweep, self._frames = 0.0, 0, 0
+
+    def sight(self, pose: RobotPose, t_ns: int, plan: SweepPlan | None = None, index: int = -1) -> Sighting:
+        """The newest frame; plan, index: at which position of which sweep."""
+        self._frames += 1
+        sweep = 0 if plan is None else plan.sweep
+        if sweep != self._sweep:
+            self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
+        seen = self._outline(pose)
+        lens_position = None if plan is None else plan.focus[index]
+        about = {"t_ns": t_ns, "frame": self._frames, "sweep": sweep, "index": index, "focus": lens_position}
+        if seen is None:
+            return Sighting(target=self._target, found=False, **about)
+        centre_px, radius_px, peak = seen
+        clarity = None if lens_position is None else _clarity(lens_position - peak - self._shift)
+        return Sighting(
+            target=self._target,
+            found=True,
+            centre_px=centre_px,
+            radius_px=radius_px,
+            clarity=clarity,
+            area_px=math.pi * (0.5 * radius_px) ** 2,
+            score=1.0,
+            radius_sigma_px=RADIUS_SIGMA_PX,
+            **about,
+        )
+
+    def _outline(self, pose: RobotPose) -> tuple[tuple[float, float], float, float] | None:
+        """Centre and radius in the picture, px, and the lens position at which it is sharpest; None: not in sight."""
+        eye, _ = look(pose, self._camera_m)
+        way: NDArray[np.float64] = (self._ball_m - np.asarray(eye.position_m)) @ np.asarray(eye.rotation)
+        x, y, z = way.tolist()
+        centre = pixel(self._camera, (x, y, z))
+        distance_m = math.hypot(x, y, z - self._camera.ahead_m)
+        if centre is None or not self._radius_m < distance_m < FARTHEST_M:
+            return None
+        noise_px = math.hypot(self._camera.noise_px, CENTRE_NOISE_PX)
+        u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))
+        radius_px = self._camera.f_px * math.tan(math.asin(self._radius_m / distance_m))
+        width, height = self._camera.width_px, self._camera.height_px
+        if not (radius_px < u < width - radius_px and radius_px < v < height - radius_px):
+            return None
+        skin_m = distance_m - self._radius_m
+        for _ in range(5):
+            skin_m = distance_m - centre_behind_skin_m(skin_m, self._radius_m)
+        u_inf, b, rho0 = self._lens
+        peak = rho0 + b / (skin_m * z / distance_m - u_inf)
+        return (u, v), radius_px + float(self._rng.normal(0.0, RADIUS_SIGMA_PX)), float(peak)
+
+
+def _clarity(from_peak: float) -> float:
+    """The curve of a lens so many positions away from its peak."""
+    return 100.0 + 900.0 / (1.0 + (from_peak / FOCUS.width) ** 2)

@@ -1,0 +1,150 @@
+"""Hold, goto, turn and orbit: one robot, told what to do by its fleet file, and how well it did it, by the truth.
+
+Each runs from when the robot, armed and sure of itself, first asks for a force. A tether pulls by 0.05 N rms, forgotten
+after 4 s. A seed is a body and a survey of the tags; places and directions are drawn from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.experiments.navigation import basin
+from agent.experiments.navigation.basin import TANK
+from agent.experiments.navigation.bodies import twin_bodies
+from agent.experiments.navigation.swimmers import Swimmers
+from agent.experiments.result import Row
+from agent.kernel.config import Behaviour, Goto, Hold, Look, Orbit, Pose, Turn
+from agent.kernel.navigation.angle import wrap
+from hw.twin.scene import generator
+
+Path = NDArray[np.float64]  # (n, 4): t, x, y, yaw
+
+FIND_S = 12.0  # from boot until it swims: 3 s of neutral pulses, then arming
+SETTLE_S, WATCH_S = 5.0, 20.0
+WAY_M, THERE_M, GOTO_S = 0.5, 0.02, 10.0
+QUARTER_DEG, THERE_DEG, TURN_S = 90.0, 3.0, 6.0
+ORBIT_M, ORBIT_M_S = 0.5, 0.1
+GAP_S, GAP_OF_S = 2.0, 4.0  # of every so many seconds the last ones show no tags
+CLEAR_M = 0.45  # from walls: where a robot may be told to swim
+WALL_LOOK = Look(tilt_deg=8.0)  # at the upper row of tags
+MIDDLE_M = (0.5 * TANK.size_m[0], 0.5 * TANK.size_m[1])
+
+
+def hold(seed: int) -> Row:
+    """Before a wall, the camera at its tags. Errors from where it found itself: rms of place (mm) and yaw (deg)."""
+    rng = generator(seed, "hold")
+    x, y, yaw = _before_a_wall(rng)
+    path = _swum(seed, Pose(x_m=x, y_m=y, yaw_deg=math.degrees(yaw)), None, WALL_LOOK, SETTLE_S + WATCH_S)
+    watched = path[path[:, 0] > SETTLE_S]
+    off = watched[:, 1:3] - (x, y)
+    turned = np.array([wrap(psi - yaw) for psi in watched[:, 3]])
+    return {
+        "rms_mm": 1e3 * _rms(np.hypot(*off.T)),
+        "yaw_rms_deg": math.degrees(_rms(turned)),
+        "worst_mm": 1e3 * float(np.hypot(*off.T).max()),
+        "path": path,
+    }
+
+
+def goto(seed: int) -> Row:
+    """Half a metre in any direction, the way it looks being the same. s: until it is within 20 mm for good."""
+    rng = generator(seed, "goto")
+    while True:
+        x, y = (float(rng.uniform(CLEAR_M, side_m - CLEAR_M)) for side_m in TANK.size_m[:2])
+        way = float(rng.uniform(-math.pi, math.pi))
+        gx, gy = x + WAY_M * math.cos(way), y + WAY_M * math.sin(way)
+        if CLEAR_M < gx < TANK.size_m[0] - CLEAR_M and CLEAR_M < gy < TANK.size_m[1] - CLEAR_M:
+            break
+    pose = Pose(x_m=x, y_m=y, yaw_deg=float(rng.uniform(-180.0, 180.0)))
+    path = _swum(seed, pose, Goto(x_m=gx, y_m=gy, yaw_deg=pose.yaw_deg), basin.FLOOR_LOOK, GOTO_S)
+    off = np.hypot(path[:, 1] - gx, path[:, 2] - gy)
+    beyond = (path[:, 1] - gx) * math.cos(way) + (path[:, 2] - gy) * math.sin(way)
+    return {"s": settled_s(path[:, 0], off, THERE_M), "overshoot_mm": 1e3 * max(float(beyond.max()), 0.0), "path": path}
+
+
+def turn(seed: int) -> Row:
+    """A quarter turn on the spot, to either side. s: until it is within 3 degrees for good."""
+    rng = generator(seed, "turn")
+    x, y = MIDDLE_M[0] + float(rng.uniform(-0.7, 0.7)), MIDDLE_M[1] + float(rng.uniform(-0.3, 0.3))
+    before_deg, quarter_deg = float(rng.uniform(-180.0, 180.0)), QUARTER_DEG * float(rng.choice((-1.0, 1.0)))
+    goal_deg = before_deg + quarter_deg
+    told = Turn(yaw_deg=math.degrees(wrap(math.radians(goal_deg))))
+    path = _swum(seed, Pose(x_m=x, y_m=y, yaw_deg=before_deg), told, basin.FLOOR_LOOK, TURN_S)
+    off = np.array([abs(wrap(psi - math.radians(goal_deg))) for psi in path[:, 3]])
+    return {"s": settled_s(path[:, 0], off, math.radians(THERE_DEG)), "path": path}
+
+
+def orbit(seed: int, gaps: bool = False) -> Row:
+    """Round a point at 0.1 m/s, facing it, the camera at the floor; with gaps, no tags for 2 s in every 4."""
+    rng = generator(seed, "orbit")
+    cx, cy = MIDDLE_M[0] + float(rng.uniform(-0.5, 0.5)), MIDDLE_M[1]
+    first = float(rng.uniform(-math.pi, math.pi))
+    x, y = cx + ORBIT_M * math.cos(first), cy + ORBIT_M * math.sin(first)
+    pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(wrap(first + math.pi)))
+    told = Orbit(x_m=cx, y_m=cy, radius_m=ORBIT_M, speed_m_s=ORBIT_M_S)
+    sees = _in_gaps if gaps else _always
+    path = _swum(seed, pose, told, basin.FLOOR_LOOK, SETTLE_S + WATCH_S, sees)
+    watched = path[path[:, 0] > SETTLE_S]
+    off = off_orbit(watched, (cx, cy))
+    return {"rms_mm": 1e3 * _rms(off), "worst_mm": 1e3 * float(off.max()), "path": path}
+
+
+def off_orbit(path: Path, centre_m: tuple[float, float]) -> NDArray[np.float64]:
+    """How far from a point that goes round as it should, m, (n,); where that began is fitted: a steady lag is none."""
+    east, north = path[:, 1] - centre_m[0], path[:, 2] - centre_m[1]
+    ways = np.arctan2(north, east) - ORBIT_M_S / ORBIT_M * path[:, 0]
+    began = math.atan2(float(np.sin(ways).mean()), float(np.cos(ways).mean()))
+    there = began + ORBIT_M_S / ORBIT_M * path[:, 0]
+    return np.hypot(east - ORBIT_M * np.cos(there), north - ORBIT_M * np.sin(there))
+
+
+def settled_s(t_s: NDArray[np.float64], off: NDArray[np.float64], limit: float) -> float | None:
+    """When `off` came to stay below the limit; None: not by the end."""
+    beyond = np.flatnonzero(off > limit)
+    if not len(beyond):
+        return 0.0
+    return None if beyond[-1] == len(off) - 1 else float(t_s[beyond[-1] + 1])
+
+
+def _swum(
+    seed: int,
+    pose: Pose,
+    what: Behaviour | None,
+    look: Look,
+    seconds: float,
+    sees: Callable[[int], bool] | None = None,
+) -> Path:
+    """The true path, from when it first asks for a force; t from then."""
+    fleet = basin.fleet({"r1": basin.robot("r1", pose, what, look)}, seed)
+    with twin_bodies(fleet) as bodies:
+        one = Swimmers(fleet, bodies)
+        if not one.until_swims("r1", FIND_S):
+            return np.array([(0.0, *one.place("r1")), (seconds, math.inf, math.inf, math.nan)])
+        if sees is not None:
+            one.sees_tags = sees
+        return one.path("r1", seconds)
+
+
+def _always(now_ns: int) -> bool:
+    return True
+
+
+def _in_gaps(now_ns: int) -> bool:
+    return (now_ns * 1e-9) % GAP_OF_S < GAP_OF_S - GAP_S
+
+
+def _before_a_wall(rng: np.random.Generator) -> tuple[float, float, float]:
+    """x, y and yaw of a robot that looks at one of the long walls from 0.6 to 0.9 m."""
+    away_m, along_m = float(rng.uniform(0.6, 0.9)), float(rng.uniform(CLEAR_M, TANK.size_m[0] - CLEAR_M))
+    aside = float(rng.uniform(-0.3, 0.3))
+    if rng.random() < 0.5:
+        return along_m, away_m, wrap(-0.5 * math.pi + aside)
+    return along_m, TANK.size_m[1] - away_m, 0.5 * math.pi + aside
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
