@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from agent.commands.options import OutFolder, Seed, terminal
-from agent.experiments.choices import DEFAULT_SENSOR, WATERS, LocalizationKind, Sensor
+from agent.experiments.choices import DEFAULT_SENSOR, WATERS, LocalizationKind, NavigationCase, Sensor
 from agent.kernel.config import ConfigError, WaterKind
 
 app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
@@ -124,3 +124,19 @@ def experiment_orientation(
 
     asked = run.Settings(seed=seed, seeds=seeds)
     perform(run.run, asked, tables.table, out, terminal(), "dives of up to five robots", figures.figures)
+
+
+@app.command("navigation", epilog="Example: aucamp experiment navigation --only hold --seeds 5")
+def experiment_navigation(
+    seed: Seed = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="Worlds of each case.")] = 20,
+    quick: Annotated[bool, typer.Option("--quick", help="One world, and little of it: for a look.")] = False,
+    only: Annotated[NavigationCase | None, typer.Option("--only", help="This case; else all.")] = None,
+    out: OutFolder = None,
+) -> None:
+    """Robots that swim: finding themselves, holding, going, turning, orbiting, keeping apart, and a target's place."""
+    from agent.experiments.navigation import figures, run, tables
+    from agent.experiments.perform import perform
+
+    asked = run.Settings(seed=seed, seeds=seeds, quick=quick, only=only)
+    perform(run.run, asked, tables.table, out, terminal(), "worlds of robots that swim", figures.figures)

@@ -1,4 +1,4 @@
-"""Robots in the basin's water, the twin's or planar ones, as a loop around the kernel needs them: one shape for both."""
+"""Robots in the basin, the twin's or planar ones, as a loop around the kernel needs them: one shape for both."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ CAMERA = CameraFit(width_px=640, height_px=480, f_px=1184.0, cx_px=319.5, cy_px=
 class Bodies(Protocol):
     """All robots of a fleet."""
 
-    now_ns: int
+    @property
+    def now_ns(self) -> int:
+        """The robots' clock."""
 
     def step(self, wanted: Mapping[str, SetPoint]) -> dict[str, tuple[Telemetry, ...]]:
         """Move on by STEP_NS under these set-points; what each module said meanwhile."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,21 +64,26 @@ class DrawnBall:
             self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
         seen = self._outline(pose)
         lens_position = None if plan is None else plan.focus[index]
-        about = {"t_ns": t_ns, "frame": self._frames, "sweep": sweep, "index": index, "focus": lens_position}
-        if seen is None:
-            return Sighting(target=self._target, found=False, **about)
-        centre_px, radius_px, peak = seen
-        clarity = None if lens_position is None else _clarity(lens_position - peak - self._shift)
-        return Sighting(
+        frame = Sighting(
+            t_ns=t_ns,
+            frame=self._frames,
+            sweep=sweep,
+            index=index,
+            focus=lens_position,
             target=self._target,
-            found=True,
+            found=seen is not None,
+        )
+        if seen is None:
+            return frame
+        centre_px, radius_px, peak = seen
+        return msgspec.structs.replace(
+            frame,
             centre_px=centre_px,
             radius_px=radius_px,
-            clarity=clarity,
+            clarity=None if lens_position is None else _clarity(lens_position - peak - self._shift),
             area_px=math.pi * (0.5 * radius_px) ** 2,
             score=1.0,
             radius_sigma_px=RADIUS_SIGMA_PX,
-            **about,
         )
 
     def _outline(self, pose: RobotPose) -> tuple[tuple[float, float], float, float] | None:

@@ -17,7 +17,8 @@ from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
-from agent.kernel.config import Behaviour, Goto, Hold, Look, Orbit, Pose, Turn
+from agent.experiments.spread import rms
+from agent.kernel.config import Behaviour, Goto, Look, Orbit, Pose, Turn
 from agent.kernel.navigation.angle import wrap
 from hw.twin.scene import generator
 
@@ -43,8 +44,8 @@ def hold(seed: int) -> Row:
     off = watched[:, 1:3] - (x, y)
     turned = np.array([wrap(psi - yaw) for psi in watched[:, 3]])
     return {
-        "rms_mm": 1e3 * _rms(np.hypot(*off.T)),
-        "yaw_rms_deg": math.degrees(_rms(turned)),
+        "rms_mm": 1e3 * rms(np.hypot(*off.T)),
+        "yaw_rms_deg": math.degrees(rms(turned)),
         "worst_mm": 1e3 * float(np.hypot(*off.T).max()),
         "path": path,
     }
@@ -90,7 +91,7 @@ def orbit(seed: int, gaps: bool = False) -> Row:
     path = _swum(seed, pose, told, basin.FLOOR_LOOK, SETTLE_S + WATCH_S, sees)
     watched = path[path[:, 0] > SETTLE_S]
     off = off_orbit(watched, (cx, cy))
-    return {"rms_mm": 1e3 * _rms(off), "worst_mm": 1e3 * float(off.max()), "path": path}
+    return {"rms_mm": 1e3 * rms(off), "worst_mm": 1e3 * float(off.max()), "path": path}
 
 
 def off_orbit(path: Path, centre_m: tuple[float, float]) -> NDArray[np.float64]:
@@ -144,7 +145,3 @@ def _before_a_wall(rng: np.random.Generator) -> tuple[float, float, float]:
     if rng.random() < 0.5:
         return along_m, away_m, wrap(-0.5 * math.pi + aside)
     return along_m, TANK.size_m[1] - away_m, 0.5 * math.pi + aside
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -54,8 +54,8 @@ class Eyes:
         pose, t_ns = bodies.pose(name), bodies.now_ns
         if self._plan is not None and self.ball is not None:
             self._index += 1
-            sighting = self.ball.sight(pose, t_ns, self._plan, self._index)
-            self.coming.append(Frame(step + LATE_STEPS, sighting=sighting))
+            position = self.ball.sight(pose, t_ns, self._plan, self._index)
+            self.coming.append(Frame(step + LATE_STEPS, sighting=position))
             if self._index == len(self._plan.focus) - 1:
                 self._plan = None
             return

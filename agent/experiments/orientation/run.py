@@ -16,8 +16,9 @@ from typing import NamedTuple
 import msgspec
 
 from agent.experiments.orientation.manoeuvre import HOVER_S, PLACES_M, PUSH, STEP, Case, Response, respond
-from agent.experiments.orientation.settling import number_or_never, rms, score_push, score_step, spread
+from agent.experiments.orientation.settling import score_push, score_step
 from agent.experiments.result import ExperimentResult, Row
+from agent.experiments.spread import number_or_never, rms, spread
 from agent.progress import Progress, step_by_step
 from agent.run_folder import temporary_folder
 from hw.twin.scene import generator

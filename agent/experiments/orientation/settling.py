@@ -1,19 +1,18 @@
-"""When a robot is back at depth and level: definitions, and how cases are summed up when some of them never are.
+"""When a robot is back at depth and level, from the twin's truth, one sample per control cycle of 10 ms.
 
-All from the twin's truth, one sample per control cycle of 10 ms. A time that does not exist is `None`, in a sum as in
-a case: a median of which half the cases never settle is no number.
+A time that does not exist is `None`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.experiments.result import Row
+from agent.experiments.spread import rms
 
 SAMPLE_S = 0.01
 DEPTH_M, TILT_DEG = 0.01, 2.0  # as far off as the paper's "recovered" may be
@@ -85,29 +84,3 @@ def score_step(track: Track, start_m: float, goal_m: float) -> Row:
         "overshoot_mm": max(0.0, 1e3 * float(past_m.max())),
         "step_tilt_deg": float(np.hypot(after.roll_deg, after.pitch_deg).max()),
     }
-
-
-def spread(times_s: Sequence[float | None]) -> dict[str, float | int | None]:
-    """Median, 95th percentile (the smallest time that at least 95 % of the cases keep) and how many never did."""
-    ordered = np.sort([math.inf if t is None else t for t in times_s])
-
-    def finite(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
-    n = len(ordered)
-    middle = 0.5 * (float(ordered[(n - 1) // 2]) + float(ordered[n // 2]))
-    return {
-        "median": finite(middle),
-        "p95": finite(float(ordered[-(-95 * n // 100) - 1])),
-        "never": sum(t is None for t in times_s),
-    }
-
-
-def rms(values: Samples | Sequence[float]) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def number_or_never(value: float | None) -> str:
-    """A figure as tables show it."""
-    return "never" if value is None else f"{value:.2f}"

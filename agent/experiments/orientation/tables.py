@@ -6,8 +6,8 @@ from rich.console import Group
 from rich.table import Table
 
 from agent.experiments.orientation.run import DEFAULT_LAW, ENOUGH, Result
-from agent.experiments.orientation.settling import number_or_never
 from agent.experiments.result import Row
+from agent.experiments.spread import number_or_never
 
 COLUMNS = (
     "push s, median",

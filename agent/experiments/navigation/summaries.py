@@ -1,0 +1,80 @@
+"""From the rows of all seeds to the figures of result.json. None: no number, for nobody ever got there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from agent.experiments.choices import NavigationCase
+from agent.experiments.result import Row
+from agent.experiments.spread import rms, spread
+
+SHARP_PX = 6.0  # diameter of the blur up to which fixes have to be good
+
+Draws = Mapping[str, list[Row]]
+
+
+def fix(draws: Draws) -> Row:
+    """Of the frames with tags that are blurred by no more than SHARP_PX; a frame whose tags gave no fix is left out."""
+    good = [row for row in draws["fix"] if "nees" in row and (row["blur_px"] or 0.0) <= SHARP_PX]
+    if not good:
+        return {"p90_mm": None, "p90_deg": None, "nees": None}
+    return {
+        "p90_mm": float(np.percentile([row["error_mm"] for row in good], 90)),
+        "p90_deg": float(np.percentile([row["error_deg"] for row in good], 90)),
+        "nees": float(np.mean([row["nees"] for row in good])),
+    }
+
+
+def hold(draws: Draws) -> Row:
+    return {key: pooled(draws["hold"], key) for key in ("rms_mm", "yaw_rms_deg")}
+
+
+def goto(draws: Draws) -> Row:
+    rows = draws["goto"]
+    return {"s": p95([row["s"] for row in rows]), "overshoot_mm": p95([row["overshoot_mm"] for row in rows])}
+
+
+def turn(draws: Draws) -> Row:
+    return {"s": p95([row["s"] for row in draws["turn"]])}
+
+
+def orbit(draws: Draws) -> Row:
+    return {"rms_mm": pooled(draws["orbit"], "rms_mm"), "gap_rms_mm": pooled(draws["orbit with gaps"], "rms_mm")}
+
+
+def separation(draws: Draws) -> Row:
+    return {"least_m": min(row["least_m"] for row in draws["separation"])}
+
+
+def target(draws: Draws) -> Row:
+    """Root mean square over seeds and robots, to that of the bound; a robot that knows nothing leaves no number."""
+    rows = draws["target"]
+    if any(row["told"] < row["robots"] for row in rows):
+        return {"ratio_to_bound": None, "nees": None}
+    errors_mm, nees = ([value for row in rows for value in row[key]] for key in ("error_mm", "nees"))
+    return {"ratio_to_bound": rms(errors_mm) / rms([row["bound_mm"] for row in rows]), "nees": float(np.mean(nees))}
+
+
+def pooled(rows: Sequence[Row], key: str) -> float | None:
+    """Root mean square of the seeds' own."""
+    value = rms([row[key] for row in rows])
+    return value if math.isfinite(value) else None
+
+
+def p95(values: Sequence[float | None]) -> float | None:
+    """The smallest that at least 95 % of the seeds keep."""
+    return spread(values)["p95"]
+
+
+SUMMARIES: dict[NavigationCase, Callable[[Draws], Row]] = {
+    "fix": fix,
+    "hold": hold,
+    "goto": goto,
+    "turn": turn,
+    "orbit": orbit,
+    "separation": separation,
+    "target": target,
+}

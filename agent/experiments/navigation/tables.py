@@ -1,0 +1,107 @@
+"""Figures beside their bars, fixes against blur and distance, and the spread over seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from agent.experiments.navigation.bars import BARS, met
+from agent.experiments.navigation.run import ENOUGH, Result
+from agent.experiments.result import Row
+from agent.experiments.spread import number_or_never, spread
+
+BLURS_PX = (0.0, 2.0, 6.0, math.inf)  # diameters of the disc
+DISTANCES_M = (0.0, 0.5, 0.8, math.inf)
+SPREAD = (  # of draws: name, key, heading
+    ("hold", "rms_mm", "hold, rms mm"),
+    ("hold", "yaw_rms_deg", "hold, yaw rms deg"),
+    ("goto", "s", "goto, s"),
+    ("goto", "overshoot_mm", "goto, overshoot mm"),
+    ("turn", "s", "turn, s"),
+    ("orbit", "rms_mm", "orbit, rms mm"),
+    ("orbit with gaps", "rms_mm", "orbit with gaps, rms mm"),
+)
+
+
+def table(result: Result) -> Group:
+    """All of them, and the verdict."""
+    draws = result.shown.draws
+    parts: list[Table | str] = [bars_table(result)]
+    parts += [fixes_table(draws["fix"])] if draws.get("fix") else []
+    parts += [spread_table(draws)] if any(name in draws for name, *_ in SPREAD) else []
+    parts += [crossing_line(draws["separation"])] if draws.get("separation") else []
+    parts += [target_line(draws["target"])] if draws.get("target") else []
+    parts += [f"missed: {', '.join(result.missed)}"] if result.missed else []
+    parts += [f"no verdict: the bars are for {ENOUGH} seeds"] if result.missed is None else []
+    return Group(*parts)
+
+
+def bars_table(result: Result) -> Table:
+    """A line for each figure of result.json that was measured."""
+    shown = Table(title="robots that swim (twin; no water was involved)")
+    for head in ("what", "body", "measured", "bar", "met"):
+        shown.add_column(head, justify="left" if head in ("what", "body") else "right")
+    for bar in BARS:
+        figures = getattr(result, bar.case)
+        if bar.key not in figures:
+            continue
+        value, answer = figures[bar.key], met(bar, figures)
+        measured = "none" if value is None else f"{value:.2f} {bar.unit}".rstrip()
+        shown.add_row(bar.words, bar.body, measured, bar.asked, "-" if answer is None else "yes" if answer else "no")
+    return shown
+
+
+def fixes_table(rows: Sequence[Row]) -> Table:
+    """A line for each band of blur and distance in which there was a fix; frames without any tag are counted above."""
+    seen = [row for row in rows if row["tags"]]
+    shown = Table(title=f"fixes of rendered frames: {len(seen)} of {len(rows)} show tags")
+    for head in ("blur px", "distance m", "frames", "fixes", "median mm", "90 % mm", "90 % deg", "NEES/3"):
+        shown.add_column(head, justify="right")
+    for blurs, ways in ((b, d) for b in pairwise(BLURS_PX) for d in pairwise(DISTANCES_M)):
+        within = [r for r in seen if _in(r["blur_px"] or 0.0, blurs) and _in(r["distance_m"], ways)]
+        good = [row for row in within if "nees" in row]
+        if not good:
+            continue
+        mm, deg = ([row[key] for row in good] for key in ("error_mm", "error_deg"))
+        figures = (np.median(mm), np.percentile(mm, 90), np.percentile(deg, 90), np.mean([r["nees"] for r in good]))
+        bands = _band(blurs), _band(ways)
+        shown.add_row(*bands, str(len(within)), str(len(good)), *(f"{value:.2f}" for value in figures))
+    return shown
+
+
+def spread_table(draws: dict[str, list[Row]]) -> Table:
+    """Median, 95 % and worst of the seeds."""
+    shown = Table(title="over the seeds")
+    for head in ("what", "seeds", "median", "95 %", "never"):
+        shown.add_column(head, justify="left" if head == "what" else "right")
+    for name, key, words in SPREAD:
+        if name in draws:
+            values = [row[key] for row in draws[name]]
+            found = spread([None if value is None or not math.isfinite(value) else value for value in values])
+            middle, p95 = number_or_never(found["median"]), number_or_never(found["p95"])
+            shown.add_row(words, str(len(values)), middle, p95, str(found["never"]))
+    return shown
+
+
+def crossing_line(rows: Sequence[Row]) -> str:
+    arrived = np.mean([row["arrived"] for row in rows])
+    return f"separation: {rows[0]['robots']} robots, {arrived:.0%} were within 5 cm of where they should be at the end"
+
+
+def target_line(rows: Sequence[Row]) -> str:
+    bound_mm, nees = np.sqrt(np.mean([r["bound_mm"] ** 2 for r in rows])), np.mean([r["bound_nees"] for r in rows])
+    samples = np.mean([row["samples"] for row in rows])
+    return f"target: {samples:.1f} samples a run; the bound is off by {bound_mm:.1f} mm rms, its NEES/3 is {nees:.2f}"
+
+
+def _in(value: float, band: tuple[float, float]) -> bool:
+    return band[0] <= value < band[1]
+
+
+def _band(band: tuple[float, float]) -> str:
+    return f"{band[0]:g} to {band[1]:g}" if math.isfinite(band[1]) else f"{band[0]:g} and more"
