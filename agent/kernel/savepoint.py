@@ -8,12 +8,13 @@ deep one.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 from functools import cache
 from typing import Any
 
 import msgspec
 
-LEAVES = frozenset({int, float, str, bytes, bool, tuple, type(None)})  # most of what there is
+ROWS = (list, deque, set)
 
 
 class Savepoint:
@@ -40,19 +41,28 @@ class Savepoint:
         found: list[Any] = [root]
         while found:
             each = found.pop()
-            kind: type = type(each)
-            if kind in LEAVES or id(each) in seen:
+            if id(each) in seen:
                 continue
             seen.add(id(each))
+            kind: type = type(each)
+            held: Collection[Any]
             if kind is dict:
                 self._dicts.append((each, dict(each)))
-                found.extend(each.values())
-            elif kind is list or kind is deque or kind is set:
+                held = each.values()
+            elif kind in ROWS:
                 self._rows.append((each, tuple(each)))
-                found.extend(each)
-            elif has_state(kind):
+                held = each
+            else:
                 self._objects.append((each.__dict__, dict(each.__dict__)))
-                found.extend(each.__dict__.values())
+                held = each.__dict__.values()
+            if any(map(changes, set(map(type, held)))):  # hundreds of one kind that never changes are one question
+                found += [one for one in held if changes(type(one))]
+
+
+@cache
+def changes(kind: type) -> bool:
+    """Whether things of this class may change."""
+    return kind is dict or kind in ROWS or has_state(kind)
 
 
 @cache

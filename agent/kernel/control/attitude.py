@@ -40,12 +40,11 @@ class AttitudeLog:
     def at(self, t_ns: int) -> Attitude | None:
         """Linear between the two frames around a time; None where there are none near."""
         before = after = None
-        for telemetry in self._log:
+        for telemetry in reversed(self._log):  # what is asked about was a moment ago
             if telemetry.t_ns <= t_ns:
                 before = telemetry
-            else:
-                after = telemetry
                 break
+            after = telemetry
         if before is None or t_ns - before.t_ns > FRESH_NS:
             return None
         if after is None or after.t_ns - before.t_ns > FRESH_NS:
