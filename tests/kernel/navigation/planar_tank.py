@@ -1,4 +1,4 @@
-"""Robots in the plane, simulated in steps of 5 ms: each has a body of its own, which the kernel need not know."""
+"""Robots in the plane, with the kernel's filter and pilot and with fixes that are drawn."""
 
 from dataclasses import dataclass
 
@@ -9,38 +9,8 @@ from agent.kernel.navigation.event_ring import EventRing, asked, fix
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Drift, begin
 
-STEP_S = 0.005
 CYCLE_NS = 50_000_000
 NOTHING = (0.0,) * 6
-
-
-@dataclass
-class Swimmer:
-    """A body; its constants are its own."""
-
-    at: np.ndarray  # x, y, psi
-    hull: Hull
-    speed: np.ndarray  # in the world
-    force: np.ndarray  # acting, body frame
-
-    @classmethod
-    def resting(cls, at, hull=None):
-        return cls(np.array(at, float), hull or Hull(), np.zeros(3), np.zeros(3))
-
-    def swim(self, asked_for, seconds, pull=(0.0, 0.0, 0.0)):
-        """pull: from outside, N, N, N m in the world."""
-        hull = self.hull
-        for _ in range(round(seconds / STEP_S)):
-            self.force += (np.asarray(asked_for) - self.force) * (STEP_S / hull.lag_s)
-            c, s = np.cos(self.at[2]), np.sin(self.at[2])
-            ahead, left, moment = self.force
-            push = np.array([c * ahead - s * left, s * ahead + c * left, moment])
-            v = np.hypot(self.speed[0], self.speed[1])
-            linear = hull.drag + hull.drag2 * v
-            drag = [linear, linear, hull.turn_drag + hull.turn_drag2 * abs(self.speed[2])]
-            inertia = [hull.mass_kg, hull.mass_kg, hull.inertia_kgm2]
-            self.speed += STEP_S * (push + pull - drag * self.speed) / inertia
-            self.at += STEP_S * self.speed
 
 
 @dataclass

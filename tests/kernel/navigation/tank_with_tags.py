@@ -3,15 +3,16 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from agent.kernel.config import Landmarks, Tag
+from agent.experiments.navigation.basin import TAG_M, TANK, tags
+from agent.kernel.config import Landmarks
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import View
 from agent.kernel.navigation.tags.tag_fix import Map
 from agent.kernel.navigation.tags.tag_priors import Prior, Priors
 from agent.kernel.step_io import SeenTag
 
-TANK_M = (3.0, 2.0, 0.8)
-VIEW = View(f_px=930.0, width_px=640, ahead_m=0.012, arm_m=(0.10, 0.01, -0.02), surface_m=0.6)
+TANK_M = TANK.size_m
+VIEW = View(f_px=930.0, width_px=640, ahead_m=0.012, arm_m=(0.10, 0.01, -0.02), surface_m=TANK.surface_m)
 HALF = (0.344, 0.258)  # slopes at the picture's edges
 EDGE_SIGMA_PX, STRETCH = 0.12, 0.0025
 DEPTH_M, LEVEL_DEG, GIMBAL_DEG = 0.0007, 0.1, 0.02
@@ -20,16 +21,7 @@ SIGMA_M, SIGMA_DEG = 0.0005, 0.1
 
 def grid():
     """Tags of 8 cm every 25 cm, on all faces."""
-    along = lambda length: np.arange(0.25, length - 0.1, 0.25)  # noqa: E731
-    places = [("floor", (x, y, 0.0)) for x in along(TANK_M[0]) for y in along(TANK_M[1])]
-    for z in (0.15, 0.40):
-        places += [(face, (x, at, z)) for face, at in (("y0", 0.0), ("y1", TANK_M[1])) for x in along(TANK_M[0])]
-        places += [(face, (at, y, z)) for face, at in (("x0", 0.0), ("x1", TANK_M[0])) for y in along(TANK_M[1])]
-    tags = tuple(
-        Tag(id=k, face=face, position_m=tuple(map(float, at)), turn_deg=15.0 * (k % 5))
-        for k, (face, at) in enumerate(places)
-    )
-    landmarks = Landmarks(size_m=0.08, sigma_m=SIGMA_M, sigma_deg=SIGMA_DEG, tag=tags)
+    landmarks = Landmarks(size_m=TAG_M, sigma_m=SIGMA_M, sigma_deg=SIGMA_DEG, tag=tags())
     return Map(landmarks, markers(landmarks))
 
 
