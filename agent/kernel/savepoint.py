@@ -55,8 +55,10 @@ class Savepoint:
             else:
                 self._objects.append((each.__dict__, dict(each.__dict__)))
                 held = each.__dict__.values()
-            if any(map(changes, set(map(type, held)))):  # hundreds of one kind that never changes are one question
-                found += [one for one in held if changes(type(one))]
+            kinds: set[type] = set(map(type, held))  # hundreds of one kind that never changes are one question
+            changing = {kind for kind in kinds if changes(kind)}
+            if changing:
+                found += [one for one in held if type(one) in changing]
 
 
 @cache

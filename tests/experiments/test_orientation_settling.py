@@ -13,8 +13,8 @@ from agent.experiments.orientation.settling import (
     for_good_s,
     score_push,
     score_step,
-    spread,
 )
+from agent.experiments.spread import spread
 
 WATCH = round((LIMIT_S + STAY_S) / SAMPLE_S)
 
