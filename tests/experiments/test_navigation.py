@@ -179,9 +179,18 @@ def test_half_a_metre_on_the_twin_s_body_under_the_board_s_firmware() -> None:
 # --- what is told -----------------------------------------------------------------------------------------------
 
 PATH = np.column_stack([np.linspace(0.0, 1.0, 5)] * 4)
-FIX = {"tags": 2, "blur_px": 1.0, "distance_m": 0.6, "error_mm": 2.0, "error_deg": 0.1, "nees": 1.0, "sigma_mm": 2.0}
+FIX = {
+    "at_rest": True,
+    "tags": 2,
+    "blur_px": 1.0,
+    "distance_m": 0.6,
+    "error_mm": 2.0,
+    "error_deg": 0.1,
+    "nees": 1.0,
+    "sigma_mm": 2.0,
+}
 DRAWS = {
-    "fix": [FIX, {**FIX, "blur_px": 9.0, "error_mm": 50.0}, {**FIX, "tags": 0, "distance_m": None}],
+    "fix": [FIX, {**FIX, "at_rest": False, "blur_px": 9.0, "error_mm": 50.0}, {**FIX, "tags": 0, "distance_m": None}],
     "hold": [{"rms_mm": 3.0, "yaw_rms_deg": 0.3, "path": PATH}, {"rms_mm": 4.0, "yaw_rms_deg": 0.4, "path": PATH}],
     "goto": [{"s": 3.0, "overshoot_mm": 5.0, "path": PATH}, {"s": 4.0, "overshoot_mm": 9.0, "path": PATH}],
     "turn": [{"s": 2.0, "path": PATH}, {"s": None, "path": PATH}],

@@ -17,8 +17,11 @@ Draws = Mapping[str, list[Row]]
 
 
 def fix(draws: Draws) -> Row:
-    """Of the frames with tags that are blurred by no more than SHARP_PX; a frame whose tags gave no fix is left out."""
-    good = [row for row in draws["fix"] if "nees" in row and (row["blur_px"] or 0.0) <= SHARP_PX]
+    """Of frames with the lens at rest, and of others that are measurably blurred by no more than SHARP_PX.
+
+    Frames without tags, or whose tags gave no fix, are left out: the table counts them.
+    """
+    good = [row for row in draws["fix"] if "nees" in row and (row["at_rest"] or _sharp(row))]
     if not good:
         return {"p90_mm": None, "p90_deg": None, "nees": None}
     return {
@@ -56,6 +59,10 @@ def target(draws: Draws) -> Row:
         return {"ratio_to_bound": None, "nees": None}
     errors_mm, nees = ([value for row in rows for value in row[key]] for key in ("error_mm", "nees"))
     return {"ratio_to_bound": rms(errors_mm) / rms([row["bound_mm"] for row in rows]), "nees": float(np.mean(nees))}
+
+
+def _sharp(row: Row) -> bool:
+    return row["blur_px"] is not None and row["blur_px"] <= SHARP_PX
 
 
 def pooled(rows: Sequence[Row], key: str) -> float | None:

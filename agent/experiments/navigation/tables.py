@@ -62,15 +62,16 @@ def fixes_table(rows: Sequence[Row]) -> Table:
     shown = Table(title=f"fixes of rendered frames: {len(seen)} of {len(rows)} show tags")
     for head in ("blur px", "distance m", "frames", "fixes", "median mm", "90 % mm", "90 % deg", "NEES/3"):
         shown.add_column(head, justify="right")
-    for blurs, ways in ((b, d) for b in pairwise(BLURS_PX) for d in pairwise(DISTANCES_M)):
-        within = [r for r in seen if _in(r["blur_px"] or 0.0, blurs) and _in(r["distance_m"], ways)]
+    bands: list[tuple[float, float] | None] = [*pairwise(BLURS_PX), None]  # None: no edge was fitted, nobody knows
+    for blurs, ways in ((b, d) for b in bands for d in pairwise(DISTANCES_M)):
+        within = [r for r in seen if _blurred(r["blur_px"], blurs) and _in(r["distance_m"], ways)]
         good = [row for row in within if "nees" in row]
         if not good:
             continue
         mm, deg = ([row[key] for row in good] for key in ("error_mm", "error_deg"))
         figures = (np.median(mm), np.percentile(mm, 90), np.percentile(deg, 90), np.mean([r["nees"] for r in good]))
-        bands = _band(blurs), _band(ways)
-        shown.add_row(*bands, str(len(within)), str(len(good)), *(f"{value:.2f}" for value in figures))
+        named = "rough" if blurs is None else _band(blurs), _band(ways)
+        shown.add_row(*named, str(len(within)), str(len(good)), *(f"{value:.2f}" for value in figures))
     return shown
 
 
@@ -97,6 +98,12 @@ def target_line(rows: Sequence[Row]) -> str:
     bound_mm, nees = np.sqrt(np.mean([r["bound_mm"] ** 2 for r in rows])), np.mean([r["bound_nees"] for r in rows])
     samples = np.mean([row["samples"] for row in rows])
     return f"target: {samples:.1f} samples a run; the bound is off by {bound_mm:.1f} mm rms, its NEES/3 is {nees:.2f}"
+
+
+def _blurred(blur_px: float | None, band: tuple[float, float] | None) -> bool:
+    if band is None or blur_px is None:
+        return band is None and blur_px is None
+    return _in(blur_px, band)
 
 
 def _in(value: float, band: tuple[float, float]) -> bool:

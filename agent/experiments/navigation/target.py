@@ -21,7 +21,7 @@ from agent.kernel.config import Look, Pose
 from agent.kernel.navigation.angle import wrap
 from hw.twin.scene import generator
 
-ROBOTS, AROUND_M, SECONDS = 3, 0.75, 40.0
+ROBOTS, AROUND_M, SECONDS = 3, 0.75, 60.0
 BALL_M = (0.5 * TANK.size_m[0], 0.5 * TANK.size_m[1], 0.07)
 BALL_LOOK = Look(tilt_deg=-20.0)
 
