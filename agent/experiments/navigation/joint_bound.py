@@ -87,10 +87,12 @@ class Replayed:
             self._stays[i] = found.stays
 
     def _flow(self, i: int, flow: Flow, then: Carriage, now: Carriage) -> None:
-        start, end = (whole((0.0, 0.0, 0.0), _priors(each, 0.0)) for each in (then, now))
-        moved = odometry(self._view(i), start, end, flow.pairs)
+        start = whole(self.joint.key_pose(i), _priors(then, 0.0))
+        end = whole(self.joint.pose(i), _priors(now, 0.0))
+        tank = self._fleet.tank
+        moved = odometry(self._view(i), start, end, flow.pairs, (*tank.size_m[:2], tank.surface_m), unsettled=0.0)
         if moved is not None:
-            self.joint.add_flow(i, flow.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad)
+            self.joint.add_flow(i, flow.since_ns, moved.pose, moved.covariance)
 
     def _sample(self, i: int, sample: Sample, carriage: Carriage) -> None:
         sighting, outcome, (level, gimbal) = *sample, carriage

@@ -57,6 +57,12 @@ class JointFilter:
         """Where it is (3,), and the covariance of that (3, 3)."""
         return self.x[self.n :].copy(), self.P[self.n :, self.n :].copy()
 
+    def key_pose(self, i: int) -> Vector:
+        """Where robot i was when its key frame was taken."""
+        n = EACH * i + OWN
+        x, y, psi = self.x[n : n + 3].tolist()
+        return x, y, psi
+
     def begin(self, i: int, t_ns: int, pose: Vector, fluctuates: Symmetric) -> None:
         """The first fix of robot i."""
         k = EACH * i
@@ -108,7 +114,7 @@ class JointFilter:
         self.P[:, key] = self.P[:, own]
         self._key_ns[i] = t_ns
 
-    def add_flow(self, i: int, since_ns: int, moved: Vector, sigma_m: float, sigma_rad: float) -> None:
+    def add_flow(self, i: int, since_ns: int, moved: Vector, covariance: Symmetric) -> None:
         """Odometry of robot i from its key frame to now."""
         if self._key_ns[i] != since_ns:
             return
@@ -123,7 +129,7 @@ class JointFilter:
         H[:2, n + 2] = left, -ahead
         H[2, k + 2], H[2, n + 2] = 1.0, -1.0
         misses = moved[0] - ahead, moved[1] - left, wrap(moved[2] - wrap(psi - key_psi))
-        self._correct(H, misses, np.diag(np.square((sigma_m, sigma_m, sigma_rad))))
+        self._correct(H, misses, full(covariance))
 
     def add_sample(self, i: int, seen: Fix, stays: Symmetric) -> None:
         """Robot i measured the target from the pose that this filter gives it now; seen: without that pose's errors.
