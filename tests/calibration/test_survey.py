@@ -84,7 +84,7 @@ def test_a_tag_of_another_size_is_named_and_a_wrong_camera_refused(filmed):
     known = known_tags(FLEET, (), "fleet.toml")
     odd = [frame._replace(tags=tuple(larger(tag) if tag.id == 9 else tag for tag in frame.tags)) for frame in frames]
     said = verb.remarks(survey(Views(odd, 24, 0.002), FLEET, known, flat=True), Views(odd, 24, 0.002))
-    assert [line for line in said if line.startswith("tag ")][0].startswith("tag 9 does not fit")
+    assert next(line for line in said if line.startswith("tag ")).startswith("tag 9 does not fit")
     wrong = [frame._replace(tags=tuple(larger(tag) for tag in frame.tags)) for frame in frames]
     with pytest.raises(Failed, match=r"corners miss by .* px; check size_m"):
         survey(Views(wrong, 24, 0.002), FLEET, known, flat=True)
