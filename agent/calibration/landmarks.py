@@ -58,7 +58,7 @@ class Surveyed(NamedTuple):
 class Survey(NamedTuple):
     tags: list[Surveyed]
     frames: int
-    misfit_px: float
+    bundle: Bundle  # the same tags, their errors and how these hang together
     unplaced: tuple[int, ...]
 
 
@@ -117,7 +117,7 @@ def survey(views: Views, fleet: Fleet, known: Sequence[Tag], flat: bool) -> Surv
         )
     listed = {tag.id: tag for tag in landmarks.tag}
     tags = [one(result, begun, k, listed, fleet) for k in range(len(result.tags.ids))]
-    return Survey(tags, len(begun.frames), result.misfit_px, begun.unplaced)
+    return Survey(tags, len(begun.frames), result, begun.unplaced)
 
 
 def priors(begun: Start, known: Sequence[Tag], landmarks: Landmarks, flat: bool, focal: float) -> Prior:
@@ -170,7 +170,7 @@ def table(found: Survey) -> Table:
 
 def remarks(found: Survey, views: Views) -> list[str]:
     """How it went, in lines."""
-    said = [f"{found.frames} of {views.looked_at} pictures used, corners miss by {found.misfit_px:.2f} px (rms)"]
+    said = [f"{found.frames} of {views.looked_at} pictures used, corners miss by {found.bundle.misfit_px:.2f} px (rms)"]
     if found.unplaced:
         names = ", ".join(map(str, found.unplaced))
         said.append(f"no place for {names}: seen, but in no picture with a tag that has one, or on no wall or floor")
