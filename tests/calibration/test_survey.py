@@ -11,9 +11,10 @@ from rich.console import Console
 
 from agent.__main__ import main
 from agent.calibration import landmarks as verb
-from agent.calibration.landmarks import Asked, block, check_out, known_tags, priors, put, run, survey
+from agent.calibration.landmarks import Asked, known_tags, priors, run, survey
 from agent.calibration.rotation import turn_of, turned_by
 from agent.calibration.survey_bundle import bundle
+from agent.calibration.survey_result import block, check_out, put, remarks
 from agent.calibration.survey_start import start
 from agent.calibration.survey_views import Views, fresh, recorded
 from agent.failure import Failed
@@ -91,7 +92,7 @@ def test_a_tag_of_another_size_is_named_and_a_wrong_camera_refused(filmed):
     _, frames = filmed
     known = known_tags(FLEET, (), "fleet.toml")
     odd = [frame._replace(tags=tuple(larger(tag) if tag.id == 9 else tag for tag in frame.tags)) for frame in frames]
-    said = verb.remarks(survey(Views(odd, 24, 0.002), FLEET, known, flat=True), Views(odd, 24, 0.002))
+    said = remarks(survey(Views(odd, 24, 0.002), FLEET, known, flat=True), 24)
     assert next(line for line in said if line.startswith("tag ")).startswith("tag 9 does not fit")
     wrong = [frame._replace(tags=tuple(larger(tag) for tag in frame.tags)) for frame in frames]
     with pytest.raises(Failed, match=r"corners miss by .* px; check size_m"):
