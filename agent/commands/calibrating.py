@@ -69,3 +69,26 @@ def calibrate_body(
     from agent.calibration.body import run
 
     run(recording, out, terminal())
+
+
+@app.command(
+    "landmarks", epilog="Example: aucamp calibrate landmarks film.mp4 fleet.toml --calibration r1.toml --known 0"
+)
+def calibrate_landmarks(
+    source: Annotated[str, typer.Argument(help="Video, folder of pictures, a dive's folder or recording of a robot.")],
+    fleet: FleetFile,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration file of the camera that filmed; recordings have their own.")
+    ] = None,
+    known: Annotated[
+        list[int] | None, typer.Option(help="Tag whose place in the fleet file counts; all of them if none is given.")
+    ] = None,
+    flat: Annotated[bool, typer.Option(help="Whether tags are glued flat to walls and floor.")] = True,
+    lens: Annotated[int | None, typer.Option(help="Lens position of all pictures, if it is known.")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="Of a film, at most so many.")] = None,
+    out: Annotated[Path | None, typer.Option(help=r"File for the table \[landmarks]; printed if not given.")] = None,
+) -> None:
+    """Where the tags of a tank are, from a film of them, and how well each is known."""
+    from agent.calibration.landmarks import Asked, run
+
+    run(source, fleet, Asked(calibration, tuple(known or ()), flat, lens, frames, out), terminal())

@@ -19,9 +19,9 @@ from agent.fleet_setup.files import (
 )
 from agent.fleet_setup.finding import Finding
 from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.fleet_reader import load_fleet, load_robot
+from agent.kernel.fleet_reader import load_fleet, load_robot, read_fleet
 from agent.kernel.fleet_rules import broken_rules, two_worlds
-from agent.kernel.toml_files import convert, read_toml
+from agent.kernel.toml_files import read_toml
 
 MARKS = ("MEASURE", "SURVEY")  # that `aucamp init` leaves in the comments of a file of real robots
 
@@ -76,7 +76,7 @@ def check(path: Path, robot: str | None, folder: Path) -> Checked:
 def mistakes_in(path: Path) -> Iterator[Finding]:
     """All rules that the file breaks, where it can be read at all; a person would rather not hear of one at a time."""
     try:
-        fleet = convert(read_toml(path), Fleet, path)
+        fleet = read_fleet(path)
     except ConfigError as error:
         yield Finding("wrong", "file", str(error))
         return

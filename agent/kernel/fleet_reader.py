@@ -8,14 +8,26 @@ import msgspec
 
 from agent.kernel.config import ConfigError, Fleet, Robot, Target
 from agent.kernel.fleet_rules import broken_rules
+from agent.kernel.navigation.tags.layout_files import landmarks_of
 from agent.kernel.toml_files import convert, read_toml
 
 
 def load_fleet(path: Path) -> Fleet:
     """Read and check a fleet file. Raises ConfigError with one line."""
-    fleet = convert(read_toml(path), Fleet, path)
+    fleet = read_fleet(path)
     _check(fleet, path)
     return msgspec.structs.replace(fleet, target={name: _found(t, path.parent) for name, t in fleet.target.items()})
+
+
+def read_fleet(path: Path) -> Fleet:
+    """Read a fleet file, and the file of its tags if it names one; what types cannot say is not asked. Raises
+    ConfigError with one line."""
+    data = read_toml(path)
+    landmarks = data.get("landmarks")
+    if not (isinstance(landmarks, dict) and "file" in landmarks):
+        return convert(data, Fleet, path)
+    fleet = convert({key: value for key, value in data.items() if key != "landmarks"}, Fleet, path)
+    return msgspec.structs.replace(fleet, landmarks=landmarks_of(landmarks, path, fleet.tank))
 
 
 def _found(target: Target, folder: Path) -> Target:

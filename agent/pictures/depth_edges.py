@@ -8,9 +8,9 @@ peak is good to a tenth of a step of the sweep where it has texture; a median of
 * A part lies on an edge if the cells in and around it (4 x 4) are not on a plane, or it is not where they are: a plane
   is any surface over 25 pixels, a step is not. What light of a blurred foreground spills over the part beside it, and
   the contour that a part shares, is seen by the cells on the other side.
-* A block holds one depth if none of its parts is on an edge or away from the block's own peak, and texture shows that
-  in each of its quarters. Beside a block of another depth its parts are asked about what lies around them,
-  too. A steep slope is away from one peak as well: its parts are what is told.
+* A block holds one depth if none of its parts is on an edge or away from the block's own peak. Beside a block of
+  another depth its parts are asked about what lies around them, too. A steep slope is away from one peak as well: its
+  parts are what is told. (That texture shows the depth all over the block, depth_shown.py asks.)
 
 Limits in peak widths, because how far apart two depths must be is a matter of how blurred one is when the other is
 sharp; never less than a fraction of the sweep's step, which is what sampling can tell.
@@ -30,7 +30,6 @@ UNEVEN = 0.1  # of the peak's half width: how far from a plane, or from its cell
 AWAY = 0.25  # the same, of a part's depth from its block's
 STEP_SHARE = 0.4  # of the step between lens positions: no limit is less
 KNOWN = 0.6  # of the cells in and around a part that have a peak, or nothing is known of its surroundings
-QUARTERS = 4  # of a block that show its depth: a plain one may have any, as a corner of another surface has
 OWN_CELLS = 3  # of a part's four that have a peak: one in a corner may be the neighbour's contour
 ANY_CELLS = 5  # around a part: fewer do not speak against it
 AROUND = np.array([(1.0, row - 1.5, col - 1.5) for row in range(4) for col in range(4)])  # 4 x 4 cells: 1, y, x
@@ -68,14 +67,12 @@ def with_edges(blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, step: floa
     seen, inside = np.isfinite(around), np.isfinite(four_by_four(np.zeros(cells.reason.shape))).sum(axis=-1)
     known = (seen.sum(axis=-1) >= KNOWN * inside) & (seen[..., [5, 6, 9, 10]].sum(axis=-1) >= OWN_CELLS)
 
-    apart = np.maximum(AWAY * each_part(blocks.width, along), STEP_SHARE * step) + parts.sigma
-    away = parts.accepted & (np.abs(parts.lens_position - each_part(blocks.lens_position, along)) > apart)
+    from_block = np.abs(parts.lens_position - each_part(blocks.lens_position, along))
+    away = parts.accepted & (from_block > apart_from_block(blocks, parts, step))
     near = near_another(blocks, step)
     two = any_part(edge_inside | (edge & each_part(near, along)) | (away & each_part(blocks.accepted, along)), along)
-    shown = quarters(parts.accepted, along) >= QUARTERS
     parts = parts.refused(parts.accepted & ~known, Reason.NO_TEXTURE).refused(edge, Reason.TWO_DEPTHS)
-    blocks = blocks.refused(blocks.accepted & ~shown, Reason.NO_TEXTURE).refused(two, Reason.TWO_DEPTHS)
-    return blocks, parts
+    return blocks.refused(two, Reason.TWO_DEPTHS), parts
 
 
 def near_another(blocks: GridPeaks, step: float) -> NDArray[np.bool_]:
@@ -106,6 +103,13 @@ def within_block(around: Array, along: int) -> Array:
 def limit(parts: GridPeaks, step: float) -> Array:
     """How far a part's depth may be from what it should be, its own uncertainty apart, lens positions."""
     most: Array = np.maximum(UNEVEN * parts.width, STEP_SHARE * step)
+    return most
+
+
+def apart_from_block(blocks: GridPeaks, parts: GridPeaks, step: float) -> Array:
+    """How far a part's depth (rows * along, cols * along) may be from its block's, lens positions."""
+    width = each_part(blocks.width, len(parts.reason) // len(blocks.reason))
+    most: Array = np.maximum(AWAY * width, STEP_SHARE * step) + np.nan_to_num(parts.sigma)
     return most
 
 
@@ -149,9 +153,3 @@ def by_block(parts: NDArray[np.bool_], along: int) -> NDArray[np.bool_]:
 def any_part(parts: NDArray[np.bool_], along: int) -> NDArray[np.bool_]:
     """(rows * along, cols * along) -> (rows, cols)."""
     return np.asarray(by_block(parts, along).any(axis=-1), np.bool_)
-
-
-def quarters(parts: NDArray[np.bool_], along: int) -> NDArray[np.int64]:
-    """In how many of its four quarters a block has any such part; along is 2 or more."""
-    count: NDArray[np.int64] = by_block(any_part(parts, along // 2), 2).sum(axis=-1)
-    return count

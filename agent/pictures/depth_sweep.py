@@ -22,7 +22,8 @@ from agent.perception.tracking.box import Box
 from agent.perception.tracking.follow import check_box
 from agent.pictures.depth_box import BoxRange, box_clarity
 from agent.pictures.depth_edges import cuts, in_doubt, with_edges
-from agent.pictures.depth_peaks import GridPeaks, each_part, grid_peaks
+from agent.pictures.depth_peaks import GridPeaks, Reason, each_part, grid_peaks
+from agent.pictures.depth_shown import shown
 from agent.pictures.sharp_picture import sharpest
 from hw.camera.camera import Camera, CameraError, Image, nearest
 from hw.camera.files import StackCamera
@@ -200,7 +201,9 @@ def measure(
         parts = grid_peaks(x, finer.parts, side * side, min(min_quality, MIN_QUALITY), (3, 3))
         asked = each_part(in_doubt(blocks, parts, step), along)
         cells = grid_peaks(x, finer.cells, side * side / 4, CELL_QUALITY, (5, 5), asked)
+        all_over = shown(x, finer.parts, blocks, parts, step)
         blocks, parts = with_edges(blocks, parts, cells, step)
+        blocks = blocks.refused(blocks.accepted & ~all_over, Reason.NO_TEXTURE)
         parts = parts if method == "matched" else parts.by(method, x, finer.parts)
     blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)
     if focus is not None:

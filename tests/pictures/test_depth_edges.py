@@ -5,6 +5,7 @@ import pytest
 
 from agent.pictures.depth_edges import cuts, middle, off_plane, with_edges
 from agent.pictures.depth_peaks import GridPeaks, Reason
+from agent.pictures.depth_shown import enclosed, shown
 from agent.pictures.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
 from tests.bench.pictures.bench_edges import jumps
@@ -73,6 +74,32 @@ def test_a_step_is_told_from_a_slope(depth, two):
     assert blocks.reason[0, 0] == (Reason.TWO_DEPTHS if two else Reason.ACCEPTED)
     wrong = [np.ptp(pixels[10 * r : 10 * r + 10, 10 * c : 10 * c + 10]) > 1 for r, c in np.argwhere(parts.accepted)]
     assert not any(wrong) and parts.accepted.any()
+
+
+def test_a_plain_part_is_filled_in_between_others_and_never_beyond_them():
+    depth = np.full((7, 8), 12.0)
+    depth[2:4, 2] = np.nan  # a plain spot
+    depth[6, 2] = np.nan  # one that the picture's border cuts
+    depth[:, 5:] = np.nan  # a plain rim
+    expected = np.ones((7, 8), bool)
+    expected[:, 4:] = False  # what shows the depth at the rim shows it itself
+    found = enclosed(depth, np.full((7, 8), 12.0), np.full((7, 8), 0.5))
+    assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("there", "said"), [(12.0, True), (12.8, True), (16.0, False), (None, False)])
+def test_a_part_too_weak_for_a_peak_speaks_for_its_block_if_it_has_its_peak(there, said):
+    """One block; one half of it has weak curves, sharp at `there`, or what a blurred neighbour spills over it."""
+    x = np.arange(30.0)
+    curves = np.tile(1000.0 / (1 + ((x - 12.0) / 2) ** 2)[:, None, None], (1, 4, 4))
+    spilt = 1 - 1 / (1 + ((x - 12.0) / 4) ** 2)
+    weakly = 100 * (spilt if there is None else 1 / (1 + ((x - there) / 2) ** 2))
+    curves[:, :, :2] = weakly[:, None, None]
+    blocks, parts = squares(np.full((1, 1), 12.0)), squares(np.full((4, 4), 12.0))
+    weak = np.zeros((4, 4), bool)
+    weak[:, :2] = True
+    parts = parts.refused(weak, Reason.NO_TEXTURE)
+    assert shown(x, curves, blocks, parts, 1.0)[0, 0] == said
 
 
 def test_a_plane_through_what_is_known():

@@ -28,9 +28,10 @@ def test_two_planes_of_a_stack(planes, tmp_path):
     result = depth_map(str(planes), tmp_path / "map.png", 40, tmp_path, None, lambda *now: seen.append(now))
     blocks = result.blocks
     assert blocks.lens_position.shape == (4, 6) and blocks.range_m is None
-    assert blocks.accepted[:3, [0, 1, 4, 5]].all() and not blocks.accepted[3].any()  # plain grey has no distance
+    assert blocks.accepted[:2, [0, 1, 4, 5]].all() and not blocks.accepted[3].any()  # plain grey has no distance
+    assert set(blocks.reason[2, [0, 1, 4, 5]]) <= {Reason.ACCEPTED, Reason.NO_TEXTURE}  # a quarter of it is plain
     assert (blocks.reason[:3, 2:4] == Reason.TWO_DEPTHS).all()  # each sees the other's plane at its border
-    said = result.lens_position_on_parts()[:8]
+    said = result.lens_position_on_parts()[:10]
     assert np.isfinite(said[:, [8, 9, 10, 13, 14, 15]]).all() and np.isnan(said[:, 11:13]).all()
     assert np.nanmax(np.abs(said[:, :12] - 0.21)) < 0.2 * 0.05  # a fifth of a step
     assert np.nanmax(np.abs(said[:, 12:] - 0.388)) < 0.2 * 0.05
@@ -44,7 +45,7 @@ def test_files(planes, tmp_path):
     blocks, parts = ([row for row in rows if row["size_px"] == size] for size in ("40", "10"))
     assert len(blocks) == 24 and len(parts) + 24 == len(rows)
     assert {row["reason"] for row in blocks} == {"", "two depths", "no texture"}
-    assert {(row["row"], row["col"]) for row in parts} == {(r, c) for r in "012" for c in "23"}
+    assert {(row["row"], row["col"]) for row in parts} == {(r, c) for r in "012" for c in "23"} | {("2", "1")}
     told = np.zeros((160, 240), int)
     for row in rows:
         assert (row["accepted"] == "1") == (row["reason"] == "")
@@ -70,7 +71,7 @@ def test_ranges_in_the_files(planes, tmp_path):
 def test_the_verb_says_what_it_found(planes, tmp_path):
     (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
     said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
-    assert said.startswith("12 of 24 blocks have a clear peak, 6 more in parts, ") and "map.csv" in said
+    assert said.startswith("11 of 24 blocks have a clear peak, 7 more in parts, ") and "map.csv" in said
 
 
 def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
@@ -104,7 +105,7 @@ def test_nothing_is_overwritten(planes, tmp_path, there):
 def test_ranges_need_the_table_of_the_focus_alone(planes, tmp_path):
     known = dump(CALIBRATION)
     (tmp_path / "focus.toml").write_text(known[: known.index("[camera]")])
-    assert run(str(planes), tmp_path / "map.png", 40, tmp_path / "focus.toml").startswith("12 of 24")
+    assert run(str(planes), tmp_path / "map.png", 40, tmp_path / "focus.toml").startswith("11 of 24")
     assert read_rows(tmp_path / "map.csv")[0]["range_m"]
     (tmp_path / "camera.toml").write_text(known[: known.index("[focus]")] + known[known.index("[camera]") :])
     with pytest.raises(ConfigError, match=r"camera\.toml: has no table \[focus\]; add it by `aucamp calibrate focus`"):

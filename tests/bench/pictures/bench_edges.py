@@ -1,7 +1,8 @@
 """Depth across known edges: how many blocks with two depths are told one, and what is lost where there is no edge.
 
-Limits were set on the first pair of rows; all others were not looked at for it. The shared pictures are left out where
-they are not. Without the parts: how it was before blocks were split.
+Limits were set on the first rows; of the pictures, it was chosen on those not called others what is asked of plain
+parts, and the others were only counted afterwards. The shared pictures are left out where they are not. Without the
+parts: how it was before blocks were split.
 """
 
 from collections.abc import Iterable, Iterator
@@ -17,7 +18,12 @@ from tests.places import DATA
 
 BLOCK_PX = 40  # of pictures of 400
 PAIRS = (("pink", "leaves"), ("leaves", "pink"), ("fine", "coarse"), ("coarse", "leaves"))
-PHOTOGRAPH_SEEDS = range(4)
+PHOTOGRAPHED = {  # seeds and aperture
+    "photographs": (range(20, 24), "disc"),
+    "light_field": (range(30, 34), "views"),
+    "other_photographs": (range(50, 56), "disc"),
+    "other_light_fields": (range(60, 66), "views"),
+}
 REAL = {"bracket": DATA / "focal_stacks" / "bracket_simulated", "smooth": DATA / "real_water" / "stacks" / "cou_6"}
 
 
@@ -25,11 +31,9 @@ def run() -> dict[str, dict]:
     rows = rows_of("edges_tuned_on", made(0))
     rows |= rows_of("edges_other_seeds", made(10))
     if PHOTOGRAPHS.is_dir():
-        photographs = ("photograph", "photograph")
-        rows |= rows_of("edges_photographs", (s for k in PHOTOGRAPH_SEEDS for s in stacks(*photographs, 20 + k)))
-        rows |= rows_of(
-            "edges_light_field", (s for k in PHOTOGRAPH_SEEDS for s in stacks(*photographs, 30 + k, "views"))
-        )
+        for name, (seeds, aperture) in PHOTOGRAPHED.items():
+            made_of = (s for seed in seeds for s in stacks("photograph", "photograph", seed, aperture))
+            rows |= rows_of(f"edges_{name}", made_of)
     for name, folder in REAL.items():
         if folder.is_dir():
             rows |= rows_of(f"edges_{name}", [folder])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from agent.kernel.config import Face, Landmarks, Tag, Tank
+from agent.kernel.config import Landmarks, Tag, Tank
 from agent.kernel.navigation.tags.layout import axes, corners
+from agent.kernel.navigation.tags.on_face import OFF_M, plane
 
-PROUD_M = 0.02  # a tag on a plate stands off its wall; more is a slip of the pen
 MODULES = 8  # black edge to black edge of the family 36h11; a white border of one belongs around it
 
 
@@ -32,8 +32,8 @@ def broken_landmark_rules(landmarks: Landmarks, tank: Tank) -> Iterator[tuple[st
 
 def _wrong_place(tag: Tag, size_m: float, tank: Tank) -> str | None:
     """Why a tag cannot be there; None where it can."""
-    axis, at_m = _plane(tag.face, tank)
-    if abs(tag.position_m[axis] - at_m) > PROUD_M:
+    axis, at_m = plane(tag.face, tank)
+    if abs(tag.position_m[axis] - at_m) > OFF_M:
         name, is_m = "xyz"[axis], tag.position_m[axis]
         return f"{name} is {is_m:g} m, and {tag.face} lies at {name} = {at_m:g}; correct the place or the face"
     places = corners(tag, size_m)
@@ -45,14 +45,6 @@ def _wrong_place(tag: Tag, size_m: float, tank: Tank) -> str | None:
             where = f"{name} from {lowest:.3g} to {highest:.3g} m"
             return f"tag {tag.id} reaches over the edge of {tag.face}, {where}; move it inwards"
     return None
-
-
-def _plane(face: Face, tank: Tank) -> tuple[int, float]:
-    """Which coordinate is the same all over a face, and what it is."""
-    if face == "floor":
-        return 2, 0.0
-    axis = "xy".index(face[0])
-    return axis, tank.size_m[axis] if face[1] == "1" else 0.0
 
 
 def _overlap(a: Tag, b: Tag, size_m: float) -> bool:

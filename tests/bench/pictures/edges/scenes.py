@@ -2,8 +2,8 @@
 
 The nearer plane blurs over the farther one and hides part of it: what is seen is B(f a) + (1 - B(a)) B'(b), with the
 planes' pictures f and b, the nearer one's cover a, and the blur B of each plane at this lens position. That is exact
-where either plane is in focus. Blur is done in the frequency domain, so pictures go on beyond their border as they
-begin at the opposite one.
+where either plane is in focus. Blur is done in the frequency domain, where what is drawn goes on beyond its border as
+it begins at the opposite one: a margin is drawn that no picture shows, wider than blur reaches.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import numpy as np
 from tests.places import DATA
 
 SIZE, FRAMES = 400, 30
+MARGIN = 24  # pixels beyond each border
+DRAWN = SIZE + 2 * MARGIN
 BLUR_PX = 0.8  # diameter of the blur that a step of the sweep adds: a small camera's in water
 NOISE = (0.7, 1.5)  # grey levels, in turn
 GAPS = (2.5, 5.0, 10.0, 18.0)  # steps between the two depths: about 1, 2, 4 and 8 half widths of a peak
@@ -42,7 +44,7 @@ def render(farther: str, nearer: str, outline: str, gap: float, seed: int, apert
     rng = np.random.default_rng(seed)
     level, contrast = rng.uniform(90, 150, 2), rng.uniform(18, 35, 2)
     back, front = (m + c * texture(kind, rng) for m, c, kind in zip(level, contrast, (farther, nearer), strict=True))
-    cover = np.clip(inside(outline, rng) + 0.5, 0, 1)
+    cover, shown = np.clip(inside(outline, rng) + 0.5, 0, 1), (slice(MARGIN, -MARGIN),) * 2
     middle = rng.uniform(12, 18)
     far, near = middle - gap / 2, middle + gap / 2
     spectra = [np.fft.rfft2(plane) for plane in (front * cover, cover, back)]
@@ -50,13 +52,13 @@ def render(farther: str, nearer: str, outline: str, gap: float, seed: int, apert
     for position in range(FRAMES):
         b_near, b_far = (blur(aperture, BLUR_PX * abs(position - depth)) for depth in (near, far))
         light, share, behind = (np.fft.irfft2(b * s) for b, s in zip((b_near, b_near, b_far), spectra, strict=True))
-        seen = light + (1 - share) * behind + rng.normal(0, noise, light.shape)
+        seen = (light + (1 - share) * behind)[shown] + rng.normal(0, noise, (SIZE, SIZE))
         images.append(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
-    return Stack(images, np.where(cover > 0.5, near, far))
+    return Stack(images, np.where(cover[shown] > 0.5, near, far))
 
 
 def texture(kind: str, rng: np.random.Generator) -> Array:
-    """(SIZE, SIZE) of mean 0 and standard deviation 1. `photograph` needs the shared data."""
+    """(DRAWN, DRAWN) of mean 0 and standard deviation 1. `photograph` needs the shared data."""
     made = photograph(rng) if kind == "photograph" else leaves(rng) if kind == "leaves" else noise(rng, POWERS[kind])
     return (made - made.mean()) / max(made.std(), 1e-3)
 
@@ -65,38 +67,39 @@ POWERS = {"fine": 0.6, "pink": 1.0, "coarse": 1.5}  # of 1 / frequency, in ampli
 
 
 def noise(rng: np.random.Generator, power: float) -> Array:
-    frequency = np.hypot(np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)[None])
+    frequency = np.hypot(np.fft.fftfreq(DRAWN)[:, None], np.fft.rfftfreq(DRAWN)[None])
     frequency[0, 0] = np.inf
-    return np.fft.irfft2(np.fft.rfft2(rng.normal(size=(SIZE, SIZE))) * frequency**-power)
+    return np.fft.irfft2(np.fft.rfft2(rng.normal(size=(DRAWN, DRAWN))) * frequency**-power)
 
 
 def leaves(rng: np.random.Generator) -> Array:
     """Plain discs of all sizes on one another, as in the statistics of natural pictures: edges, and plain parts."""
-    wide = np.zeros((2 * SIZE, 2 * SIZE), np.float32)
-    for _ in range(4000):
+    wide = np.zeros((2 * DRAWN, 2 * DRAWN), np.float32)
+    for _ in range(5000):
         radius = min(3 / np.sqrt(rng.uniform(0.0006, 1)), 90)
-        centre = rng.uniform(0, 2 * SIZE, 2).round().astype(int)
+        centre = rng.uniform(0, 2 * DRAWN, 2).round().astype(int)
         cv2.circle(wide, centre.tolist(), round(radius), float(rng.normal()), -1)
-    part = cv2.GaussianBlur(wide, (0, 0), 0.6)[SIZE // 2 : SIZE // 2 + SIZE, SIZE // 2 : SIZE // 2 + SIZE]
+    part = cv2.GaussianBlur(wide, (0, 0), 0.6)[DRAWN // 2 : -DRAWN // 2, DRAWN // 2 : -DRAWN // 2]
     return part.astype(float)
 
 
 def photograph(rng: np.random.Generator) -> Array:
-    """A piece of one of the shared photographs, at random."""
+    """A piece of one of the shared photographs, at random; few are large enough for the margin, so that is mirrored."""
     paths = sorted(PHOTOGRAPHS.iterdir())
     while True:
         grey = cv2.imread(str(paths[rng.integers(len(paths))]), cv2.IMREAD_GRAYSCALE)
         if grey is not None and min(grey.shape) > SIZE:
             top, left = (rng.integers(side - SIZE) for side in grey.shape)
-            return grey[top : top + SIZE, left : left + SIZE].astype(float)
+            piece = grey[top : top + SIZE, left : left + SIZE].astype(float)
+            return np.pad(piece, MARGIN, mode="reflect")
 
 
 OUTLINES = ("straight", "slanted", "round", "bars")
 
 
 def inside(outline: str, rng: np.random.Generator) -> Array:
-    """Pixels (SIZE, SIZE) to the nearer plane's outline, positive within it."""
-    y, x = np.mgrid[:SIZE, :SIZE] - SIZE / 2.0
+    """Pixels (DRAWN, DRAWN) to the nearer plane's outline, positive within it."""
+    y, x = np.mgrid[:DRAWN, :DRAWN] - DRAWN / 2.0
     offset = rng.uniform(-25, 25)
     match outline:
         case "straight":
@@ -112,17 +115,17 @@ def inside(outline: str, rng: np.random.Generator) -> Array:
 
 
 def blur(aperture: Aperture, diameter_px: float) -> Array:
-    """Transfer function (SIZE, SIZE / 2 + 1) of a disc, or of 9 x 9 views across a square, as a light field's."""
-    across, down = np.fft.rfftfreq(SIZE)[None], np.fft.fftfreq(SIZE)[:, None]
+    """Transfer function (DRAWN, DRAWN / 2 + 1) of a disc, or of 9 x 9 views across a square, as a light field's."""
+    across, down = np.fft.rfftfreq(DRAWN)[None], np.fft.fftfreq(DRAWN)[:, None]
     if aperture == "views":
         shifts = np.arange(-4, 5) * diameter_px / 8
         return np.multiply(*(np.cos(2 * np.pi * f[..., None] * shifts).mean(axis=-1) for f in (across, down)))
     if diameter_px < 0.6:
-        return np.ones((SIZE, SIZE // 2 + 1))
+        return np.ones((DRAWN, DRAWN // 2 + 1))
     fine, reach = 8, int(np.ceil(diameter_px / 2)) + 1  # samples a pixel, pixels
     side = 2 * reach + 1
     at = (np.arange(side * fine) + 0.5) / fine - side / 2
     disc = (at[:, None] ** 2 + at**2 <= diameter_px**2 / 4).reshape(side, fine, side, fine).mean(axis=(1, 3))
-    kernel = np.zeros((SIZE, SIZE))
+    kernel = np.zeros((DRAWN, DRAWN))
     kernel[:side, :side] = disc / disc.sum()
     return np.fft.rfft2(np.roll(kernel, (-reach, -reach), (0, 1))).real
