@@ -23,22 +23,24 @@ class Gyro:
     def rate_cdeg_s(self):
         """Hundredths of a degree a second, +-25013 where the chip is at its limit; _NO_RATE where there is none."""
         wait, self._wait = self._wait, -1  # where anything breaks off: anew
-        if self._read(b"\xf5\0\0") >> 8 != _ICM_42688_P:
-            return _NO_RATE
-        if wait < 0:
-            # 250 deg/s 100 times a second; low-pass at 25 Hz, half of how often telemetry goes out; the gyro on, in
-            # its quietest mode, the accelerometer off.
-            for setting in (b"\x4f\x68", b"\x52\x15", b"\x4e\x0c"):
-                self._select(0)
-                self._spi.write(setting)
-                self._select(1)
-            wait = _SETTLING
-        raw = self._read(b"\xa9\0\0")
-        if wait:
-            self._wait = wait - 1
-        elif raw != _INVALID:
-            self._wait = 0
-            return (raw - (raw >> 15 << 16)) * 100 // _PER_DEG_S
+        try:
+            if self._read(b"\xf5\0\0") >> 8 == _ICM_42688_P:
+                if wait < 0:
+                    # 250 deg/s 100 times a second; low-pass at 25 Hz, half of how often telemetry goes out; the gyro
+                    # on, in its quietest mode, the accelerometer off.
+                    for setting in (b"\x4f\x68", b"\x52\x15", b"\x4e\x0c"):
+                        self._select(0)
+                        self._spi.write(setting)
+                        self._select(1)
+                    wait = _SETTLING
+                raw = self._read(b"\xa9\0\0")
+                if wait:
+                    self._wait = wait - 1
+                elif raw != _INVALID:
+                    self._wait = 0
+                    return (raw - (raw >> 15 << 16)) * 100 // _PER_DEG_S
+        except OSError:
+            pass  # a gyro is not worth a telemetry frame
         return _NO_RATE
 
     def _read(self, order):

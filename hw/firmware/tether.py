@@ -32,7 +32,6 @@ _VALID_ATTITUDE = const(2)
 _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
-_NO_RATE = const(-32768)
 
 _BUILD = b"aucamp04"
 _TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
@@ -94,15 +93,11 @@ class Tether:
         self._framer = frames.Framer(self._on_frame)
         self._rx = bytearray(_RX_BYTES)
         self._words = [0] * 15  # of a set-point, or of telemetry
-        self._host_boot = None
-        self.hello = False
+        self._host_boot, self.hello = None, False
         self._protocol = 1  # the host's, where this board speaks it
-        self._events = []  # [copies left, fields]
-        self._event_count = 0
-        self._logs = []
-        self._complaints = []  # about this boot, for each host that greets: none was there when it began
-        self.faults = 0  # since boot
-        self._fault_us = None  # when one was told last
+        self._events, self._event_count = [], 0  # [copies left, fields]
+        self._logs, self._complaints = [], []  # about this boot, for each host that greets: none was there then
+        self.faults, self._fault_us = 0, None  # since boot; when one was told last
         self.heap_free_16 = 0  # blocks of 16 bytes
         self.loop_us = 0  # the last cycle
         self.loop_max_us = self._loop_before_us = 0  # the longest since the last STATUS, and of the second before that
@@ -171,8 +166,7 @@ class Tether:
 
     def _on_hello(self, protocol, schema, host_boot):
         self.hello = 0 < protocol <= _PROTOCOL and schema == frames.SCHEMA_CRC[protocol]
-        self._protocol = protocol if self.hello else 1
-        says = protocol if self.hello else _PROTOCOL
+        self._protocol, says = (protocol, protocol) if self.hello else (1, _PROTOCOL)
         if host_boot != self._host_boot:  # another host: its request numbers begin again
             self._host_boot = host_boot
             self.orders.forget()
@@ -241,12 +235,7 @@ class Tether:
         if self._protocol == 1:
             hal.write(writer.close(_TELEM_1, _TELEM_1_END))
             return
-        try:
-            rate = hal.yaw_rate_cdeg_s()
-        except OSError:  # the gyro is not worth a telemetry frame
-            rate = _NO_RATE
-        writer.plain[_TELEM_1_END] = rate & 0xFF
-        writer.plain[_TELEM_1_END + 1] = rate >> 8 & 0xFF
+        struct.pack_into("<h", writer.plain, _TELEM_1_END, hal.yaw_rate_cdeg_s())
         hal.write(writer.close(_TELEM, _TELEM_1_END + 2))
 
     def say_status(self):
