@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from agent.experiments.navigation.joint_filter import JointFilter
 from agent.experiments.navigation.notes import Asked, Carriage, Measured, Sample
 from agent.kernel.config import Fleet, Pose
@@ -87,10 +89,11 @@ class Replayed:
             self._stays[i] = found.stays
 
     def _flow(self, i: int, flow: Flow, then: Carriage, now: Carriage) -> None:
-        start, end = (whole((0.0, 0.0, 0.0), _priors(each, 0.0)) for each in (then, now))
+        start, end = whole(self.joint.key_pose(i), _priors(then, 0.0)), whole(self.joint.pose(i), _priors(now, 0.0))
         moved = odometry(self._view(i), start, end, flow.pairs)
         if moved is not None:
-            self.joint.add_flow(i, flow.since_ns, moved.pose, moved.sigma_m, moved.sigma_rad)
+            covariance = np.diag(np.square((moved.sigma_m, moved.sigma_m, moved.sigma_rad)))
+            self.joint.add_flow(i, flow.since_ns, moved.pose, covariance)
 
     def _sample(self, i: int, sample: Sample, carriage: Carriage) -> None:
         sighting, outcome, (level, gimbal) = *sample, carriage

@@ -49,6 +49,10 @@ class JointFilter:
         x, y, psi = self.x[EACH * i : EACH * i + 3].tolist()
         return x, y, psi
 
+    def key_pose(self, i: int) -> Vector:
+        x, y, psi = self.x[EACH * i + OWN : EACH * i + OWN + 3].tolist()
+        return x, y, psi
+
     def speed_m_s(self, i: int) -> float:
         return float(np.hypot(*self.x[EACH * i + 3 : EACH * i + 5]))
 
@@ -108,7 +112,7 @@ class JointFilter:
         self.P[:, key] = self.P[:, own]
         self._key_ns[i] = t_ns
 
-    def add_flow(self, i: int, since_ns: int, moved: Vector, sigma_m: float, sigma_rad: float) -> None:
+    def add_flow(self, i: int, since_ns: int, moved: Vector, covariance: Array) -> None:
         """Odometry of robot i from its key frame to now."""
         if self._key_ns[i] != since_ns:
             return
@@ -123,7 +127,7 @@ class JointFilter:
         H[:2, n + 2] = left, -ahead
         H[2, k + 2], H[2, n + 2] = 1.0, -1.0
         misses = moved[0] - ahead, moved[1] - left, wrap(moved[2] - wrap(psi - key_psi))
-        self._correct(H, misses, np.diag(np.square((sigma_m, sigma_m, sigma_rad))))
+        self._correct(H, misses, covariance)
 
     def add_sample(self, i: int, seen: Fix, stays: Symmetric) -> None:
         """Robot i measured the target from the pose that this filter gives it now; seen: without that pose's errors.
