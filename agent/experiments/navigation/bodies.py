@@ -57,6 +57,7 @@ class PlanarBodies:
 
     def __init__(self, fleet: Fleet, *, pull: Pull = PULL) -> None:
         self.now_ns = START_NS
+        self.armed = True  # False: the crew holds them, and motors may not turn
         self._mounting: Body = fleet.body
         self._bodies, self._servos_us, self._pulls, self._rngs = {}, {}, {}, {}
         self._keeps = float(np.exp(-STEP_NS * 1e-9 / pull.correlation_s))
@@ -74,10 +75,11 @@ class PlanarBodies:
             pull = self._pulls[name]
             fresh = self._rngs[name].normal(0.0, self._sigma_n, 2)
             self._pulls[name] = self._keeps * pull + np.sqrt(1.0 - self._keeps**2) * fresh
-            self._bodies[name].swim((*to.force_n, to.yaw_moment_nm), STEP_NS * 1e-9, (pull[0], pull[1], 0.0))
+            if self.armed:
+                self._bodies[name].swim((*to.force_n, to.yaw_moment_nm), STEP_NS * 1e-9, (pull[0], pull[1], 0.0))
             way = np.array(to.servos_us[:2]) - self._servos_us[name]
             self._servos_us[name] += np.clip(way, -SLEW_US, SLEW_US)
-        return {name: (at_rest(self.now_ns),) for name in self._bodies}
+        return {name: (at_rest(self.now_ns, self.armed),) for name in self._bodies}
 
     def pose(self, name: str) -> RobotPose:
         x, y, psi = self._bodies[name].at
@@ -146,8 +148,8 @@ def twin_bodies(fleet: Fleet, *, pull: Pull = PULL) -> Iterator[TwinBodies]:
         yield TwinBodies(dive, {board.robot: stack.enter_context(Host(board)) for board in dive.boards})
 
 
-def at_rest(t_ns: int) -> Telemetry:
-    """A module that is armed, its robot level and at depth."""
+def at_rest(t_ns: int, armed: bool) -> Telemetry:
+    """A module whose robot is level and at depth."""
     return Telemetry(
         t_ns=t_ns,
         board_us=0,
@@ -158,7 +160,7 @@ def at_rest(t_ns: int) -> Telemetry:
         pulses_us=(1500,) * 8,
         servos_us=(1500,) * 4,
         battery_v=14.0,
-        armed=True,
+        armed=armed,
         ladder=0,
         flags=0,
         loop_us=0,

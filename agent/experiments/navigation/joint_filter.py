@@ -49,6 +49,10 @@ class JointFilter:
         x, y, psi = self.x[EACH * i : EACH * i + 3].tolist()
         return x, y, psi
 
+    def key_pose(self, i: int) -> Vector:
+        x, y, psi = self.x[EACH * i + OWN : EACH * i + OWN + 3].tolist()
+        return x, y, psi
+
     def speed_m_s(self, i: int) -> float:
         return float(np.hypot(*self.x[EACH * i + 3 : EACH * i + 5]))
 
@@ -56,12 +60,6 @@ class JointFilter:
     def target(self) -> tuple[Array, Array]:
         """Where it is (3,), and the covariance of that (3, 3)."""
         return self.x[self.n :].copy(), self.P[self.n :, self.n :].copy()
-
-    def key_pose(self, i: int) -> Vector:
-        """Where robot i was when its key frame was taken."""
-        n = EACH * i + OWN
-        x, y, psi = self.x[n : n + 3].tolist()
-        return x, y, psi
 
     def begin(self, i: int, t_ns: int, pose: Vector, fluctuates: Symmetric) -> None:
         """The first fix of robot i."""

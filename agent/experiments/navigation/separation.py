@@ -1,6 +1,7 @@
 """How near robots come to each other, centre to centre and by the truth, while all of them swim across the basin.
 
 Each starts where another one shall be: their ways cross. They are neighbours, all of all, and what they say arrives.
+The crew arms them when all have found themselves: nobody keeps clear of a robot that cannot say where it is.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from agent.kernel.config import Goto, Pose
 from hw.twin.scene import generator
 
 ROBOTS, SECONDS = 10, 30.0
+FIND_S = 30.0  # in the hands of the crew, at most
 APART_M = 0.45  # places that are told; the fleet file demands 0.36
 CLEAR_M = 0.22  # from walls
 
@@ -43,7 +45,14 @@ def crossing(seed: int, robots: int = ROBOTS, seconds: float = SECONDS) -> Row:
         },
         seed,
     )
-    swimmers = Swimmers(fleet, PlanarBodies(fleet))
+    bodies = PlanarBodies(fleet)
+    swimmers = Swimmers(fleet, bodies)
+    bodies.armed = False
+    for _ in range(round(FIND_S * 20.0)):
+        swimmers.step()
+        if all(agent.swimmer is not None and not agent.swimmer.lost for agent in swimmers.agents.values()):
+            break
+    bodies.armed = True
     least = math.inf
     paths = []
     for _ in range(round(seconds * 20.0)):

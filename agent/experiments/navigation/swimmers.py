@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import UNSET
@@ -115,13 +115,17 @@ class Swimmers:
             self._deliver(name, outputs)
 
     def _deliver(self, src: str, outputs: Outputs) -> None:
-        """Whatever an agent says to somebody, of whatever kind, is there with the next step."""
+        """Whatever an agent says to somebody, of whatever kind, is there with the next step.
+
+        What is no estimate comes on keys of its own, where the kernel tells these apart.
+        """
         for field in outputs.__struct_fields__:
             said = getattr(outputs, field)
+            topic = {"topic": field} if field != "says" and "topic" in Heard.__struct_fields__ else {}
             for letter in said if isinstance(said, tuple) else ():
                 if isinstance(letter, Message) and hasattr(letter, "dst"):
-                    heard = Heard(arrived_ns=self.now_ns, src=src, payload=encode(letter))
-                    self._post[letter.dst].append(heard)
+                    heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(letter), **topic}
+                    self._post[letter.dst].append(Heard(**heard))
 
     def swims(self, name: str) -> bool:
         """Whether it asks for any force now."""
