@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from agent.kernel.config import Colour
 from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection import cone as cones
-from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, ColourModel
+from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED, ColourModel
 from agent.perception.detection.cone import Array, Cone
 from agent.perception.detection.outline import OutlineFit, both_edges, combined, first_guess, look, tolerance_px
-from agent.perception.detection.paints import NAMED
 from agent.perception.detection.patch import Patch, patch
 from agent.perception.detection.picture import Image, Picture, exposed
 from agent.perception.detection.spots import Spot, spots
@@ -87,10 +86,9 @@ def find_balls(
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
     candidates = (_ball(picture, spot, camera, origin, model) for spot in spots(picture, model.hue_rad))
-    sure = [one for one in candidates if one is not None and one[0].score >= LIMIT]
+    sure = [ball for ball in candidates if ball is not None and ball.score >= LIMIT]
     balls: list[Ball] = []
-    # A ball is that by its shape alone; which of several is meant, their colours say as well.
-    for ball, _ in sorted(sure, key=lambda one: one[0].score * one[1], reverse=True):
+    for ball in sorted(sure, key=lambda one: one.score, reverse=True):
         if not any(math.dist(ball.centre_px, o.centre_px) < max(ball.radius_px, o.radius_px) for o in balls):
             balls.append(ball)
     return balls
@@ -103,7 +101,7 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0) -> float:
     what of disc and ring has the other's colour; hidden: how much of a short outline is not seen; dark: by how much
     less light it has than its surroundings, in its own colour too, for a black thing has any hue; unrest: scatter of
     colour within; soft: an edge wider than blur can make it, as a stain's. Worth by logistic regression over 180 true
-    and 1200 false candidates in real pictures, scaled so that LIMIT is a half. `rare`: what a colour takes away.
+    and 1200 false candidates in real pictures, scaled so that LIMIT is a half. `rare`: doubt that the colour outweighs.
     """
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
@@ -122,11 +120,8 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0) -> float:
     return math.exp(-max(doubt - rare, 0.0))
 
 
-def _ball(
-    picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel
-) -> tuple[Ball, float] | None:
-    """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows. With it
-    the probability that it is of this colour."""
+def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel) -> Ball | None:
+    """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
     if spot.rough > ROUGH:
         return None
     cone, width_px, rays = first_guess(spot.points, origin, camera), None, None
@@ -160,8 +155,7 @@ def _ball(
     if found is None or not _is(found, fit.radius_px, model):
         return None
     u, v = cones.project(fit.axis, camera)
-    ball = Ball((float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare), float(fit.sigma_px))
-    return ball, model.probability(found.tone)
+    return Ball((float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare), float(fit.sigma_px))
 
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:

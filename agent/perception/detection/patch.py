@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.detection.colour import BURNT, Tone, hue_and_strength, redder, weights
+from agent.perception.detection.colour import BURNT, Tone, hue_and_strength, weights
 from agent.perception.detection.cone import Array
 from agent.perception.detection.picture import LIGHT, Light, Picture
 
@@ -80,7 +80,7 @@ def _compared(own: Light, around: Light, disc: Pixels, ring: Pixels, burnt: floa
     level = 0.5 * float(np.median(inner) + np.median(outer))
     return Patch(
         ring=np.asarray(np.exp(around) - picture.dark, np.float32),
-        tone=Tone(hue_rad, strength, redder(own, around), burnt),
+        tone=Tone(hue_rad, strength, float(own[2] - 0.5 * (own[0] + own[1])), float(own[2] - own[1]), burnt),
         dark=-float((own - around).max()),
         bright=float((own - around).min()),
         full=float((inner > level).mean()),
