@@ -32,7 +32,7 @@ def test_far_through_water_a_burnt_yellow_and_a_burnt_orange_both_have_less_red(
 
 
 def test_a_shape_in_doubt_is_believed_sooner_in_a_colour_that_little_else_has() -> None:
-    """Three tenths of its outline have no edge, as of a faint ball: too many for a reddish spot, as stones make them."""
+    """Three tenths of its outline have no edge, as of a faint ball: too many for a reddish spot, as stones have."""
     found = Patch(np.ones(3, np.float32), tone(60.0, 0.6, -2.0), -0.5, 0.0, 1.0, 1.0, 0.3)
     fit = OutlineFit(np.array([0.0, 0.0, 1.0]), 15.0, 0.3, 0.71, 0.2, 2.0, 1.0, np.ones(96, bool))
     assert score(found, fit, NAMED["red"].rare) < LIMIT < score(found, fit, NAMED["green"].rare)
