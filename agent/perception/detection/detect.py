@@ -94,14 +94,14 @@ def find_balls(
     return balls
 
 
-def score(found: Patch, fit: OutlineFit) -> float:
+def score(found: Patch, fit: OutlineFit, rare: float = 0.0) -> float:
     """1 for a flawless disc, less by every flaw: exp of minus the sum of what they are worth.
 
     missing: visible rays without an edge on the cone; uneven: scatter of the edges beyond a pixel's, in radii; stray:
     what of disc and ring has the other's colour; hidden: how much of a short outline is not seen; dark: by how much
     less light it has than its surroundings, in its own colour too, for a black thing has any hue; unrest: scatter of
     colour within; soft: an edge wider than blur can make it, as a stain's. Worth by logistic regression over 180 true
-    and 1200 false candidates in real pictures, scaled so that LIMIT is a half.
+    and 1200 false candidates in real pictures, scaled so that LIMIT is a half. `rare`: doubt that the colour outweighs.
     """
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
@@ -117,7 +117,7 @@ def score(found: Patch, fit: OutlineFit) -> float:
         + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * roomy
         + SOFT * max(fit.width_px - sharp_px, 0.0) / min(radius_px, SOFT_PX)
     )
-    return math.exp(-doubt)
+    return math.exp(-max(doubt - rare, 0.0))
 
 
 def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel) -> Ball | None:
@@ -155,7 +155,7 @@ def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model:
     if found is None or not _is(found, fit.radius_px, model):
         return None
     u, v = cones.project(fit.axis, camera)
-    return Ball((float(u), float(v)), float(fit.radius_px), score(found, fit), float(fit.sigma_px))
+    return Ball((float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare), float(fit.sigma_px))
 
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 
 from agent.perception.detection.colour import NAMED, Tone
-from agent.perception.detection.detect import find_ball
+from agent.perception.detection.detect import LIMIT, find_ball, score
+from agent.perception.detection.outline import OutlineFit
+from agent.perception.detection.patch import Patch
 from agent.perception.detection.picture import exposed
 from tests.perception.painted import CAMERA, ball_light, expose
 
@@ -27,6 +29,15 @@ def test_far_through_water_a_burnt_yellow_and_a_burnt_orange_both_have_less_red(
     near, far = tone(12.0, 2.3, -0.6, burnt=0.7), tone(12.0, 1.5, -0.6, burnt=0.7)
     assert NAMED["yellow"].fits(near, 0.0) and not NAMED["orange"].fits(near, 0.0)
     assert NAMED["orange"].fits(far, 0.0) and not NAMED["yellow"].fits(far, 0.0)
+
+
+def test_a_shape_in_doubt_is_believed_sooner_in_a_colour_that_little_else_has() -> None:
+    """Three tenths of its outline have no edge, as of a faint ball: too many for a reddish spot, as stones have."""
+    found = Patch(np.ones(3, np.float32), tone(60.0, 0.6, -2.0), -0.5, 0.0, 1.0, 1.0, 0.3)
+    fit = OutlineFit(np.array([0.0, 0.0, 1.0]), 15.0, 0.3, 0.71, 0.2, 2.0, 1.0, np.ones(96, bool))
+    assert score(found, fit, NAMED["red"].rare) < LIMIT < score(found, fit, NAMED["green"].rare)
+    sure = fit._replace(agree=1.0)
+    assert score(found._replace(unrest=0.0), sure, NAMED["green"].rare) == 1.0
 
 
 def test_a_picture_with_a_tenth_of_the_light_has_the_same_ball() -> None:
