@@ -76,6 +76,7 @@ class JointFilter:
             return
         steps = -(-(t_ns - since_ns) // STEP_NS)
         h = (t_ns - since_ns) * 1e-9 / steps
+        drift = Drift()
         own = slice(EACH * i, EACH * i + OWN)
         for _ in range(steps):
             x = self.x[own]
@@ -90,7 +91,8 @@ class JointFilter:
             F[3, 2], F[4, 2] = h * m.ax_by_yaw, h * m.ay_by_yaw
             self.P[own, :] = F @ self.P[own, :]
             self.P[:, own] = self.P[:, own] @ F.T
-            self.P[own, own] += h * self._Q
+            doubts = drift.doubt_s * np.square((m.doubt, m.doubt, m.turn_doubt))  # as pose_filter.predict
+            self.P[own, own] += h * (self._Q + np.diag((0.0, 0.0, 0.0, *doubts, 0.0, 0.0, 0.0)))
         self._since_ns[i] = t_ns
 
     def ask(self, i: int, wrench: Wrench) -> None:

@@ -10,6 +10,7 @@ import binascii
 
 import main  # noqa: F401 - sees to it that there is a micropython
 import frames
+import wire  # noqa: F401 - adds what only computers hear
 
 unhex = binascii.unhexlify
 
