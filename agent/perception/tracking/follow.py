@@ -37,12 +37,14 @@ from agent.perception.tracking.box_trackers import BoxTracker
 from agent.perception.tracking.look_alikes import (
     BETTER,
     CERTAIN,
+    SURVEYS,
     LookAlike,
     Seen,
     beginning,
     followed,
     merged,
     touched,
+    unaccounted,
     unexplained,
 )
 from agent.perception.tracking.meeting import Meeting
@@ -55,6 +57,7 @@ SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it 
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
+SURVEY = 15  # frames from one look around while it is followed to the next: half a second
 CLEAR = 0.9  # of the most: a tenth may be hidden
 PATIENCE = 12  # frames in a row that need not be sure: less than half a second
 LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
@@ -90,6 +93,8 @@ class Follower:
         self._beside: list[LookAlike] = []  # seen near by while it is followed
         self._meeting: Meeting | None = None  # with one of these
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
+        self._surveys: deque[list[LookAlike]] = deque(maxlen=SURVEYS)  # what else was like it while it was followed
+        self._since_survey = 0  # frames
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
@@ -105,12 +110,22 @@ class Follower:
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
         self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
         self._beside, self._meeting, self._others = [], None, None
+        self._surveys.clear()
+        self._survey(image, self._appearance, box)
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
         if self._appearance is None:
             raise RuntimeError("call start() or expect() before look()")
+        self._since_survey += 1
         return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
+
+    def _survey(self, image: Image, appearance: Appearance, box: Box) -> None:
+        """What else is like it, in a frame in which it is surely in this box."""
+        places = search(appearance, image, box, NEAR_SCALES)
+        others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
+        self._surveys.append([beginning(Seen(place.box, place.like.least)) for place in others])
+        self._since_survey = 0
 
     def _follow(self, image: Image, appearance: Appearance) -> Followed:
         box = self._tracker.follow(image)
@@ -142,6 +157,8 @@ class Follower:
             self._appearance = renewed(appearance, image, box)
             self._pictures.append((like.colour, self._appearance.newest))
             self._tracker.learn(image, box)
+        if sure and self._since_survey >= SURVEY:
+            self._survey(image, appearance, whole)
         return Followed(box, max(like.least, 0.0), "followed")
 
     def _search(self, image: Image, appearance: Appearance) -> Followed:
@@ -159,13 +176,20 @@ class Follower:
         rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
-        mine = [place for place in near if place.like.least >= FOUND_LIKE and place.box in free]
+        elsewhere = [place for place in rivals if place.box not in free]
+        missing = [unaccounted(survey, elsewhere, self._age(k)) for k, survey in enumerate(self._surveys)]
+        least = max(FOUND_LIKE, max(missing, default=0.0) + NEARLY)
+        mine = [place for place in near if place.like.least >= least and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
             self._motion = self._motion.missed()
             new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
             self._others = followed(self._others or (), new)
         return result
+
+    def _age(self, number: int) -> int:
+        """Frames since one of the surveys."""
+        return self._since_survey + SURVEY * (len(self._surveys) - 1 - number)
 
     def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
         """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""
