@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Literal, NamedTuple
 
 from agent.kernel.config import ConfigError
@@ -95,6 +95,7 @@ class Follower:
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
         self._surveys: deque[list[LookAlike]] = deque(maxlen=SURVEYS)  # what else was like it while it was followed
         self._since_survey = 0  # frames
+        self._certain: tuple[Image, Box] | None = None
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
@@ -109,7 +110,7 @@ class Follower:
         self._tracker.start(image, box)
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
         self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
-        self._beside, self._meeting, self._others = [], None, None
+        self._beside, self._meeting, self._others, self._certain = [], None, None, (image.copy(), box)
         self._surveys.clear()
         self._survey(image, self._appearance, box)
 
@@ -139,7 +140,7 @@ class Follower:
         sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
         self._unsure = 0 if sure else self._unsure + 1
         if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
-            self._lost, self._others = True, self._beside or None
+            self._lost, self._others = True, self._bystanders(appearance)
             if self._pictures:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
@@ -151,6 +152,7 @@ class Follower:
         self._beside = others
         self._motion = self._motion.seen(whole)
         if sure:
+            self._certain = image.copy(), whole
             self._colour += LATELY * (like.colour - self._colour)
         if share > 0.999 and sure and not touched(others, whole.grown(RIM)):
             self._whole = whole
@@ -171,9 +173,7 @@ class Follower:
             if both:
                 return self._part(image, appearance, self._meeting, both)
             self._meeting = None  # neither is seen: whatever comes up is searched for
-        rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
-        tinted = [box for box in coloured(appearance, image, self._whole) if not any(same(box, r.box) for r in rivals)]
-        rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
+        rivals = _rivals(appearance, image, self._whole, places)
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
         elsewhere = [place for place in rivals if place.box not in free]
@@ -182,10 +182,20 @@ class Follower:
         mine = [place for place in near if place.like.least >= least and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
-            self._motion = self._motion.missed()
             new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
             self._others = followed(self._others or (), new)
+            self._motion = self._motion.missed()
         return result
+
+    def _bystanders(self, appearance: Appearance) -> list[LookAlike] | None:
+        """What was beside it in the newest frame in which it was certain: none of that can be it."""
+        if self._certain is None:
+            return self._beside or None
+        image, box = self._certain
+        rivals = _rivals(appearance, image, box, search(appearance, image, box, NEAR_SCALES))
+        known = [other.motion.box for other in self._beside]
+        new = [r for r in rivals if not same(r.box, box) and not any(same(r.box, k) for k in known)]
+        return [*self._beside, *(beginning(r)._replace(motion=Motion(r.box, unseen=self._unsure-1)) for r in new)]
 
     def _age(self, number: int) -> int:
         """Frames since one of the surveys."""
@@ -219,8 +229,16 @@ class Follower:
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
         self._unsure, self._colour, self._meeting = 0, like.colour, None
         self._pictures.clear()
+        self._certain = image.copy(), box
         self._beside = [other for other in others if not same(other.motion.box, box)]
         return Followed(box, like.least, again)
+
+
+def _rivals(appearance: Appearance, image: Image, like: Box, places: Iterable[Place]) -> list[Seen]:
+    """Those of the places that are somewhat like it, and what has its colours whatever its outline."""
+    rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
+    tinted = [box for box in coloured(appearance, image, like) if not any(same(box, r.box) for r in rivals)]
+    return rivals + [Seen(box, RIVAL_LIKE) for box in tinted]
 
 
 def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:

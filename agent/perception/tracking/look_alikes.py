@@ -44,7 +44,8 @@ class LookAlike(NamedTuple):
         return math.dist(self.motion.expected.centre_px, place.box.centre_px) / reach
 
     def at(self, place: Seen) -> LookAlike:
-        return LookAlike(self.motion.seen(place.box, SLOW), self.like + SLOW * (place.like - self.like), self.seen + 1)
+        like = max(place.like, self.like + SLOW * (place.like - self.like))  # it may turn to look like the thing
+        return LookAlike(self.motion.seen(place.box, SLOW), like, self.seen + 1)
 
 
 def beginning(place: Seen, seen: int = 1) -> LookAlike:
