@@ -95,7 +95,6 @@ class Follower:
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
         self._surveys: deque[list[LookAlike]] = deque(maxlen=SURVEYS)  # what else was like it while it was followed
         self._since_survey = 0  # frames
-        self._certain: tuple[Image, Box] | None = None
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
@@ -110,7 +109,7 @@ class Follower:
         self._tracker.start(image, box)
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
         self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
-        self._beside, self._meeting, self._others, self._certain = [], None, None, (image.copy(), box)
+        self._beside, self._meeting, self._others = [], None, None
         self._surveys.clear()
         self._survey(image, self._appearance, box)
 
@@ -123,7 +122,7 @@ class Follower:
 
     def _survey(self, image: Image, appearance: Appearance, box: Box) -> None:
         """What else is like it, in a frame in which it is surely in this box."""
-        places = search(appearance, image, box, NEAR_SCALES)
+        places = self._lately(search(appearance, image, box, NEAR_SCALES))
         others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
         self._surveys.append([beginning(Seen(place.box, place.like.least)) for place in others])
         self._since_survey = 0
@@ -140,19 +139,18 @@ class Follower:
         sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
         self._unsure = 0 if sure else self._unsure + 1
         if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
-            self._lost, self._others = True, self._bystanders(appearance)
+            self._lost, self._others = True, self._beside or None
             if self._pictures:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
         near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
-        others = followed(self._beside, near)
+        others = [one for one in followed(self._beside, near) if one.seen > 1 or not touched([one], whole)]
         if other := merged(others, whole):  # from here on the tracker may be on either
             self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
             return self._search(image, appearance)
         self._beside = others
         self._motion = self._motion.seen(whole)
         if sure:
-            self._certain = image.copy(), whole
             self._colour += LATELY * (like.colour - self._colour)
         if share > 0.999 and sure and not touched(others, whole.grown(RIM)):
             self._whole = whole
@@ -164,7 +162,7 @@ class Follower:
         return Followed(box, max(like.least, 0.0), "followed")
 
     def _search(self, image: Image, appearance: Appearance) -> Followed:
-        places = search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE)
+        places = self._lately(search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE))
         if not self._seen:
             return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
         if self._meeting is not None:
@@ -187,15 +185,13 @@ class Follower:
             self._motion = self._motion.missed()
         return result
 
-    def _bystanders(self, appearance: Appearance) -> list[LookAlike] | None:
-        """What was beside it in the newest frame in which it was certain: none of that can be it."""
-        if self._certain is None:
-            return self._beside or None
-        image, box = self._certain
-        rivals = _rivals(appearance, image, box, search(appearance, image, box, NEAR_SCALES))
-        known = [other.motion.box for other in self._beside]
-        new = [r for r in rivals if not same(r.box, box) and not any(same(r.box, k) for k in known)]
-        return [*self._beside, *(beginning(r)._replace(motion=Motion(r.box, unseen=self._unsure-1)) for r in new)]
+    def _lately(self, places: Iterable[Place]) -> list[Place]:
+        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first."""
+        fair = [
+            place._replace(like=place.like._replace(colour=min(place.like.colour / self._colour, 1.0)))
+            for place in places
+        ]
+        return sorted(fair, key=lambda place: -place.like.least)
 
     def _age(self, number: int) -> int:
         """Frames since one of the surveys."""
@@ -229,7 +225,6 @@ class Follower:
         self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
         self._unsure, self._colour, self._meeting = 0, like.colour, None
         self._pictures.clear()
-        self._certain = image.copy(), box
         self._beside = [other for other in others if not same(other.motion.box, box)]
         return Followed(box, like.least, again)
 
