@@ -93,8 +93,8 @@ class Follower:
         self._beside: list[LookAlike] = []  # seen near by while it is followed
         self._meeting: Meeting | None = None  # with one of these
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
-        self._surveys: deque[list[LookAlike]] = deque(maxlen=SURVEYS)  # what else was like it while it was followed
-        self._since_survey = 0  # frames
+        self._frame = 0  # frames since it was started
+        self._surveys: deque[tuple[int, list[Seen]]] = deque(maxlen=SURVEYS)  # frame, and what was like it and was not it
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
@@ -117,15 +117,19 @@ class Follower:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
         if self._appearance is None:
             raise RuntimeError("call start() or expect() before look()")
-        self._since_survey += 1
+        self._frame += 1
         return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
 
     def _survey(self, image: Image, appearance: Appearance, box: Box) -> None:
         """What else is like it, in a frame in which it is surely in this box."""
         places = self._lately(search(appearance, image, box, NEAR_SCALES))
         others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
-        self._surveys.append([beginning(Seen(place.box, place.like.least)) for place in others])
-        self._since_survey = 0
+        self._surveys.append((self._frame, [Seen(place.box, place.like.least) for place in others]))
+
+    @property
+    def _due(self) -> bool:
+        """Whether it is time for the next survey."""
+        return not self._surveys or self._frame - self._surveys[-1][0] >= SURVEY
 
     def _follow(self, image: Image, appearance: Appearance) -> Followed:
         box = self._tracker.follow(image)
@@ -145,7 +149,7 @@ class Follower:
             return self._search(image, appearance)  # it may have jumped
         near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
         others = [one for one in followed(self._beside, near) if one.seen > 1 or not touched([one], whole)]
-        if other := merged(others, whole):  # from here on the tracker may be on either
+        if other := merged(others, whole, like.least - NEARLY):  # from here on the tracker may be on either
             self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
             return self._search(image, appearance)
         self._beside = others
@@ -157,7 +161,7 @@ class Follower:
             self._appearance = renewed(appearance, image, box)
             self._pictures.append((like.colour, self._appearance.newest))
             self._tracker.learn(image, box)
-        if sure and self._since_survey >= SURVEY:
+        if sure and self._due:
             self._survey(image, appearance, whole)
         return Followed(box, max(like.least, 0.0), "followed")
 
@@ -175,7 +179,7 @@ class Follower:
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
         elsewhere = [place for place in rivals if place.box not in free]
-        missing = [unaccounted(survey, elsewhere, self._age(k)) for k, survey in enumerate(self._surveys)]
+        missing = [unaccounted(survey, elsewhere, self._frame - then) for then, survey in self._surveys]
         least = max(FOUND_LIKE, max(missing, default=0.0) + NEARLY)
         mine = [place for place in near if place.like.least >= least and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
@@ -183,6 +187,8 @@ class Follower:
             new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
             self._others = followed(self._others or (), new)
             self._motion = self._motion.missed()
+            if self._due:
+                self._surveys.append((self._frame, new))
         return result
 
     def _lately(self, places: Iterable[Place]) -> list[Place]:
@@ -192,10 +198,6 @@ class Follower:
             for place in places
         ]
         return sorted(fair, key=lambda place: -place.like.least)
-
-    def _age(self, number: int) -> int:
-        """Frames since one of the surveys."""
-        return self._since_survey + SURVEY * (len(self._surveys) - 1 - number)
 
     def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
         """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""

@@ -86,9 +86,10 @@ def followed(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[LookAl
     return seen + new + [other for other in missing if other.motion.unseen <= KEPT]
 
 
-def merged(others: Sequence[LookAlike], box: Box) -> LookAlike | None:
-    """The one of them that went out of sight where this box is: in the picture they are one."""
-    gone = (other for other in others if other.motion.unseen and other.seen >= CERTAIN)
+def merged(others: Sequence[LookAlike], box: Box, least: float) -> LookAlike | None:
+    """The one of them that went out of sight where this box is: in the picture they are one. Only one that was at
+    `least` so like the thing can be mistaken for it."""
+    gone = (other for other in others if other.motion.unseen and other.seen >= CERTAIN and other.like >= least)
     return next((other for other in gone if same(other.motion.box, box)), None)
 
 
@@ -97,10 +98,10 @@ def touched(others: Sequence[LookAlike], box: Box) -> bool:
     return any(common_px(other.motion.box, box) for other in others)
 
 
-def unaccounted(survey: Sequence[LookAlike], places: Sequence[Seen], frames: int) -> float:
+def unaccounted(survey: Sequence[Seen], places: Sequence[Seen], frames: int) -> float:
     """How like the thing the most like of those is that were seen beside it `frames` ago, and is at none of these
     places now; 0 where each is."""
-    others = [other._replace(motion=other.motion._replace(unseen=frames)) for other in survey]
+    others = [LookAlike(Motion(place.box, unseen=frames), place.like) for place in survey]
     found = matched(others, places)
     here = {k for k, n in found.items() if places[n].like >= others[k].like - FADED}
     return max((other.like for k, other in enumerate(others) if k not in here), default=0.0)
