@@ -32,23 +32,22 @@ from agent.perception.tracking.appearance import (
     renewed,
     search,
 )
-from agent.perception.tracking.box import Box, Image, same
+from agent.perception.tracking.box import Box, Image, same, uncut
 from agent.perception.tracking.box_trackers import BoxTracker
 from agent.perception.tracking.look_alikes import (
     BETTER,
     CERTAIN,
-    SURVEYS,
     LookAlike,
     Seen,
     beginning,
     followed,
     merged,
     touched,
-    unaccounted,
     unexplained,
 )
 from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
+from agent.perception.tracking.surveys import Surveys
 
 # Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
 HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
@@ -57,7 +56,6 @@ SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it 
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
-SURVEY = 15  # frames from one look around while it is followed to the next: half a second
 CLEAR = 0.9  # of the most: a tenth may be hidden
 PATIENCE = 12  # frames in a row that need not be sure: less than half a second
 LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
@@ -94,14 +92,15 @@ class Follower:
         self._meeting: Meeting | None = None  # with one of these
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
         self._frame = 0  # frames since it was started
-        self._surveys: deque[tuple[int, list[Seen]]] = deque(maxlen=SURVEYS)  # frame, and what was like it and was not it
+        self._surveys = Surveys()
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
         ConfigError as start() does."""
         check_box(box, (picture.shape[1], picture.shape[0]))
         self._appearance, self._motion, self._whole = remember(picture, box), Motion(box), box
-        self._lost, self._seen, self._others = True, False, None
+        self._lost, self._seen, self._others, self._colour = True, False, None, 1.0
+        self._surveys.clear()
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
@@ -124,17 +123,12 @@ class Follower:
         """What else is like it, in a frame in which it is surely in this box."""
         places = self._lately(search(appearance, image, box, NEAR_SCALES))
         others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
-        self._surveys.append((self._frame, [Seen(place.box, place.like.least) for place in others]))
-
-    @property
-    def _due(self) -> bool:
-        """Whether it is time for the next survey."""
-        return not self._surveys or self._frame - self._surveys[-1][0] >= SURVEY
+        self._surveys.add(self._frame, [Seen(place.box, place.like.least) for place in others])
 
     def _follow(self, image: Image, appearance: Appearance) -> Followed:
         box = self._tracker.follow(image)
         size = image.shape[1], image.shape[0]
-        whole = _uncut(box, self._whole, size)
+        whole = uncut(box, self._whole, size)
         inside = whole.inside(size)
         share = inside.area_px / whole.area_px
         like = Likeness(-1.0, 0.0)
@@ -161,7 +155,7 @@ class Follower:
             self._appearance = renewed(appearance, image, box)
             self._pictures.append((like.colour, self._appearance.newest))
             self._tracker.learn(image, box)
-        if sure and self._due:
+        if sure and self._surveys.due(self._frame):
             self._survey(image, appearance, whole)
         return Followed(box, max(like.least, 0.0), "followed")
 
@@ -175,20 +169,20 @@ class Follower:
             if both:
                 return self._part(image, appearance, self._meeting, both)
             self._meeting = None  # neither is seen: whatever comes up is searched for
-        rivals = _rivals(appearance, image, self._whole, places)
+        rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
+        tinted = [box for box in coloured(appearance, image, self._whole) if not any(same(box, r.box) for r in rivals)]
+        rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
-        elsewhere = [place for place in rivals if place.box not in free]
-        missing = [unaccounted(survey, elsewhere, self._frame - then) for then, survey in self._surveys]
-        least = max(FOUND_LIKE, max(missing, default=0.0) + NEARLY)
+        elsewhere = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
+        least = max(FOUND_LIKE, self._surveys.surpass(self._frame, elsewhere) + NEARLY)
         mine = [place for place in near if place.like.least >= least and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
-            new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
-            self._others = followed(self._others or (), new)
+            self._others = followed(self._others or (), elsewhere)
             self._motion = self._motion.missed()
-            if self._due:
-                self._surveys.append((self._frame, new))
+            if self._surveys.due(self._frame):
+                self._surveys.add(self._frame, elsewhere)
         return result
 
     def _lately(self, places: Iterable[Place]) -> list[Place]:
@@ -231,13 +225,6 @@ class Follower:
         return Followed(box, like.least, again)
 
 
-def _rivals(appearance: Appearance, image: Image, like: Box, places: Iterable[Place]) -> list[Seen]:
-    """Those of the places that are somewhat like it, and what has its colours whatever its outline."""
-    rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
-    tinted = [box for box in coloured(appearance, image, like) if not any(same(box, r.box) for r in rivals)]
-    return rivals + [Seen(box, RIVAL_LIKE) for box in tinted]
-
-
 def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
     """The newest that shows nearly as much of the thing's colours as any: later ones may show what hides it."""
     most = max(colour for colour, _ in pictures)
@@ -246,16 +233,6 @@ def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
 
 def usable(box: Box) -> bool:
     return min(box.width, box.height) >= MIN_SIDE_PX
-
-
-def _uncut(box: Box, whole: Box, size: tuple[int, int]) -> Box:
-    """The box as it would be without the picture's border, at which trackers cut it: as large as when it was whole."""
-    x, y, width, height = box
-    if (x <= 1) != (x + width >= size[0] - 1) and whole.width > width:
-        x, width = (x + width - whole.width if x <= 1 else x), whole.width
-    if (y <= 1) != (y + height >= size[1] - 1) and whole.height > height:
-        y, height = (y + height - whole.height if y <= 1 else y), whole.height
-    return Box(x, y, width, height)
 
 
 def parse_box(text: str) -> Box:

@@ -19,8 +19,6 @@ SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
 KEPT = 30  # frames for which one that does not show is remembered: 1 s
 SLOW = 0.1  # weight of the newest frame in its speed and likeness: it is followed roughly, and turns slowly
 CERTAIN = 3  # frames for which one has been seen before the thing can be said to have met it
-SURVEYS = 8  # of the whole picture that are remembered: 4 s
-FADED = 0.1  # by so much less like the thing one may look now
 BETTER = 0.2  # a place that is by so much more like the thing than one has been is not that one
 
 
@@ -96,12 +94,3 @@ def merged(others: Sequence[LookAlike], box: Box, least: float) -> LookAlike | N
 def touched(others: Sequence[LookAlike], box: Box) -> bool:
     """Whether a part of one of them can be in this box."""
     return any(common_px(other.motion.box, box) for other in others)
-
-
-def unaccounted(survey: Sequence[Seen], places: Sequence[Seen], frames: int) -> float:
-    """How like the thing the most like of those is that were seen beside it `frames` ago, and is at none of these
-    places now; 0 where each is."""
-    others = [LookAlike(Motion(place.box, unseen=frames), place.like) for place in survey]
-    found = matched(others, places)
-    here = {k for k, n in found.items() if places[n].like >= others[k].like - FADED}
-    return max((other.like for k, other in enumerate(others) if k not in here), default=0.0)
