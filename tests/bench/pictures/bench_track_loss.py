@@ -2,7 +2,7 @@
 
 Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
 other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of motion.py and
-the limits of meeting.py and look_alikes.py were settled.
+the limits of meeting.py and look_alikes.py were settled, and frame by frame while surveys.py was written.
 
 `python -m tests.bench.pictures.bench_track_loss gamma_0.7 half_rate --only filter` runs the same clips as another
 camera would have given them (disturbed.py names all of them; as_is is none), and prints the table.

@@ -1,4 +1,4 @@
-"""What a place has to surpass to be taken for a lost thing: what else was like it, unless that is still where it was."""
+"""What a place has to surpass to be taken for a lost thing: what else was like it, unless that is still there."""
 
 import pytest
 
