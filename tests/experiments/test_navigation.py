@@ -130,9 +130,13 @@ def test_it_coasts_and_remembers_its_key_frame() -> None:
     x, y, psi = joint.pose(0)
     assert 0.01 < x < 0.02 and y == pytest.approx(0.5 * x) and psi == pytest.approx(0.3)
     before = joint.P[0, 0]
-    joint.add_flow(0, S, (math.hypot(x, y) * math.cos(math.atan2(y, x) - 0.3), 0.0, 0.0), (4e-6, 0.0, 0.0, 4e-6, 0.0, 1e-6))
+    joint.add_flow(
+        0, S, (math.hypot(x, y) * math.cos(math.atan2(y, x) - 0.3), 0.0, 0.0), (4e-6, 0.0, 0.0, 4e-6, 0.0, 1e-6)
+    )
     assert joint.P[0, 0] < 0.1 * before
-    joint.add_flow(0, S - 1, (9.0, 9.0, 0.0), (1e-12, 0.0, 0.0, 1e-12, 0.0, 1e-12))  # of a key frame that it does not have
+    joint.add_flow(
+        0, S - 1, (9.0, 9.0, 0.0), (1e-12, 0.0, 0.0, 1e-12, 0.0, 1e-12)
+    )  # of a key frame that it does not have
     assert joint.pose(0)[0] == pytest.approx(x, abs=5e-3)
 
 

@@ -63,6 +63,16 @@ def same(a: Box, b: Box) -> bool:
     return common_px(a, b) >= SAME_SHARE * min(a.area_px, b.area_px)
 
 
+def uncut(box: Box, whole: Box, size: tuple[int, int]) -> Box:
+    """The box as it would be without the picture's border, at which trackers cut it: as large as when it was whole."""
+    x, y, width, height = box
+    if (x <= 1) != (x + width >= size[0] - 1) and whole.width > width:
+        x, width = (x + width - whole.width if x <= 1 else x), whole.width
+    if (y <= 1) != (y + height >= size[1] - 1) and whole.height > height:
+        y, height = (y + height - whole.height if y <= 1 else y), whole.height
+    return Box(x, y, width, height)
+
+
 def cut(image: Image, box: Box, size: tuple[int, int]) -> Image:
     """What a box shows, resampled to size (width, height); beyond the picture its border goes on."""
     left, top = round(box.x), round(box.y)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Literal, NamedTuple
 
 from agent.kernel.config import ConfigError
@@ -32,7 +32,7 @@ from agent.perception.tracking.appearance import (
     renewed,
     search,
 )
-from agent.perception.tracking.box import Box, Image, same
+from agent.perception.tracking.box import Box, Image, same, uncut
 from agent.perception.tracking.box_trackers import BoxTracker
 from agent.perception.tracking.look_alikes import (
     BETTER,
@@ -47,6 +47,7 @@ from agent.perception.tracking.look_alikes import (
 )
 from agent.perception.tracking.meeting import Meeting
 from agent.perception.tracking.motion import Motion
+from agent.perception.tracking.surveys import Surveys
 
 # Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
 HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
@@ -90,13 +91,16 @@ class Follower:
         self._beside: list[LookAlike] = []  # seen near by while it is followed
         self._meeting: Meeting | None = None  # with one of these
         self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
+        self._frame = 0  # frames since it was started
+        self._surveys = Surveys()
 
     def expect(self, picture: Image, box: Box) -> None:
         """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
         ConfigError as start() does."""
         check_box(box, (picture.shape[1], picture.shape[0]))
         self._appearance, self._motion, self._whole = remember(picture, box), Motion(box), box
-        self._lost, self._seen, self._others = True, False, None
+        self._lost, self._seen, self._others, self._colour = True, False, None, 1.0
+        self._surveys.clear()
 
     def start(self, image: Image, box: Box) -> None:
         """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
@@ -105,17 +109,26 @@ class Follower:
         self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
         self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
         self._beside, self._meeting, self._others = [], None, None
+        self._surveys.clear()
+        self._survey(image, self._appearance, box)
 
     def look(self, image: Image) -> Followed:
         """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
         if self._appearance is None:
             raise RuntimeError("call start() or expect() before look()")
+        self._frame += 1
         return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
+
+    def _survey(self, image: Image, appearance: Appearance, box: Box) -> None:
+        """What else is like it, in a frame in which it is surely in this box."""
+        places = self._lately(search(appearance, image, box, NEAR_SCALES))
+        others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
+        self._surveys.add(self._frame, [Seen(place.box, place.like.least) for place in others])
 
     def _follow(self, image: Image, appearance: Appearance) -> Followed:
         box = self._tracker.follow(image)
         size = image.shape[1], image.shape[0]
-        whole = _uncut(box, self._whole, size)
+        whole = uncut(box, self._whole, size)
         inside = whole.inside(size)
         share = inside.area_px / whole.area_px
         like = Likeness(-1.0, 0.0)
@@ -129,8 +142,8 @@ class Follower:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
             return self._search(image, appearance)  # it may have jumped
         near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
-        others = followed(self._beside, near)
-        if other := merged(others, whole):  # from here on the tracker may be on either
+        others = [one for one in followed(self._beside, near) if one.seen > 1 or not touched([one], whole)]
+        if other := merged(others, whole, like.least - NEARLY):  # from here on the tracker may be on either
             self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
             return self._search(image, appearance)
         self._beside = others
@@ -142,10 +155,12 @@ class Follower:
             self._appearance = renewed(appearance, image, box)
             self._pictures.append((like.colour, self._appearance.newest))
             self._tracker.learn(image, box)
+        if sure and self._surveys.due(self._frame):
+            self._survey(image, appearance, whole)
         return Followed(box, max(like.least, 0.0), "followed")
 
     def _search(self, image: Image, appearance: Appearance) -> Followed:
-        places = search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE)
+        places = self._lately(search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE))
         if not self._seen:
             return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
         if self._meeting is not None:
@@ -159,13 +174,24 @@ class Follower:
         rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
-        mine = [place for place in near if place.like.least >= FOUND_LIKE and place.box in free]
+        elsewhere = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
+        least = max(FOUND_LIKE, self._surveys.surpass(self._frame, elsewhere) + NEARLY)
+        mine = [place for place in near if place.like.least >= least and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
+            self._others = followed(self._others or (), elsewhere)
             self._motion = self._motion.missed()
-            new = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
-            self._others = followed(self._others or (), new)
+            if self._surveys.due(self._frame):
+                self._surveys.add(self._frame, elsewhere)
         return result
+
+    def _lately(self, places: Iterable[Place]) -> list[Place]:
+        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first."""
+        fair = [
+            place._replace(like=place.like._replace(colour=min(place.like.colour / self._colour, 1.0)))
+            for place in places
+        ]
+        return sorted(fair, key=lambda place: -place.like.least)
 
     def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
         """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""
@@ -207,16 +233,6 @@ def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
 
 def usable(box: Box) -> bool:
     return min(box.width, box.height) >= MIN_SIDE_PX
-
-
-def _uncut(box: Box, whole: Box, size: tuple[int, int]) -> Box:
-    """The box as it would be without the picture's border, at which trackers cut it: as large as when it was whole."""
-    x, y, width, height = box
-    if (x <= 1) != (x + width >= size[0] - 1) and whole.width > width:
-        x, width = (x + width - whole.width if x <= 1 else x), whole.width
-    if (y <= 1) != (y + height >= size[1] - 1) and whole.height > height:
-        y, height = (y + height - whole.height if y <= 1 else y), whole.height
-    return Box(x, y, width, height)
 
 
 def parse_box(text: str) -> Box:

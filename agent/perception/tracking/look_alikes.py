@@ -42,7 +42,8 @@ class LookAlike(NamedTuple):
         return math.dist(self.motion.expected.centre_px, place.box.centre_px) / reach
 
     def at(self, place: Seen) -> LookAlike:
-        return LookAlike(self.motion.seen(place.box, SLOW), self.like + SLOW * (place.like - self.like), self.seen + 1)
+        like = max(place.like, self.like + SLOW * (place.like - self.like))  # it may turn to look like the thing
+        return LookAlike(self.motion.seen(place.box, SLOW), like, self.seen + 1)
 
 
 def beginning(place: Seen, seen: int = 1) -> LookAlike:
@@ -83,9 +84,10 @@ def followed(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[LookAl
     return seen + new + [other for other in missing if other.motion.unseen <= KEPT]
 
 
-def merged(others: Sequence[LookAlike], box: Box) -> LookAlike | None:
-    """The one of them that went out of sight where this box is: in the picture they are one."""
-    gone = (other for other in others if other.motion.unseen and other.seen >= CERTAIN)
+def merged(others: Sequence[LookAlike], box: Box, least: float) -> LookAlike | None:
+    """The one of them that went out of sight where this box is: in the picture they are one. Only one that was at
+    `least` so like the thing can be mistaken for it."""
+    gone = (other for other in others if other.motion.unseen and other.seen >= CERTAIN and other.like >= least)
     return next((other for other in gone if same(other.motion.box, box)), None)
 
 

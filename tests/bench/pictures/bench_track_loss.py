@@ -2,62 +2,77 @@
 
 Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
 other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of motion.py and
-the limits of meeting.py and look_alikes.py were settled.
+the limits of meeting.py and look_alikes.py were settled, and frame by frame while surveys.py was written.
+
+`python -m tests.bench.pictures.bench_track_loss gamma_0.7 half_rate --only filter` runs the same clips as another
+camera would have given them (disturbed.py names all of them; as_is is none), and prints the table.
 """
 
-from collections.abc import Iterable
+import argparse
+from collections.abc import Iterable, Sequence
 
 import cv2
 import numpy as np
+from rich.console import Console
 
 from agent.perception.tracking.box import overlap
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.perception.tracking.follow import FOLLOWED, Followed, Follower
 from agent.pictures.track_truth import Score, score
+from tests.bench.__main__ import WIDE, table
+from tests.perception.tracking.disturbed import DISTURBANCES
 from tests.perception.tracking.loss_clips import WATER, Clip, held_out, tuned
 from tests.places import DATA
 
 MODELS = DATA / "models" / "nanotrack_v2"
+ELSEWHERE_IOU = 0.1  # below it a box is on something else
 TRACKERS = {"filter": (None, None), "nano": model_files(MODELS)}
 
 
-def run() -> dict[str, dict]:
+def run(disturbance: str = "as_is", only: Sequence[str] = tuple(TRACKERS)) -> dict[str, dict]:
     if not (DATA / WATER).is_dir():
         return {}
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        parts = {"tuned": tuned, "held_out": held_out}
-        return {name: row for part, clips in parts.items() for name, row in rows(part, clips(DATA)).items()}
+        found: dict[str, dict] = {}
+        for part, clips in {"tuned": tuned, "held_out": held_out}.items():
+            name = part if disturbance == "as_is" else f"{part}_{disturbance}"
+            found |= rows(name, map(DISTURBANCES.get(disturbance, lambda clip: clip), clips(DATA)), only)
+        return found
     finally:
         cv2.setNumThreads(threads)
 
 
-def rows(part: str, clips: Iterable[Clip]) -> dict[str, dict]:
-    """Three rows for each tracker."""
-    trackers = {name: files for name, files in TRACKERS.items() if name == "filter" or MODELS.is_dir()}
+def rows(part: str, clips: Iterable[Clip], only: Sequence[str]) -> dict[str, dict]:
+    """What `only` these of the trackers say, a few rows each."""
+    trackers = {name: TRACKERS[name] for name in only if name == "filter" or MODELS.is_dir()}
     found: dict[str, list[Score]] = {name: [] for name in trackers}
     waits: dict[str, list[float]] = {name: [] for name in trackers}
+    elsewhere = dict.fromkeys(trackers, 0)
     for clip in clips:
         for name, files in trackers.items():
             said = follow(clip, files)
             found[name].append(score(clip.truth, said, clip.rate_hz))
             waits[name] += returns(clip, said)
-    table = {}
+            elsewhere[name] += misled(clip, said)
+    shown = {}
     for name, scores in found.items():
         absent = sum(one.absent for one in scores)
         present = sum(one.frames for one in scores) - absent
         said, wrong = sum(one.absent_said_lost for one in scores), sum(one.present_said_lost for one in scores)
         on = sum(one.on_target for one in scores)
-        table[f"loss_{part}_{name}_absent_said_lost"] = row(said, "frames", "frames without it", said / absent)
-        table[f"loss_{part}_{name}_present_said_lost"] = row(wrong, "frames", "frames with it", wrong / present)
-        table[f"loss_{part}_{name}_on_target"] = row(on, "frames", "frames with it", on / present)
+        shown[f"loss_{part}_{name}_absent_said_lost"] = row(said, "frames", "frames without it", said / absent)
+        shown[f"loss_{part}_{name}_present_said_lost"] = row(wrong, "frames", "frames with it", wrong / present)
+        other = elsewhere[name]
+        shown[f"loss_{part}_{name}_on_another"] = row(other, "frames", "frames with it", other / present)
+        shown[f"loss_{part}_{name}_on_target"] = row(on, "frames", "frames with it", on / present)
         again = [wait for wait in waits[name] if np.isfinite(wait)]
         share = len(again) / len(waits[name])
         for kind, of in (("median", 50), ("p95", 95)):
             frames = float(np.percentile(again, of)) if again else float("nan")
-            table[f"loss_{part}_{name}_found_again_{kind}"] = row(frames, "frames", "times it came back", share)
-    return table
+            shown[f"loss_{part}_{name}_found_again_{kind}"] = row(frames, "frames", "times it came back", share)
+    return shown
 
 
 def follow(clip: Clip, files: tuple) -> list[Followed]:
@@ -82,5 +97,22 @@ def returns(clip: Clip, said: list[Followed]) -> list[float]:
     return waits + ([np.inf] if since is not None else [])
 
 
+def misled(clip: Clip, said: list[Followed]) -> int:
+    """Frames in which it is there and something else is said to be it."""
+    return sum(
+        box is not None and counted and now.state in FOLLOWED and overlap(now.box, box) < ELSEWHERE_IOU
+        for (_, box, counted), now in zip(clip.truth, said, strict=True)
+    )
+
+
 def row(value: float, unit: str, against: str, ratio: float) -> dict:
     return {"value": value, "unit": unit, "against": against, "ratio": ratio}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("disturbances", nargs="+", choices=["as_is", *DISTURBANCES])
+    parser.add_argument("--only", choices=list(TRACKERS), action="append", help="tracker; again for another")
+    asked = parser.parse_args()
+    for disturbance in asked.disturbances:
+        Console(width=WIDE).print(table(run(disturbance, asked.only or tuple(TRACKERS))))

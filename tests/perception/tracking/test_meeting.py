@@ -65,10 +65,24 @@ def test_what_is_suddenly_much_more_like_the_thing_is_no_look_alike():
 
 def test_only_one_that_was_seen_for_some_frames_is_met():
     glimpse = followed([LookAlike(Motion(at(100)), 0.9)], [])
-    assert merged(glimpse, at(102)) is None
+    assert merged(glimpse, at(102), 0.8) is None
     others = [LookAlike(Motion(at(100)), 0.9)]
     for _ in range(3):
         others = followed(others, [Seen(at(100), 0.9)])
-    assert merged(others, at(100)) is None  # it is still seen
-    assert merged(followed(others, []), at(102)) is not None
-    assert merged(followed(others, []), at(150)) is None
+    assert merged(others, at(100), 0.8) is None  # it is still seen
+    assert merged(followed(others, []), at(102), 0.8) is not None
+    assert merged(followed(others, []), at(150), 0.8) is None
+
+
+def test_one_that_is_less_like_the_thing_cannot_be_mistaken_for_it():
+    dim = [LookAlike(Motion(at(100), unseen=1), like=0.4, seen=5)]
+    assert merged(dim, at(102), 0.8) is None
+    assert merged(dim, at(102), 0.4) is not None
+
+
+def test_a_look_alike_that_turns_to_look_like_the_thing_stays_that_look_alike():
+    others = [LookAlike(Motion(at(100)), like=0.40)]
+    for k in range(1, 5):
+        place = Seen(at(100 + k), 0.40 + 0.1 * k)
+        assert unexplained(others, [place]) == []
+        others = followed(others, [place])
