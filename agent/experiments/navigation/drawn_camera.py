@@ -8,6 +8,8 @@ lies is burnt out (115 of 116 tags of rendered frames). Nothing is hidden by any
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,7 @@ from agent.kernel.navigation.tags.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, FO
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Flow, SeenTag, SeenTags
 from agent.perception.landmarks.flow import KEPT, MOST, OLDEST_NS
+from agent.perception.landmarks.watch import STILL_PX
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose
 from hw.twin.landmarks import true_tags
@@ -50,6 +53,8 @@ class DrawnCamera:
         self._rng = generator(seed, name, "drawn camera")
         self._frames = 0
         self._key: tuple[int, Array, Array] | None = None  # exposure, numbers of points, slopes then
+        self._before: tuple[Array, NDArray[np.bool_]] | None = None  # slopes of all points, and which were seen
+        self._step_px = 0.0  # how far they moved in the picture from the frame before to that one
 
     def expose(self, pose: RobotPose, t_ns: int) -> tuple[SeenTags, Flow | None]:
         """A frame from there, the lens at rest."""
@@ -60,7 +65,7 @@ class DrawnCamera:
 
     def interrupt(self) -> None:
         """The lens moves: what was followed is lost."""
-        self._key = None
+        self._key = self._before = None
 
     def _tags(self, at: Array, axes: Array) -> tuple[SeenTag, ...]:
         slopes, depths = self._project(self._corners.reshape(-1, 3), at, axes)
@@ -83,10 +88,11 @@ class DrawnCamera:
         return tuple(found)
 
     def _flow(self, at: Array, axes: Array, t_ns: int) -> Flow | None:
-        """Points of the key frame that are still in the picture; a new one where too few are, or it is too old."""
+        """Points of the key frame that are still in the picture; a new one where too few are, it is too old, or the
+        picture has stopped, as perception/landmarks/watch.py begins them."""
         slopes, depths = self._project(self._points, at, axes)
         here = self._inside(slopes, depths)
-        told = None
+        told, stopped = None, self._stopped(slopes, here)
         if self._key is not None:
             since_ns, numbers, then = self._key
             left = here[numbers]
@@ -94,12 +100,22 @@ class DrawnCamera:
             now = slopes[numbers[kept]] + self._rng.normal(0.0, FOLLOWED_PX / self._camera.f_px, (len(kept), 2))
             pairs = np.hstack([then[kept], now]).tolist()
             told = Flow(t_ns=t_ns, since_ns=since_ns, pairs=tuple((a, b, c, d) for a, b, c, d in pairs))
-            if t_ns - since_ns > OLDEST_NS or left.sum() < max(KEPT * len(numbers), 1):
+            if stopped or t_ns - since_ns > OLDEST_NS or left.sum() < max(KEPT * len(numbers), 1):
                 self._key = None
         if self._key is None:
             numbers = self._rng.permutation(np.flatnonzero(here))
             self._key = t_ns, numbers, slopes[numbers]
         return told if told is not None and told.pairs else None
+
+    def _stopped(self, slopes: Array, here: NDArray[np.bool_]) -> bool:
+        """Whether the picture moved from the frame before last to the last one, and has not since."""
+        moved_px = self._step_px
+        if self._before is not None:
+            both = here & self._before[1]
+            steps_px = self._camera.f_px * np.linalg.norm(slopes[both] - self._before[0][both], axis=1)
+            self._step_px = float(np.median(steps_px)) if len(steps_px) else math.inf
+        self._before = slopes, here
+        return self._step_px <= STILL_PX < moved_px
 
     def _project(self, points_m: Array, at: Array, axes: Array) -> tuple[Array, Array]:
         """Slopes (n, 2) and depths (n,) of points (n, 3)."""
