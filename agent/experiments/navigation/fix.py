@@ -23,6 +23,7 @@ from agent.kernel.config import Fleet, Pose
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.tags.defocus import readable
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix
@@ -103,7 +104,8 @@ def judged(
     start = stand.x_m + float(off[0]), stand.y_m + float(off[1]), wrap(stand.yaw + float(off[2]))
     of = view(calibration.camera, fleet.body, TANK.surface_m, lens)
     before = priors(stand.level, stand.gimbal_deg, 0.0, turning=False)
-    fix = tag_fix(of, before, known, [one.seen for one in found], start)
+    tags = readable([one.seen for one in found], known.landmarks.size_m, of, calibration.focus, lens)
+    fix = tag_fix(of, before, known, tags, start)
     blurs = [one.blur_px for one in found if one.blur_px is not None]
     ways = [_distance_m(known.markers[one.seen.id].middle_m, stand) for one in found]
     row: Row = {

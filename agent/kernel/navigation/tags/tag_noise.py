@@ -25,6 +25,9 @@ OFFSET_PX = 0.10  # s_o in the middle of the picture
 BENT_PX = 0.5  # and what the lens's bending leaves of it at the edge, growing with the cube of the distance
 EDGE_AT = 0.55  # of the picture's width, that edge
 STRETCH = 0.0025  # s_s: blur and threshold make all of a tag larger or smaller
+# What a corner finder adds to it: it draws all four inwards alike, so that a small tag seems far away. In what was
+# rendered a tag without edges, seen from beyond 0.8 m, was 24 mm wrong (90 %) where it said 8.
+INWARDS_PX = 0.8
 
 
 class TagNoise(NamedTuple):
@@ -41,7 +44,9 @@ def tag_noise(of: View, tag: SeenTag, marker: Marker, at: tuple[Seen, ...], land
     offset_px2 = (OFFSET_PX + BENT_PX * bent * bent * bent) ** 2
     flat = [of.f_px * s for corner in tag.corners for s in corner]
     means = 0.25 * (flat[0] + flat[2] + flat[4] + flat[6]), 0.25 * (flat[1] + flat[3] + flat[5] + flat[7])
-    stretch = [STRETCH * (value - means[i % 2]) for i, value in enumerate(flat)]
+    drawn = 0.0 if tag.edges else INWARDS_PX / (math.sqrt(0.5) * max(tag.size_px, 1.0))  # of half a diagonal
+    grown = math.hypot(STRETCH, drawn)
+    stretch = [grown * (value - means[i % 2]) for i, value in enumerate(flat)]
     shift, turn = of.f_px * landmarks.sigma_m, of.f_px * math.radians(landmarks.sigma_deg)
     scales = (shift, shift, shift, turn, turn, turn)
     survey = [
