@@ -11,6 +11,9 @@ import math
 from typing import NamedTuple
 
 OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mass; drag may be half or twice as large
+# Of a body that swims aslant, added mass that differs ahead and aside makes a moment: Munk's, this difference times
+# both speeds. And of every push some moment, for no two thrusters are alike: so long an arm.
+MUNK_KG, ARM_M = 0.8, 0.003
 
 Wrench = tuple[float, float, float]  # N forward, N left, N m
 
@@ -56,7 +59,8 @@ def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h
     f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
     spin = moment / hull.inertia_kgm2
     doubt = math.hypot(OF_THRUST * math.hypot(px, py), OF_DRAG * k * math.hypot(vx, vy))
-    turn_doubt = math.hypot(OF_THRUST * spin, OF_DRAG * k_r * r)
+    munk, arm = MUNK_KG * (c * vx + s * vy) * (c * vy - s * vx), ARM_M * math.hypot(ahead, left)
+    turn_doubt = math.hypot(OF_THRUST * spin, OF_DRAG * k_r * r, munk / hull.inertia_kgm2, arm / hull.inertia_kgm2)
     ax, ay, turn = px - k * vx + dx, py - k * vy + dy, spin - k_r * r + dpsi
     return Motion((f, g, n), ax, ay, turn, k, k_r, -py, px, doubt, turn_doubt)
 

@@ -115,7 +115,8 @@ class InTank:
         self.outputs = self.agent.step(self.inputs, self.now_ns)
         self.state = self.outputs.state or self.state
         wanted = np.array(self.outputs.set_point.servos_us[:2], float)
-        self.servos_us += np.clip(wanted - self.servos_us, -SLEW_US, SLEW_US)
+        slew_us = SLEW_US * step_ns / STEP_NS
+        self.servos_us += np.clip(wanted - self.servos_us, -slew_us, slew_us)
         self.body.swim(self.wrench, step_ns * 1e-9, pull)
         return self.outputs
 
