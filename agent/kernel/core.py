@@ -23,8 +23,10 @@ from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
 from agent.kernel.presence import Presence
 from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import Eye
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix, locate
+from agent.kernel.ranging.own_pose import EXACT, OwnPose
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
@@ -121,6 +123,7 @@ class Agent:
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
             self.current.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
+            self._aid(result, now_ns)
         return sweep_outcome(self.current.name, result, fix)
 
     def _fix(self, peak: Measurement, now_ns: int) -> Fix | NoRange:
@@ -134,11 +137,25 @@ class Agent:
             if known is None:
                 return NoRange("where it was itself at the time of its sharpest frame is not known")
             pose, own = pose_of(known[0]), known[1]
-        eye, ball, cues = self.seek.eye(level, pose), self.current.ball, self._fleet.ranging.cues
-        fix = locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
+        fix = self._located(peak, self.seek.eye(level, pose), own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
             return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
         return fix
+
+    def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
+        ball, cues = self.current.ball, self._fleet.ranging.cues
+        return locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
+
+    def _aid(self, peak: Measurement, now_ns: int) -> None:
+        """Where others say that the target is tells a robot that swims where it is itself."""
+        others = self.current.estimator.by_others()
+        if self.swimmer is None or others is None:
+            return
+        there, level = self.swimmer.localizer.at(peak.t_ns), self.attitude.at(peak.t_ns)
+        if there is not None and level is not None:
+            seen = self._located(peak, self.seek.eye(level, pose_of(there)), EXACT)
+            if isinstance(seen, Fix):
+                self.swimmer.localizer.sight(self.current.name, peak.t_ns, seen, others, now_ns)
 
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
@@ -159,6 +176,9 @@ class Agent:
             self.scheduler.next({name: target.estimator.t for name, target in self.targets.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
+        if self.swimmer is not None:
+            by = self.swimmer.localizer.aid.target
+            self.swimmer.steer(self.seek, None if by is None else self.targets[by].estimator.by_others(), now_ns)
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
         believed = self.current.estimator.posterior

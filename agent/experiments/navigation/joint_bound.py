@@ -21,10 +21,8 @@ from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import camera_pose
 from agent.kernel.ranging.cues import Outline
 from agent.kernel.ranging.fix import Fix, locate
-from agent.kernel.ranging.own_pose import OwnPose
+from agent.kernel.ranging.own_pose import EXACT
 from agent.kernel.step_io import Flow, SeenTags
-
-NO_POSE = OwnPose(ZERO, ZERO, 1.0)  # the pose's errors are in the filter's state
 
 
 class KeyFrame(NamedTuple):
@@ -110,7 +108,9 @@ class Replayed:
         )
         ball = self._fleet.target[sighting.target]
         cues = self._fleet.ranging.cues
-        seen = locate(self._known[i], eye, outline, outcome.lens_position, outcome.sigma, ball, cues, NO_POSE)
+        seen = locate(
+            self._known[i], eye, outline, outcome.lens_position, outcome.sigma, ball, cues, EXACT
+        )  # its pose is in the state
         if isinstance(seen, Fix):
             self.joint.add_sample(i, seen, self._stays[i])
 

@@ -90,6 +90,9 @@ class Evidence:
             self._stale = False
         return self._believed
 
+    def by_others(self) -> Posterior | None:
+        return self._mode.by_others()
+
     def trust(self, keys: Mapping[str, bytes]) -> None:
         """Public keys, as they are from now on: who lost or changed his is believed no more, from this moment."""
         before, self._authority.keys = self._authority.keys, dict(keys)

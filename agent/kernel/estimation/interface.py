@@ -64,6 +64,10 @@ class Estimator(Protocol):
     def posterior(self) -> Posterior | None:
         """x by all that was heard and measured so far, or since the last iteration where the protocol says so."""
 
+    def by_others(self) -> Posterior | None:
+        """Where a target at rest is without anything that this robot measured; None where nobody else did, where others
+        contradict each other, or where the protocol cannot take one's own word out again."""
+
     def trust(self, keys: Mapping[str, bytes]) -> None:
         """The public keys of the robots, as they are from now on. Where this was never called nothing is signed."""
 

@@ -63,6 +63,9 @@ class Mode(Protocol):
     def say(self, to: str, now_ns: int) -> Gossip:
         """What this neighbour does not have yet, as far as fits."""
 
+    def by_others(self) -> Posterior | None:
+        """Where the target rests, all our own samples left out; interface.Estimator."""
+
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         """Where the target is by all that is held. `before`: the posterior until now."""
 

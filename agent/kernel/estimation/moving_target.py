@@ -160,6 +160,9 @@ class MovingTarget:
             return Conclusion(alone or posterior, "ambiguous", alpha, explain)
         return Conclusion(posterior, "track", alpha, explain)
 
+    def by_others(self) -> Posterior | None:
+        return None  # where it will be is known less well than where one is oneself
+
     def _tracks(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> dict[str, Track]:
         """Of each origin by its own samples alone, as of now."""
         self._own = {origin: self._own.get(origin, FixedLagFilter()) for origin in fresh}

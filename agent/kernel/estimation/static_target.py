@@ -30,6 +30,7 @@ class StaticTarget:
         self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
         self._let_go: dict[Key, int] = {}  # until when to say so
         self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
+        self._by_others: tuple[int, Posterior | None] = (0, None)  # at which change of the table; nobody's at first
         self._gain = 0.0  # share of the newest own sample in the own sum
         self._nis: float | None = None
 
@@ -140,6 +141,15 @@ class StaticTarget:
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
         doubted = fused.factors.get(self._me.key[0], 1.0) < 0.5
         return Conclusion(_agreed(fused), "fuse", alpha, explain, doubted)
+
+    def by_others(self) -> Posterior | None:
+        """Fused as all are. What robots have wrong in common does not show between them: `common_m2` is left out."""
+        if self._by_others[0] != self._change:
+            others = [opinion for opinion in self._table.opinions() if opinion.origin != self._me.key[0]]
+            fused = fuse(others, liars=self._me.liars)
+            place = None if fused is None or fused.verdict == "ambiguous" else _agreed(fused)
+            self._by_others = self._change, place
+        return self._by_others[1]
 
     def _alone(self, valid: bool) -> Posterior | None:
         """What our own samples say, while we see the target."""

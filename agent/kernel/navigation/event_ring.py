@@ -21,6 +21,7 @@ from agent.kernel.navigation.pose_filter import (
     add_fix,
     add_flow,
     add_rate,
+    add_sighting,
     keep_key,
     predict,
 )
@@ -28,7 +29,7 @@ from agent.kernel.navigation.pose_filter import (
 RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
 KEEP_NS = 6_000_000_000  # as long as telemetry is kept (control/attitude.py)
 
-Kind = Literal["1 asked", "2 fix", "3 flow", "4 key", "5 rate"]  # of one moment, in this order
+Kind = Literal["1 asked", "2 fix", "3 flow", "4 key", "5 rate", "6 sighting"]  # of one moment, in this order
 
 
 class Event(NamedTuple):
@@ -60,12 +61,17 @@ def rate(t_ns: int, rate_rad_s: float) -> Event:
     return Event(t_ns, "5 rate", 0, (rate_rad_s,))
 
 
+def sighting(t_ns: int, offset_m: Vector, noise_m2: Symmetric) -> Event:
+    """A target at rest was seen there (pose_filter.add_sighting)."""
+    return Event(t_ns, "6 sighting", 0, (*offset_m, *noise_m2))
+
+
 class EventRing:
     """The beliefs of one robot about itself over the last seconds."""
 
-    def __init__(self, begun: Belief, hull: Hull, drift: Drift) -> None:
-        """begun: the belief at the first fix; what happened before it does not count."""
-        self._hull, self._drift = hull, drift
+    def __init__(self, begun: Belief, hull: Hull, drift: Drift, ring_ns: int = RING_NS) -> None:
+        """begun: the belief at the first fix; what happened before it does not count. ring_ns: how late one may be."""
+        self._hull, self._drift, self._ring_ns = hull, drift, ring_ns
         self._settled: deque[Belief] = deque([begun])  # nothing comes before the newest of these any more
         self._events: list[Event] = []
         self._beliefs: list[Belief] = []  # after each of the events
@@ -96,12 +102,12 @@ class EventRing:
 
     def advance(self, now_ns: int) -> None:
         """Let go of what is so old that nothing may come before it."""
-        n = bisect_right(self._events, now_ns - RING_NS, key=_time)
+        n = bisect_right(self._events, now_ns - self._ring_ns, key=_time)
         self._settled.extend(self._beliefs[:n])
         del self._events[:n], self._beliefs[:n]
-        if not self._events and self._settled[-1].t_ns < now_ns - 2 * RING_NS:
+        if not self._events and self._settled[-1].t_ns < now_ns - 2 * self._ring_ns:
             # Nothing happens any more: each answer would go all the way from the last event, longer and longer.
-            self._settled.append(predict(self._settled[-1], self._hull, self._drift, now_ns - RING_NS))
+            self._settled.append(predict(self._settled[-1], self._hull, self._drift, now_ns - self._ring_ns))
             self._told = None
         while len(self._settled) > 1 and self._settled[1].t_ns <= now_ns - KEEP_NS:
             self._settled.popleft()
@@ -154,3 +160,5 @@ def _apply(belief: Belief, event: Event) -> Belief:
             return keep_key(belief)
         case "5 rate":
             return add_rate(belief, v[0])
+        case "6 sighting":
+            return add_sighting(belief, (v[0], v[1], v[2]), (v[3], v[4], v[5], v[6], v[7], v[8]))

@@ -11,11 +11,13 @@ from typing import NamedTuple
 
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
+from agent.kernel.estimation.interface import Posterior
 from agent.kernel.estimation.matrix import plus
 from agent.kernel.messages import Whereabouts
+from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import odometry
@@ -27,6 +29,7 @@ from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
 from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors
 from agent.kernel.ranging.calibration import BodyFit, Calibration
+from agent.kernel.ranging.fix import Fix
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
 
@@ -54,6 +57,7 @@ class Localizer:
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
         self.hull, self._gyro = hull_of(calibration.body), fleet.navigation.gyro
         self._ring: EventRing | None = None
+        self.aid = Aid(self.hull)
         self._asked = STILL
         self._fixes_ns: deque[int] = deque()
         self._sampled_ns: int | None = None
@@ -80,7 +84,8 @@ class Localizer:
         if self._ring is None or before is None or self._astray(before):
             begun = begin(frame.t_ns, pose, found.fluctuates, found.stays, self._gyro)
             self._ring = EventRing(begun, self.hull, Drift())
-        elif not self._ring.add(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
+            self.aid.reset()
+        elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
             return
         self._fixes_ns.append(frame.t_ns)
 
@@ -100,23 +105,38 @@ class Localizer:
         settling = (not then.gimbal.rests) + (not now.gimbal.rests)
         moved = odometry(of, start, end, seen.pairs, self._water_m, settling * math.radians(TURNING_DEG))
         if moved is not None:
-            self._ring.add(flow(seen.t_ns, seen.since_ns, moved.pose, moved.covariance))
+            self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, moved.covariance))
 
     def turning(self, measured: Rate) -> None:
         """A gyro's yaw rate; only of a fleet whose robots have one."""
-        if self._ring is not None:
-            self._ring.add(rate(*measured))
+        self._tell(rate(*measured))
 
     def sent(self, wrench: Wrench, now_ns: int) -> None:
         """What the thrusters are asked for from now on; zeros while motors may not turn."""
         if wrench != self._asked and self._ring is not None:
-            self._ring.add(asked(now_ns, wrench))
+            self._tell(asked(now_ns, wrench))
             self._asked = wrench
+
+    def _tell(self, event: Event) -> bool:
+        """Whether it came in time."""
+        if self._ring is None or not self._ring.add(event):
+            return False
+        self.aid.add(event)
+        return True
+
+    def sight(self, target: str, t_ns: int, seen: Fix, others: Posterior, now_ns: int) -> None:
+        """A target at rest, as seen from where this robot believes that it was then (that pose taken for exact:
+        own_pose.EXACT), and as others place it."""
+        own, settled = self.at(t_ns), self.at(min(t_ns, now_ns - RING_NS) - 1)
+        if own is not None and settled is not None:
+            offset = offset_m(own.pose, seen.position_m)
+            self.aid.see(Seen(target, t_ns, offset, seen.random_m2, seen.systematic_m2), own, settled, others)
 
     def advance(self, now_ns: int) -> None:
         """Let go of what is old."""
         if self._ring is not None:
             self._ring.advance(now_ns)
+        self.aid.advance(now_ns)
         while self._fixes_ns and self._fixes_ns[0] < now_ns - round(MEMORY_S * 1e9):
             self._fixes_ns.popleft()
 

@@ -2,8 +2,9 @@
 
 State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), the bias of the yaw rate where there is a gyro, and, once there is a
 key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is seen since is measured from
-(Mourikis et al. 2007, stochastic cloning). Lengths m, angles rad. Covariances of what fluctuates: what survey and zeros
-have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
+(Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aid.py) has the place (x, y, z) of a target at
+rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances of what fluctuates: what survey
+and zeros have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from agent.kernel.navigation.dense import Rows, cholesky, dot, inverse
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
 REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
 RATE_RAD_S = math.radians(0.3)  # noise of the gyro
+YAW_KNOWN_RAD = math.radians(5.0)  # beyond, what a yaw does to a place is not linear: a sighting would lend false trust
 FIRST_BIAS_RAD_S = math.radians(0.6)
 # Variances of v, r and d before anything was learnt: who was lost swims on for a while, and spins.
 FIRST = (2e-2, 2e-2, 2.5e-1, 4e-3, 4e-3, 1e-1)
@@ -54,6 +56,7 @@ class Belief(NamedTuple):
     restarts: int = 0
     stays: Symmetric = ZERO  # of the newest fix, (x, y, psi)
     nis: float = 0.0  # of the newest measurement
+    has_target: bool = False  # its place is in the state
 
     @property
     def pose(self) -> Vector:
@@ -182,6 +185,34 @@ def add_rate(belief: Belief, rate_rad_s: float) -> Belief:
     return _correct(belief, H, (rate_rad_s - belief.x[5] - belief.x[9],), ((RATE_RAD_S * RATE_RAD_S,),))
 
 
+def add_sighting(belief: Belief, offset_m: Vector, noise_m2: Symmetric) -> Belief:
+    """With a target at rest seen now: the first sighting puts its place into the state, later ones correct both.
+
+    offset_m: ahead and to the left of the robot as its yaw has it, and the height in the world; noise_m2: of that, along
+    the world's axes. One while the yaw is poorly known says nothing.
+    """
+    if belief.P[2][2] > YAW_KNOWN_RAD * YAW_KNOWN_RAD:
+        return belief
+    c, s = math.cos(belief.x[2]), math.sin(belief.x[2])
+    east, north = c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]
+    seen_m = belief.x[0] + east, belief.x[1] + north, offset_m[2]
+    xx, xy, xz, yy, yz, zz = noise_m2
+    R = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    n = _own(belief)
+    if belief.has_target:
+        H = ((n - 3, 1.0), (0, -1.0), (2, north)), ((n - 2, 1.0), (1, -1.0), (2, -east)), ((n - 1, 1.0),)
+        misses = [place - belief.x[n - 3 + k] for k, place in enumerate(seen_m)]
+        corrected = _correct(belief, H, misses, R)
+        return corrected if corrected.nis <= GATE else belief._replace(nis=corrected.nis)
+    G: tuple[Sparse, ...] = ((0, 1.0), (2, -north)), ((1, 1.0), (2, east)), ()
+    cross = [[_along(g, row) for row in belief.P] for g in G]  # 3 x n
+    middle = [[_along(g, row) + r for g, r in zip(G, noise, strict=True)] for row, noise in zip(cross, R, strict=True)]
+    rows = [(*row[:n], *column, *row[n:]) for row, column in zip(belief.P, zip(*cross, strict=True), strict=True)]
+    new = [(*row[:n], *block, *row[n:]) for row, block in zip(cross, middle, strict=True)]
+    P = _frozen([*rows[:n], *new, *rows[n:]])
+    return belief._replace(x=(*belief.x[:n], *seen_m, *belief.x[n:]), P=P, has_target=True)
+
+
 def _correct(belief: Belief, H: Sequence[Sparse], misses: Sequence[float], R: Covariance) -> Belief:
     """Joseph's form: P stays positive whatever is rounded off."""
     P = belief.P
@@ -207,12 +238,12 @@ def _correct(belief: Belief, H: Sequence[Sparse], misses: Sequence[float], R: Co
 
 
 def _own(belief: Belief) -> int:
-    """How many numbers of the state are of now; the clone's follow."""
+    """How many numbers of the state are no clone's, which follow them."""
     return len(belief.x) - (0 if belief.key_ns is None else 3)
 
 
 def _has_gyro(belief: Belief) -> bool:
-    return _own(belief) == 10
+    return _own(belief) - (3 if belief.has_target else 0) == 10
 
 
 def _along(h: Sparse, row: Sequence[float]) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from agent.kernel.config import Behaviour, Fleet, Hold, Pose
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
+from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviour import Progress, reference, start
@@ -59,6 +60,7 @@ class Swimmer:
         self._progress: Progress | None = None
         self._gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
+        self._here: Belief | None = None  # what it steers by
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -98,12 +100,18 @@ class Swimmer:
                 self.localizer.follow(flow, then, now, lens.get(flow.t_ns))
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)
-        if here is not None:
-            seek.pose = pose_of(here)
         if here is not None and within(here, LOST_M, LOST_DEG):
             self._lost_since_ns = None
         elif self._lost_since_ns is None:
             self._lost_since_ns = now_ns
+
+    def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
+        """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
+        others: where that is by all but this robot. What it says, intends and doubts goes by the own one alone."""
+        own = self.localizer.at(now_ns)
+        self._here = own and (self.localizer.aid.at(own, others) or own)
+        if self._here is not None:
+            seek.pose = pose_of(self._here)
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
@@ -130,7 +138,7 @@ class Swimmer:
                 return True
             self._glancing = True
             self._glance.reset()
-        pose = None if here is None or self.lost else pose_of(here)
+        pose = None if here is None or self.lost else seek.pose
         pan, tilt = self._glance.direction_deg(pose, level, steady, now_ns)
         seek.look(pan, tilt, now_ns)
         return True
@@ -144,22 +152,24 @@ class Swimmer:
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        asked = STILL if here is None or self.lost or not allowed else self._towards(here, watched_m, now_ns)
+        by, free = self._here or here, allowed and not self.lost
+        asked = STILL if here is None or by is None or not free else self._towards(here, by, watched_m, now_ns)
         self.localizer.sent(asked, now_ns)
         return asked
 
-    def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
-        before = self._progress or start(here.pose, 0.0, now_ns, self._home)
-        to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
+    def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
+        """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
+        before = self._progress or start(own.pose, 0.0, now_ns, self._home)
+        to, self._progress = reference(self._behaviour, before, own.pose, now_ns, watched_m)
         if to.coast:
             return STILL
-        share, turn_rad_s = pace(here), math.radians(self._limits.turn_deg_s)
+        share, turn_rad_s = pace(by), math.radians(self._limits.turn_deg_s)
         to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
-        velocity = self.company.velocity(wanted_velocity(here, to), here, to, things, now_ns)
-        return wrench(here, self.localizer.hull, to, velocity)
+        velocity = self.company.velocity(wanted_velocity(by, to), by, to, things, now_ns)
+        return wrench(by, self.localizer.hull, to, velocity)
 
     def say(self, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
         """Where it is and where it goes, to each neighbour; nothing while it does not know where it is."""

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from agent.kernel.estimation.matrix import ZERO
 from agent.kernel.messages import Symmetric, Vector
 
 MEMORY_S = 10.0  # how far back gaps between fixes count
@@ -26,6 +27,9 @@ class OwnPose(NamedTuple):
     fluctuates: Symmetric
     stays: Symmetric
     kappa: float
+
+
+EXACT = OwnPose(ZERO, ZERO, 1.0)  # for a measurement from the robot instead of in the world
 
 
 def kappa(since_last_s: float, gap_s: float) -> float:

@@ -1,0 +1,144 @@
+"""The aided pose: where a robot is by its own filter and by a target that others have located.
+
+A second filter has all that the own one has, and the place of a target at rest in its state, by this robot's own
+sightings alone. What the others say of that place, (x, C) with nothing of this robot in it, is not told to the filter
+but compared with it whenever somebody asks:
+
+    S = P_tt + C + D + J B J' ;  K = P_xt S^-1 ;  x += K (x_others - x_t) ;  P -= K S K'
+
+P_tt, P_xt: of the target, and of the state with it; D: what this robot's sightings have wrong alike (range, level);
+B: what its fixes have wrong alike; J = [e_x, e_y, e_z x arm]. So the others' error, the same at every sighting, is
+counted once however often the target is seen, and a better word of theirs replaces the one before. B is considered and
+not reduced (a Schmidt filter's way: Schmidt 1966): `stays` of the outcome is that of the own pose.
+
+The own filter, and with it all that a robot says, never learns of this.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from agent.kernel.estimation.interface import Posterior
+from agent.kernel.estimation.matrix import ZERO, apply, inverse, plus, quadratic
+from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.body_model import Hull
+from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, sighting
+from agent.kernel.navigation.pose_filter import GATE, Belief, Drift
+from agent.kernel.ranging.own_pose import carried
+
+LATE_NS = 4_000_000_000  # the sharpest frame of a sweep may be its first
+LOG_NS = LATE_NS + 2 * RING_NS
+
+
+class Seen(NamedTuple):
+    """A target at rest, measured from the robot: what the robot's own pose has wrong is not in it."""
+
+    target: str
+    t_ns: int  # of exposure
+    offset_m: Vector  # ahead, to the left, and its height in the world
+    random_m2: Symmetric  # averages out over sightings; world axes
+    alike_m2: Symmetric  # does not
+
+
+class Aid:
+    """Of one robot, by one target at a time. It costs next to nothing while the robot knows better by itself."""
+
+    def __init__(self, hull: Hull) -> None:
+        self._hull = hull
+        self._log: deque[Event] = deque()  # what the own filter was told in the last seconds
+        self._ring: EventRing | None = None
+        self._alike_m2 = ZERO  # of the newest sighting
+        self.target: str | None = None  # the one that it is aided by
+
+    def reset(self) -> None:
+        """The own filter began anew."""
+        self._log.clear()
+        self._stop()
+
+    def add(self, event: Event) -> None:
+        """What the own filter was told."""
+        self._log.append(event)
+        if self._ring is not None:
+            self._ring.add(event)
+
+    def advance(self, now_ns: int) -> None:
+        """Let go of what is old."""
+        while self._log and self._log[0].t_ns < now_ns - LOG_NS:
+            self._log.popleft()
+        if self._ring is not None:
+            self._ring.advance(now_ns)
+
+    def see(self, seen: Seen, own: Belief, settled: Belief, others: Posterior) -> None:
+        """A sighting, and what others say of that target. own: the own filter's belief then; settled: of a time before
+        which nothing comes any more."""
+        event = sighting(seen.t_ns, seen.offset_m, seen.random_m2)
+        self._alike_m2 = seen.alike_m2
+        if self._ring is not None and self.target == seen.target:
+            self._ring.add(event)
+            return
+        self._stop()
+        if _spread_m2(own.covariance) < _spread_m2(plus(plus(others.cov_m2, seen.alike_m2), seen.random_m2)):
+            return
+        self.target, self._ring = seen.target, EventRing(settled, self._hull, Drift(), LATE_NS)
+        for each in sorted((*self._log, event)):
+            if each.t_ns > settled.t_ns:
+                self._ring.add(each)
+
+    def at(self, own: Belief, others: Posterior | None) -> Belief | None:
+        """The aided pose at the time of the own one; None where there is none, or the own one needs no aid.
+
+        others: what they say of `target` now, with nothing of this robot in it; None: nothing.
+        """
+        if self._ring is None:
+            return None
+        if others is None or _spread_m2(own.covariance) < _spread_m2(plus(others.cov_m2, self._alike_m2)):
+            self._stop()
+            return None
+        believed = self._ring.at(own.t_ns)
+        return None if believed is None else aided(believed, others, self._alike_m2)
+
+    def _stop(self) -> None:
+        self._ring = self.target = None
+
+
+def aided(believed: Belief, others: Posterior, alike_m2: Symmetric) -> Belief | None:
+    """The state without the target, given that others put that there: one chance in a thousand of honest words is
+    refused (None). alike_m2: of the robot's sightings, what is wrong in all of them."""
+    if not believed.has_target:
+        return None
+    n = len(believed.x) - (6 if believed.key_ns is not None else 3)
+    P, (x, y, z) = believed.P, believed.x[n : n + 3]
+    spread = P[n][n], P[n][n + 1], P[n][n + 2], P[n + 1][n + 1], P[n + 1][n + 2], P[n + 2][n + 2]
+    arm_m = x - believed.x[0], y - believed.x[1], 0.0
+    S = plus(plus(plus(spread, others.cov_m2), alike_m2), carried(arm_m, believed.stays))
+    precision, miss_m = inverse(S), (others.x_m[0] - x, others.x_m[1] - y, others.x_m[2] - z)
+    if precision is None or quadratic(precision, miss_m) > GATE:
+        return None
+    step = apply(precision, miss_m)
+    cross = [(row[n], row[n + 1], row[n + 2]) for row in P[:n]]
+    gains = [apply(precision, row) for row in cross]
+    moved = [a + _dot(row, step) for a, row in zip(believed.x, cross, strict=False)]
+    moved[2] = wrap(moved[2])
+    rows = tuple(
+        tuple(P[i][j] - _dot(gains[min(i, j)], cross[max(i, j)]) for j in range(n)) for i in range(n)
+    )  # symmetric to the bit
+    return believed._replace(x=tuple(moved), P=rows, key_ns=None, has_target=False)
+
+
+def offset_m(from_pose: Vector, place_m: Vector) -> Vector:
+    """Of a place in the world, as Seen has it. from_pose: x, y, yaw."""
+    east, north = place_m[0] - from_pose[0], place_m[1] - from_pose[1]
+    c, s = math.cos(from_pose[2]), math.sin(from_pose[2])
+    return c * east + s * north, c * north - s * east, place_m[2]
+
+
+def _spread_m2(covariance: Symmetric) -> float:
+    """Along x and y together; of a place or of a pose."""
+    return covariance[0] + covariance[3]
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
