@@ -188,8 +188,8 @@ def add_rate(belief: Belief, rate_rad_s: float) -> Belief:
 def add_sighting(belief: Belief, offset_m: Vector, noise_m2: Symmetric) -> Belief:
     """With a target at rest seen now: the first sighting puts its place into the state, later ones correct both.
 
-    offset_m: ahead and to the left of the robot as its yaw has it, and the height in the world; noise_m2: of that, along
-    the world's axes. One while the yaw is poorly known says nothing.
+    offset_m: ahead and to the left of the robot as its yaw has it, and the height in the world; noise_m2: of that, in
+    the world. One while the yaw is poorly known says nothing.
     """
     if belief.P[2][2] > YAW_KNOWN_RAD * YAW_KNOWN_RAD:
         return belief
