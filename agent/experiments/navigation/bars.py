@@ -41,6 +41,9 @@ BARS = (
     Bar("separation", "least_m", "m", 0.34, None, PLANAR, "robots cross, least distance"),
     Bar("target", "ratio_to_bound", "", None, 1.2, TWIN, "the ball's place, three robots, to the bound"),
     Bar("target", "nees", "", 0.7, 1.3, TWIN, "its error as they say, NEES/3"),
+    Bar("aid", "own_mm", "mm", None, None, PLANAR, "robots that rarely see tags, own pose, rms"),
+    Bar("aid", "aided_mm", "mm", None, None, PLANAR, "the same, aided by the ball"),
+    Bar("aid", "nees", "", None, 1.3, PLANAR, "the aided pose's error as it says, NEES/3"),
 )
 
 

@@ -14,6 +14,8 @@ from typing import NamedTuple, get_args
 import msgspec
 
 from agent.experiments.choices import NavigationCase
+from agent.experiments.navigation.aid import SECONDS as AID_S
+from agent.experiments.navigation.aid import aided
 from agent.experiments.navigation.bars import BARS, met
 from agent.experiments.navigation.fix import PLACES, fixes
 from agent.experiments.navigation.manoeuvres import goto, hold, orbit, turn
@@ -52,6 +54,7 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     orbit: Row
     separation: Row
     target: Row
+    aid: Row
     shown: Shown
 
     @property
@@ -94,7 +97,7 @@ def run(settings: Settings, progress: Progress) -> Result:
 
 
 def all_cases(quick: bool) -> Sequence[Draws]:
-    places, robots, seconds = (3, 4, 10.0) if quick else (PLACES, ROBOTS, SECONDS)
+    places, robots, seconds, aid_s = (3, 4, 10.0, 12.0) if quick else (PLACES, ROBOTS, SECONDS, AID_S)
     return (
         Draws("fix", "fix", partial(fixes, places=places), 8),
         Draws("hold", "hold", hold, 3),
@@ -104,6 +107,8 @@ def all_cases(quick: bool) -> Sequence[Draws]:
         Draws("orbit with gaps", "orbit", partial(orbit, gaps=True), 3),
         Draws("separation", "separation", partial(crossing, robots=robots, seconds=seconds), 14),
         Draws("target", "target", partial(ball, seconds=15.0 if quick else TARGET_S), 11),
+        Draws("aid", "aid", partial(aided, seconds=aid_s), 3),
+        Draws("aid with gyro", "aid", partial(aided, gyro=True, seconds=aid_s), 4),
     )
 
 

@@ -11,6 +11,7 @@ from agent.experiments.choices import NavigationCase
 from agent.experiments.result import Row
 from agent.experiments.spread import rms, spread
 
+AIDED = ("aid", "aid with gyro")
 SHARP_PX = 6.0  # diameter of the blur up to which fixes have to be good
 
 Draws = Mapping[str, list[Row]]
@@ -61,6 +62,14 @@ def target(draws: Draws) -> Row:
     return {"ratio_to_bound": rms(errors_mm) / rms([row["bound_mm"] for row in rows]), "nees": float(np.mean(nees))}
 
 
+def aid(draws: Draws) -> Row:
+    """Of the robots whose tags are rare, all together, with a gyro and without."""
+    rows = [row for name in AIDED for row in draws[name]]
+    nees = [value for row in rows for value in row["nees"]]
+    found = {key: rms([off for row in rows for off in row[key][1:]]) for key in ("own_mm", "aided_mm")}
+    return {**found, "nees": float(np.mean(nees)) if nees else None}
+
+
 def _sharp(row: Row) -> bool:
     return row["blur_px"] is not None and row["blur_px"] <= SHARP_PX
 
@@ -84,4 +93,5 @@ SUMMARIES: dict[NavigationCase, Callable[[Draws], Row]] = {
     "orbit": orbit,
     "separation": separation,
     "target": target,
+    "aid": aid,
 }

@@ -12,8 +12,9 @@ from rich.table import Table
 
 from agent.experiments.navigation.bars import BARS, met
 from agent.experiments.navigation.run import ENOUGH, Result
+from agent.experiments.navigation.summaries import AIDED
 from agent.experiments.result import Row
-from agent.experiments.spread import number_or_never, spread
+from agent.experiments.spread import number_or_never, rms, spread
 
 BLURS_PX = (0.0, 2.0, 6.0, math.inf)  # diameters of the disc
 DISTANCES_M = (0.0, 0.5, 0.8, math.inf)
@@ -36,6 +37,7 @@ def table(result: Result) -> Group:
     parts += [spread_table(draws)] if any(name in draws for name, *_ in SPREAD) else []
     parts += [crossing_line(draws["separation"])] if draws.get("separation") else []
     parts += [target_line(draws["target"])] if draws.get("target") else []
+    parts += [aid_table(draws)] if draws.get("aid") else []
     parts += [f"missed: {', '.join(result.missed)}"] if result.missed else []
     parts += [f"no verdict: the bars are for {ENOUGH} seeds"] if result.missed is None else []
     return Group(*parts)
@@ -98,6 +100,22 @@ def target_line(rows: Sequence[Row]) -> str:
     bound_mm, nees = np.sqrt(np.mean([r["bound_mm"] ** 2 for r in rows])), np.mean([r["bound_nees"] for r in rows])
     samples = np.mean([row["samples"] for row in rows])
     return f"target: {samples:.1f} samples a run; the bound is off by {bound_mm:.1f} mm rms, its NEES/3 is {nees:.2f}"
+
+
+def aid_table(draws: dict[str, list[Row]]) -> Table:
+    """A line for each filter: rms error of each robot's place, mm, and of the ball's."""
+    shown = Table(title="tags at 5 Hz (r1), 2 s of every 4 s (r2), once in 4 s (r3), once in 6 s (r4)")
+    for head in ("", "pose", "r1", "r2", "r3", "r4", "ball mm", "NEES/3"):
+        shown.add_column(head, justify="left" if head in ("", "pose") else "right")
+    for name in AIDED:
+        rows = draws[name]
+        for key, words in (("own", "own"), ("aided", "aided"), ("joint", "joint filter, no gyro")):
+            robots = [f"{rms(each):.1f}" for each in zip(*(row[f"{key}_mm"] for row in rows), strict=True)]
+            nees = {"own": [r["target_nees"] for r in rows], "aided": [v for r in rows for v in r["nees"]]}.get(key)
+            ball = {"own": "target_mm", "joint": "joint_target_mm"}.get(key)
+            mm = f"{rms([row[ball] for row in rows]):.1f}" if ball else ""
+            shown.add_row(name, words, *robots, mm, f"{np.mean(nees):.2f}" if nees else "")
+    return shown
 
 
 def _blurred(blur_px: float | None, band: tuple[float, float] | None) -> bool:
