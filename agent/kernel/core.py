@@ -148,14 +148,13 @@ class Agent:
 
     def _aid(self, peak: Measurement, now_ns: int) -> None:
         """Where others say that the target is tells a robot that swims where it is itself."""
-        others = self.current.estimator.by_others()
-        if self.swimmer is None or others is None:
+        if self.swimmer is None or self.current.estimator.by_others() is None:
             return
         there, level = self.swimmer.localizer.at(peak.t_ns), self.attitude.at(peak.t_ns)
         if there is not None and level is not None:
             seen = self._located(peak, self.seek.eye(level, pose_of(there)), EXACT)
             if isinstance(seen, Fix):
-                self.swimmer.localizer.sight(self.current.name, peak.t_ns, seen, others, now_ns)
+                self.swimmer.localizer.sight(self.current.name, peak.t_ns, seen)
 
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""

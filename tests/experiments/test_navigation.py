@@ -17,7 +17,7 @@ from agent.experiments.navigation.run import CASES, Result, Shown, worlds
 from agent.experiments.navigation.separation import crossing
 from agent.experiments.navigation.summaries import SUMMARIES
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.experiments.navigation.tables import bars_table, fixes_table, spread_table, table
+from agent.experiments.navigation.tables import aid_table, bars_table, fixes_table, spread_table, table
 from agent.experiments.result import write_result
 from agent.kernel.config import Pose
 from agent.kernel.control.attitude import Attitude
@@ -208,6 +208,18 @@ DRAWS = {
         | {"bound_mm": 1.0, "bound_nees": 1.0}
     ],
 }
+AID = {
+    "own_mm": [1.0, 6.0],
+    "aided_mm": [1.0, 3.0],
+    "joint_mm": [1.0, 2.0],
+    "known": [1.0, 0.5],
+    "nees": [0.5, 1.5],
+} | {
+    "target_mm": 1.0,
+    "target_nees": 0.8,
+    "joint_target_mm": 0.9,
+}
+DRAWS |= {"aid": [AID], "aid with gyro": [AID]}
 
 
 def result_of(draws, verdict=True) -> Result:
@@ -226,7 +238,9 @@ def test_a_result_has_these_keys_and_no_others(tmp_path) -> None:
         "orbit": {"rms_mm", "gap_rms_mm"},
         "separation": {"least_m"},
         "target": {"ratio_to_bound", "nees"},
+        "aid": {"own_mm", "aided_mm", "nees"},
     }
+    assert told["aid"] == {"own_mm": 6.0, "aided_mm": 3.0, "nees": 1.0}, "of those whose tags are rare"
     assert {(bar.case, bar.key) for bar in BARS} == {(case, key) for case, keys in told.items() for key in keys}
     assert told["fix"]["p90_mm"] == 2.0, "blurred frames have no bar"
     assert told["hold"]["rms_mm"] == pytest.approx(math.sqrt(12.5)) and told["goto"]["s"] == 4.0
@@ -245,6 +259,7 @@ def test_tables_and_figures() -> None:
     result = result_of(DRAWS)
     assert bars_table(result).row_count == len(BARS)
     assert fixes_table(DRAWS["fix"]).row_count == 2 and spread_table(DRAWS).row_count == 7
+    assert aid_table(DRAWS).row_count == 6
     said = [str(part) for part in table(result).renderables if isinstance(part, str)]
     assert said[-1] == "missed: turn s, separation least_m"
     drawn = dict(figures(result))

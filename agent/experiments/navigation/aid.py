@@ -27,7 +27,7 @@ from agent.kernel.messages import Symmetric, Vector, upper
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, asked, fix, rate
+from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, rate
 from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, within
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import RATE_RAD_S, Belief, Drift, begin
@@ -87,8 +87,8 @@ class Diver:
         keeps = math.exp(-STEP_NS * 1e-9 / PULL.correlation_s)
         fresh = self.rng.normal(0.0, PULL.force_n / math.sqrt(2.0), 2)
         self._pull = keeps * self._pull + math.sqrt(1.0 - keeps * keeps) * fresh
-        sure = within(self.at(by.t_ns), LOST_M, LOST_DEG) or within(by, LOST_M, LOST_DEG)
-        self.asked = wrench(by, Hull(), self.goal, wanted_velocity(by, self.goal)) if sure else (0.0, 0.0, 0.0)
+        knows = within(self.at(by.t_ns), LOST_M, LOST_DEG)
+        self.asked = wrench(by, Hull(), self.goal, wanted_velocity(by, self.goal)) if knows else (0.0, 0.0, 0.0)
         self._tell(asked(by.t_ns, self.asked))
         self.body.swim(self.asked, STEP_NS * 1e-9, (*self._pull, 0.0))
         if self.gyro:
@@ -134,14 +134,16 @@ class Diver:
         random = plus(seen.random_m2, times(factor, carried(arm, own.covariance)))
         return Prior(at_m, random, seen.t_ns, plus(seen.alike_m2, carried(arm, own.stays)))
 
-    def sight(self, seen: Sample, others: Posterior, now_ns: int) -> None:
-        settled = self.ring.at(min(seen.t_ns, now_ns - RING_NS) - 1)
-        if settled is not None:
-            self.aid.see(Seen("ball", *seen), self.at(seen.t_ns), settled, others)
+    def better(self, others: Posterior | None, now_ns: int) -> Belief | None:
+        """The aided pose, as Localizer.best has it."""
+        own = self.at(now_ns)
+        if self.aid.needed(own, others) and (settled := self.ring.at(self.aid.begins_ns(now_ns))) is not None:
+            self.aid.begin(settled)
+        return self.aid.at(own, others)
 
 
 def aided(seed: int, gyro: bool = False, seconds: float = SECONDS) -> Row:
-    """Errors over time of each robot's own, aided and joint pose, and of the ball's place at the end."""
+    """Errors of each robot's own, aided and joint pose while it knows where it is, and of the ball's place."""
     first = float(generator(seed, "aid").uniform(-math.pi, math.pi))
     divers = [Diver(seed, name, wrap(first + 2.0 * math.pi * k / len(TAGS)), gyro) for k, name in enumerate(TAGS)]
     table, joint, pending = Table(), JointFilter(len(divers)), deque[tuple[int, int, Sample]]()
@@ -149,6 +151,7 @@ def aided(seed: int, gyro: bool = False, seconds: float = SECONDS) -> Row:
         joint.begin(i, 0, one.at(0).pose, one.covariance)
     errors: dict[str, list[list[Array]]] = {key: [[] for _ in divers] for key in ("own", "aided", "joint")}
     nees: list[float] = []
+    moments = 0  # of all robots
     by = [one.at(0) for one in divers]
     for now_ns in range(STEP_NS, round(seconds * S) + 1, STEP_NS):
         for i, one in enumerate(divers):
@@ -168,14 +171,15 @@ def aided(seed: int, gyro: bool = False, seconds: float = SECONDS) -> Row:
             prior = divers[i].prior(seen, now_ns)
             if prior is not None:
                 table.measure((divers[i].name, 1), prior)
-            others = by_others(table, divers[i].name)
-            if prior is not None and others is not None:
-                divers[i].sight(seen, others, now_ns)
+                divers[i].aid.see(Seen("ball", *seen))
         for i, one in enumerate(divers):
             own = one.at(now_ns)
-            better = one.aid.at(own, by_others(table, one.name))
+            better = one.better(by_others(table, one.name), now_ns)
             by[i] = better or own
-            if now_ns % S == 0 and now_ns > 0.25 * seconds * S:
+            if now_ns % (S // 4) == 0 and now_ns > 0.25 * seconds * S:
+                moments += 1
+                if not within(own, LOST_M, LOST_DEG):
+                    continue
                 truth = one.body.at
                 errors["own"][i].append(own.pose[:2] - truth[:2])
                 errors["aided"][i].append(by[i].pose[:2] - truth[:2])
@@ -187,6 +191,7 @@ def aided(seed: int, gyro: bool = False, seconds: float = SECONDS) -> Row:
     off, (joint_at, _) = np.array(ball.x_m) - BALL_M, joint.target
     return {
         **{f"{key}_mm": [1e3 * _rms(each) for each in found] for key, found in errors.items()},
+        "known": [len(TAGS) * len(each) / moments for each in errors["own"]],
         "nees": nees,
         "target_mm": 1e3 * float(np.linalg.norm(off)),
         "target_nees": float(off @ np.linalg.solve(full(ball.cov_m2), off)) / 3.0,

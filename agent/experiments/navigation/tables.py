@@ -111,6 +111,9 @@ def aid_table(draws: dict[str, list[Row]]) -> Table:
         rows = draws[name]
         for key, words in (("own", "own"), ("aided", "aided"), ("joint", "joint filter, no gyro")):
             robots = [f"{rms(each):.1f}" for each in zip(*(row[f"{key}_mm"] for row in rows), strict=True)]
+            if key == "own":
+                known = np.mean([row["known"] for row in rows], axis=0)
+                robots = [f"{mm} ({share:.0%})" for mm, share in zip(robots, known, strict=True)]
             nees = {"own": [r["target_nees"] for r in rows], "aided": [v for r in rows for v in r["nees"]]}.get(key)
             ball = {"own": "target_mm", "joint": "joint_target_mm"}.get(key)
             mm = f"{rms([row[ball] for row in rows]):.1f}" if ball else ""

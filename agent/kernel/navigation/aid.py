@@ -21,7 +21,7 @@ from collections import deque
 from typing import NamedTuple
 
 from agent.kernel.estimation.interface import Posterior
-from agent.kernel.estimation.matrix import ZERO, apply, inverse, plus, quadratic
+from agent.kernel.estimation.matrix import apply, inverse, plus, quadratic
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import Hull
@@ -29,6 +29,7 @@ from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, sighti
 from agent.kernel.navigation.pose_filter import GATE, Belief, Drift
 from agent.kernel.ranging.own_pose import carried
 
+NEED_M = 0.02  # one sigma of place: a robot that sees tags between its sweeps knows better by itself
 LATE_NS = 4_000_000_000  # the sharpest frame of a sweep may be its first
 LOG_NS = LATE_NS + 2 * RING_NS
 
@@ -44,19 +45,23 @@ class Seen(NamedTuple):
 
 
 class Aid:
-    """Of one robot, by one target at a time. It costs next to nothing while the robot knows better by itself."""
+    """Of one robot, by one target at a time. The filter runs while it is needed, else only what happens is kept."""
 
     def __init__(self, hull: Hull) -> None:
         self._hull = hull
         self._log: deque[Event] = deque()  # what the own filter was told in the last seconds
+        self._seen: deque[Seen] = deque()  # of the target, in the last seconds; the newest always
         self._ring: EventRing | None = None
-        self._alike_m2 = ZERO  # of the newest sighting
-        self.target: str | None = None  # the one that it is aided by
+
+    @property
+    def target(self) -> str | None:
+        """The one that it may be aided by."""
+        return self._seen[-1].target if self._seen else None
 
     def reset(self) -> None:
         """The own filter began anew."""
         self._log.clear()
-        self._stop()
+        self._forget()
 
     def add(self, event: Event) -> None:
         """What the own filter was told."""
@@ -68,40 +73,55 @@ class Aid:
         """Let go of what is old."""
         while self._log and self._log[0].t_ns < now_ns - LOG_NS:
             self._log.popleft()
+        while len(self._seen) > 1 and self._seen[0].t_ns < now_ns - LATE_NS:
+            self._seen.popleft()
         if self._ring is not None:
             self._ring.advance(now_ns)
 
-    def see(self, seen: Seen, own: Belief, settled: Belief, others: Posterior) -> None:
-        """A sighting, and what others say of that target. own: the own filter's belief then; settled: of a time before
-        which nothing comes any more."""
-        event = sighting(seen.t_ns, seen.offset_m, seen.random_m2)
-        self._alike_m2 = seen.alike_m2
-        if self._ring is not None and self.target == seen.target:
-            self._ring.add(event)
-            return
-        self._stop()
-        if _spread_m2(own.covariance) < _spread_m2(plus(plus(others.cov_m2, seen.alike_m2), seen.random_m2)):
-            return
-        self.target, self._ring = seen.target, EventRing(settled, self._hull, Drift(), LATE_NS)
-        for each in sorted((*self._log, event)):
+    def see(self, seen: Seen) -> None:
+        """A sighting."""
+        if seen.target != self.target:
+            self._forget()
+        self._seen.append(seen)
+        if self._ring is not None:
+            self._ring.add(_event(seen))
+
+    def needed(self, own: Belief, others: Posterior | None) -> bool:
+        """Whether the filter is to `begin`: the own one is less sure of its place than it has to be and than a sighting
+        makes it. own: now; others: what they say of `target`, nothing of this robot in it; None: nothing."""
+        if others is None or not self._seen or self._seen[-1].t_ns < own.t_ns - LATE_NS:
+            return False
+        newest, spread_m2 = self._seen[-1], _spread_m2(own.covariance)
+        by_sight = plus(plus(others.cov_m2, newest.alike_m2), newest.random_m2)
+        return self._ring is None and spread_m2 > max(NEED_M * NEED_M, _spread_m2(by_sight))
+
+    def begins_ns(self, now_ns: int) -> int:
+        """Before all sightings that are kept, and before all that may still come."""
+        return min(self._seen[0].t_ns, now_ns - RING_NS) - 1
+
+    def begin(self, settled: Belief) -> None:
+        """Run from that belief of the own filter on: it is of begins_ns()."""
+        self._ring = EventRing(settled, self._hull, Drift(), LATE_NS)
+        for each in sorted((*self._log, *map(_event, self._seen))):
             if each.t_ns > settled.t_ns:
                 self._ring.add(each)
 
     def at(self, own: Belief, others: Posterior | None) -> Belief | None:
-        """The aided pose at the time of the own one; None where there is none, or the own one needs no aid.
-
-        others: what they say of `target` now, with nothing of this robot in it; None: nothing.
-        """
-        if self._ring is None:
+        """The aided pose at the time of the own one; None where there is none, or the own one needs no aid any more."""
+        if others is None:  # the target has moved, or nobody else sees it
+            self._forget()
+        if self._ring is None or others is None:
             return None
-        if others is None or _spread_m2(own.covariance) < _spread_m2(plus(others.cov_m2, self._alike_m2)):
-            self._stop()
+        least_m2 = max(0.25 * NEED_M * NEED_M, _spread_m2(plus(others.cov_m2, self._seen[-1].alike_m2)))
+        if _spread_m2(own.covariance) < least_m2:
+            self._ring = None
             return None
         believed = self._ring.at(own.t_ns)
-        return None if believed is None else aided(believed, others, self._alike_m2)
+        return None if believed is None else aided(believed, others, self._seen[-1].alike_m2)
 
-    def _stop(self) -> None:
-        self._ring = self.target = None
+    def _forget(self) -> None:
+        self._seen.clear()
+        self._ring = None
 
 
 def aided(believed: Belief, others: Posterior, alike_m2: Symmetric) -> Belief | None:
@@ -133,6 +153,10 @@ def offset_m(from_pose: Vector, place_m: Vector) -> Vector:
     east, north = place_m[0] - from_pose[0], place_m[1] - from_pose[1]
     c, s = math.cos(from_pose[2]), math.sin(from_pose[2])
     return c * east + s * north, c * north - s * east, place_m[2]
+
+
+def _event(seen: Seen) -> Event:
+    return sighting(seen.t_ns, seen.offset_m, seen.random_m2)
 
 
 def _spread_m2(covariance: Symmetric) -> float:

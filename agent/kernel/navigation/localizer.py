@@ -17,7 +17,7 @@ from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import odometry
@@ -124,13 +124,21 @@ class Localizer:
         self.aid.add(event)
         return True
 
-    def sight(self, target: str, t_ns: int, seen: Fix, others: Posterior, now_ns: int) -> None:
-        """A target at rest, as seen from where this robot believes that it was then (that pose taken for exact:
-        own_pose.EXACT), and as others place it."""
-        own, settled = self.at(t_ns), self.at(min(t_ns, now_ns - RING_NS) - 1)
-        if own is not None and settled is not None:
-            offset = offset_m(own.pose, seen.position_m)
-            self.aid.see(Seen(target, t_ns, offset, seen.random_m2, seen.systematic_m2), own, settled, others)
+    def sight(self, target: str, t_ns: int, seen: Fix) -> None:
+        """A target at rest, as seen from where this robot believes that it was then; that pose is taken for exact
+        (own_pose.EXACT)."""
+        if (there := self.at(t_ns)) is not None:
+            offset = offset_m(there.pose, seen.position_m)
+            self.aid.see(Seen(target, t_ns, offset, seen.random_m2, seen.systematic_m2))
+
+    def best(self, others: Posterior | None, now_ns: int) -> Belief | None:
+        """The aided pose of now where there is one, else the own; others: where all but this robot see `aid.target`."""
+        own, aid = self.at(now_ns), self.aid
+        if own is None:
+            return None
+        if aid.needed(own, others) and (settled := self.at(aid.begins_ns(now_ns))) is not None:
+            aid.begin(settled)
+        return aid.at(own, others) or own
 
     def advance(self, now_ns: int) -> None:
         """Let go of what is old."""

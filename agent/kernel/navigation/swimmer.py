@@ -60,7 +60,7 @@ class Swimmer:
         self._progress: Progress | None = None
         self._gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
-        self._here: Belief | None = None  # what it steers by
+        self.here: Belief | None = None  # what it steers by
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -107,11 +107,10 @@ class Swimmer:
 
     def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
         """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
-        others: where that is by all but this robot. What it says, intends and doubts goes by the own one alone."""
-        own = self.localizer.at(now_ns)
-        self._here = own and (self.localizer.aid.at(own, others) or own)
-        if self._here is not None:
-            seek.pose = pose_of(self._here)
+        What it says, intends and doubts goes by the own one alone. others: where the target is by all but this robot."""
+        self.here = self.localizer.best(others, now_ns)
+        if self.here is not None:
+            seek.pose = pose_of(self.here)
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
@@ -152,7 +151,7 @@ class Swimmer:
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        by, free = self._here or here, allowed and not self.lost
+        by, free = self.here or here, allowed and not self.lost
         asked = STILL if here is None or by is None or not free else self._towards(here, by, watched_m, now_ns)
         self.localizer.sent(asked, now_ns)
         return asked
