@@ -107,7 +107,7 @@ class Swimmer:
 
     def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
         """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
-        What it says, intends and doubts goes by the own one alone. others: where the target is by all but this robot."""
+        What it says, intends and doubts goes by the own one. others: where the target is by all but this robot."""
         self.here = self.localizer.best(others, now_ns)
         if self.here is not None:
             seek.pose = pose_of(self.here)
