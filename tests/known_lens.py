@@ -1,5 +1,8 @@
 """Lenses and a camera as a calibration would describe them, for tests that need one and do not care which."""
 
+from msgspec.structs import replace
+
+from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.kernel.ranging.calibration import CameraFit, FocusFit
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
@@ -46,18 +49,4 @@ TWIN_CAMERA = CameraFit(
     pan_gain=0.992,
     tilt_gain=0.995,
 )
-TWIN = FocusFit(
-    u_inf_m=0.0012,
-    b_m=136.5,
-    rho0=91.7,
-    covariance=(6.0357e-07, -4.6495e-04, 5.7052e-04, 0.36813, -0.46705, 0.62577),
-    noise=0.4,
-    width=119.0,
-    lowest=208,
-    highest=717,
-    r2=0.999,
-    rmse_m=0.008,
-    held_out_rmse_m=0.008,
-    sag=5.1,
-    sag_sigma=0.8,
-)
+TWIN = replace(FOCUS, sag=5.1, sag_sigma=0.8)

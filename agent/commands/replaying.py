@@ -46,10 +46,8 @@ def replay_check(
     reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
 ) -> None:
     """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
-    from agent.perception.rerun_vision import rerun_vision
     from replay.check.check import check, text
     from replay.check.update import update_recordings
-    from replay.check.vision_check import check_vision
     from replay.files.auto_recover import auto_recovered
 
     bar = plain_console(stderr=True)
@@ -59,6 +57,9 @@ def replay_check(
         return
     paths = auto_recovered(paths, complain)
     if vision:
+        from agent.perception.rerun_vision import rerun_vision
+        from replay.check.vision_check import check_vision
+
         seen = check_vision(paths, rerun_vision, bar)
         for one in seen:
             typer.echo(json.dumps(one.as_json()) if as_json else str(one))

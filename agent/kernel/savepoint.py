@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection
-from functools import cache
 from typing import Any
 
 import msgspec
 
 ROWS = (list, deque, set)
+CONSTANT: set[type] = set()  # classes that were met and are known not to change
 
 
 class Savepoint:
@@ -55,19 +55,17 @@ class Savepoint:
             else:
                 self._objects.append((each.__dict__, dict(each.__dict__)))
                 held = each.__dict__.values()
-            kinds: set[type] = set(map(type, held))  # hundreds of one kind that never changes are one question
-            changing = {kind for kind in kinds if changes(kind)}
-            if changing:
-                found += [one for one in held if type(one) in changing]
+            # Hundreds of one kind that never changes are passed over at once.
+            if unsure := set(map(type, held)) - CONSTANT:
+                CONSTANT.update(kind for kind in unsure if not changes(kind))
+                found += [one for one in held if type(one) not in CONSTANT]
 
 
-@cache
 def changes(kind: type) -> bool:
     """Whether things of this class may change."""
     return kind is dict or kind in ROWS or has_state(kind)
 
 
-@cache
 def has_state(kind: type) -> bool:
     """Whether objects of this class change: those of the kernel's own classes that are neither tuples nor structs."""
     ours = kind.__module__.startswith("agent.kernel.")

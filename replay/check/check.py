@@ -15,8 +15,8 @@ from agent.clock import machine
 from replay.check.black_box import BlackBox, open_boxes
 from replay.check.compare import Ignored, load_ignored
 from replay.check.links import Correspondence, Link
-from replay.check.reexecute import Divergence, Reexecution, reexecute
-from replay.files.suspect import suspecting
+from replay.check.reexecute import Divergence, Reexecution
+from replay.check.side_by_side import CheckedBox, check_boxes
 
 
 class Checked(NamedTuple):
@@ -83,8 +83,11 @@ def check(paths: Sequence[Path], ignore: Path | None = None, console: Console | 
     rows = load_ignored(ignore) if ignore else ()
     started_s = machine.monotonic_s()
     boxes = open_boxes(paths)
+    checked = _check_all(boxes, rows, console)
+    results = [each.result for each in checked]
     correspondences = {run: Correspondence() for run in sorted({box.path.parent for box in boxes})}
-    results = _reexecute_all(boxes, rows, correspondences, console)
+    for result, correspondence in checked:
+        correspondences[result.box.path.parent].join(correspondence)
     found = {run: correspondence.links() for run, correspondence in correspondences.items()}
     wall_s = machine.monotonic_s() - started_s
     used: Counter[str] = Counter()
@@ -94,24 +97,13 @@ def check(paths: Sequence[Path], ignore: Path | None = None, console: Console | 
     return Checked(results, found, unused, wall_s)
 
 
-def _reexecute_all(
-    boxes: Sequence[BlackBox],
-    rows: Sequence[Ignored],
-    correspondences: dict[Path, Correspondence],
-    console: Console | None,
-) -> list[Reexecution]:
+def _check_all(boxes: Sequence[BlackBox], rows: Sequence[Ignored], console: Console | None) -> list[CheckedBox]:
     name, unit = (TextColumn(text, markup=False) for text in ("{task.description}", "steps"))
     columns = (name, BarColumn(), MofNCompleteColumn(), unit)
-    found = []
     shown = console is not None and console.is_terminal  # else it leaves an empty line behind
     with Progress(*columns, TimeElapsedColumn(), console=console, disable=not shown, transient=True) as bar:
-        task = bar.add_task("", total=sum(box.recorded for box in boxes))
-        for box in boxes:
-            bar.update(task, description=box.path.name)
-            watch = partial(correspondences[box.path.parent].add, box.robot)
-            with suspecting(box.path):
-                found.append(reexecute(box, rows, lambda steps: bar.advance(task, steps), watch))
-    return found
+        task = bar.add_task(", ".join(box.path.name for box in boxes), total=sum(box.recorded for box in boxes))
+        return check_boxes(boxes, rows, partial(bar.advance, task))
 
 
 def text(checked: Checked) -> str:

@@ -44,6 +44,14 @@ class Correspondence:
             for dst, payload in _said(step.outputs):
                 self._said.setdefault((robot, dst), Counter())[as_said(payload, robot)] += 1
 
+    def join(self, other: Correspondence) -> None:
+        """Take in what another gathered."""
+        for ours, theirs in ((self._said, other._said), (self._heard, other._heard)):
+            for pair, payloads in theirs.items():
+                ours.setdefault(pair, Counter()).update(payloads)
+        for robot, last_ns in other._last_ns.items():
+            self._last_ns[robot] = max(last_ns, self._last_ns.get(robot, 0))
+
     def links(self) -> list[Link]:
         """One for each pair that spoke or heard."""
         return [self._link(src, dst) for src, dst in sorted({*self._said, *self._heard})]

@@ -18,24 +18,20 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.agent_process import run_facts
 from agent.kernel.codec import decode, encode
 from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import Estimate, Vector
 from agent.kernel.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
-from agent.kernel.toml_files import dump
 from agent.keys.key_files import public_bytes
 from agent.keys.signing import signing, unsigned
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.log import parts
-from replay.files.mcap_file import Part
 from replay.files.names import active
 from tests.golden.frames import paint
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 from tests.places import GOLDEN, ROOT
+from tests.replay.step_box import StepBox
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z, whatever the day: the files come out the same
 STEP_NS = 50_000_000  # 20 Hz, as the real loop
@@ -139,17 +135,15 @@ class Robot:
             self.start(out)
         elif not alive and self.agent is not None:
             self.agent = None
-            self.part.finish("aucamp.end", {"cause": "clean"})
+            self.box.finish()
 
     def start(self, out: Path) -> None:
         self.starts += 1
-        self.steps, self.post, self.script.sweep = 0, [], None
+        self.told, self.post, self.script.sweep = False, [], None
         incarnation = self.clock.now_ns
         self.agent = Agent(self.fleet, self.name, self.calibration, incarnation)
         file = f"{self.name}.mcap" if self.starts == 1 else f"{self.name}.{self.starts}.mcap"
-        self.part = Part(out / file)
-        attachments = {"fleet.toml": dump(self.fleet), "calibration.toml": dump(self.calibration)}
-        self.part.start(run_facts(self.fleet, self.name, incarnation), attachments)
+        self.box = StepBox(out / file, self.fleet, self.name, self.calibration, incarnation)
 
     def step(self) -> list[tuple[str, Heard]]:
         """One step; returns what it says to whom."""
@@ -157,15 +151,13 @@ class Robot:
         now_ns = self.clock.now_ns
         telemetry, _ = self.motors.drain()
         # Through bytes and back, so that nothing but what is recorded can reach the kernel.
-        keys = UNSET if self.steps else self.keys
+        keys, self.told = UNSET if self.told else self.keys, True
         inputs = encode(
             Inputs(telemetry=tuple(telemetry), sightings=tuple(self.script.drain()), heard=tuple(self.post), keys=keys)
         )
         self.post = []
         outputs = self.agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
-        for channel, data in ((STEP_IN.name, inputs), (STEP_OUT.name, encode(outputs))):
-            self.part.add(Entry(channel, now_ns, now_ns, self.steps, data, "msgpack", {}))
-        self.steps += 1
+        self.box.add(now_ns, inputs, encode(outputs))
         self.act(outputs.set_point, outputs.sweep)
         return [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(self.sign(e)))) for e in outputs.says]
 

@@ -18,8 +18,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.navigation.tags.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, FOUND_PX, OFFSET_PX, STRETCH
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Flow, SeenTag, SeenTags
-from agent.perception.landmarks.flow import KEPT, MOST, OLDEST_NS
-from agent.perception.landmarks.watch import STILL_PX
+from agent.perception.landmarks.flow import MOST, has_stopped, is_due
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose
 from hw.twin.landmarks import true_tags
@@ -88,8 +87,7 @@ class DrawnCamera:
         return tuple(found)
 
     def _flow(self, at: Array, axes: Array, t_ns: int) -> Flow | None:
-        """Points of the key frame that are still in the picture; a new one where too few are, it is too old, or the
-        picture has stopped, as perception/landmarks/watch.py begins them."""
+        """Points of the key frame that are still in the picture; a new one where that is due."""
         slopes, depths = self._project(self._points, at, axes)
         here = self._inside(slopes, depths)
         told, stopped = None, self._stopped(slopes, here)
@@ -100,7 +98,7 @@ class DrawnCamera:
             now = slopes[numbers[kept]] + self._rng.normal(0.0, FOLLOWED_PX / self._camera.f_px, (len(kept), 2))
             pairs = np.hstack([then[kept], now]).tolist()
             told = Flow(t_ns=t_ns, since_ns=since_ns, pairs=tuple((a, b, c, d) for a, b, c, d in pairs))
-            if stopped or t_ns - since_ns > OLDEST_NS or left.sum() < max(KEPT * len(numbers), 1):
+            if stopped or is_due(since_ns, t_ns, left):
                 self._key = None
         if self._key is None:
             numbers = self._rng.permutation(np.flatnonzero(here))
@@ -115,7 +113,7 @@ class DrawnCamera:
             steps_px = self._camera.f_px * np.linalg.norm(slopes[both] - self._before[0][both], axis=1)
             self._step_px = float(np.median(steps_px)) if len(steps_px) else math.inf
         self._before = slopes, here
-        return self._step_px <= STILL_PX < moved_px
+        return has_stopped(moved_px, self._step_px)
 
     def _project(self, points_m: Array, at: Array, axes: Array) -> tuple[Array, Array]:
         """Slopes (n, 2) and depths (n,) of points (n, 3)."""

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
-from agent.kernel.estimation.matrix import ZERO, apply, distance2, invert, plus, quadratic, times, trace
+from agent.kernel.estimation.matrix import ZERO, apply, difference, distance2, invert, plus, quadratic, times, trace
 from agent.kernel.messages import Symmetric, Vector
 
 Verdict = Literal["none", "single", "ok", "ambiguous", "outlier"]
@@ -127,7 +127,7 @@ def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, 
     )
     covariance = ZERO
     for w, at, cov in found:
-        a, b, c = _minus(at, x)
+        a, b, c = difference(at, x)
         covariance = plus(covariance, times(w, plus(cov, (a * a, a * b, a * c, b * b, b * c, c * c))))
     return x, covariance
 
@@ -167,7 +167,7 @@ def _leaving_one_out(group: Sequence[Opinion]) -> Iterator[Without]:
         information, vector = _both(before[j], after[j + 1])
         covariance = invert(information)
         x = apply(covariance, vector)
-        d2 = distance2(plus(opinion.cov_m2, covariance), _minus(opinion.x_m, x))
+        d2 = distance2(plus(opinion.cov_m2, covariance), difference(opinion.x_m, x))
         yield Without(frozenset((opinion.origin,)), x, covariance, d2)
 
 
@@ -183,8 +183,8 @@ def _leaving_two_out(group: Sequence[Opinion]) -> Iterator[Without]:
             x = apply(covariance, vector)
             information, vector = _both(words[j], words[k])
             pair = invert(information)
-            apart = distance2(plus(one.cov_m2, two.cov_m2), _minus(one.x_m, two.x_m))
-            d2 = apart + distance2(plus(pair, covariance), _minus(apply(pair, vector), x))
+            apart = distance2(plus(one.cov_m2, two.cov_m2), difference(one.x_m, two.x_m))
+            d2 = apart + distance2(plus(pair, covariance), difference(apply(pair, vector), x))
             yield Without(frozenset((one.origin, two.origin)), x, covariance, d2)
             between = _both(between, words[k])
 
@@ -230,13 +230,13 @@ def _consistent(opinions: Sequence[Opinion]) -> tuple[list[list[int]], list[list
     n = len(opinions)
     if n > VOTERS:
         median = _median(opinions)
-        near = [j for j, o in enumerate(opinions) if quadratic(o.precision, _minus(o.x_m, median)) < AGREE]
+        near = [j for j, o in enumerate(opinions) if quadratic(o.precision, difference(o.x_m, median)) < AGREE]
         return [near if j in near else [j] for j in range(n)], []
     consistent: list[list[int]] = [[j] for j in range(n)]
     distances2: list[list[float]] = []
     for j in range(n):
         _, xj, pj, _ = opinions[j]
-        row = [distance2(plus(pj, o.cov_m2), _minus(xj, o.x_m)) for o in opinions[:j]]
+        row = [distance2(plus(pj, o.cov_m2), difference(xj, o.x_m)) for o in opinions[:j]]
         for k, d2 in enumerate(row):
             if d2 < AGREE:
                 consistent[j].append(k)
@@ -275,7 +275,3 @@ def _both(a: Word, b: Word) -> Word:
 def _sum(words: Iterable[Word]) -> Word:
     *_, total = accumulate(words, _both)
     return total
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

@@ -1,4 +1,4 @@
-"""Algebra of symmetric 3x3 matrices in scalar floats: the same bits on every processor, which BLAS does not promise.
+"""Algebra of vectors and symmetric 3x3 matrices in scalar floats: the same bits on every processor, as BLAS has not.
 
 A matrix is its upper triangle, xx xy xz yy yz zz. Inverses are closed forms (adjugate over determinant).
 """
@@ -33,6 +33,14 @@ def apply(a: Symmetric, v: Vector) -> Vector:
     xx, xy, xz, yy, yz, zz = a
     x, y, z = v
     return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+def difference(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def quadratic(a: Symmetric, v: Vector) -> float:

@@ -14,7 +14,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from agent.kernel.estimation.fuse import DOUBTED, LOW
-from agent.kernel.estimation.matrix import ZERO, apply, invert, minus, plus, quadratic
+from agent.kernel.estimation.matrix import ZERO, apply, difference, invert, minus, plus, quadratic
 from agent.kernel.estimation.track import Square, Track, add_times, image, product, square, symmetric_part, transpose
 from agent.kernel.messages import Symmetric, Vector
 
@@ -53,7 +53,7 @@ def distances2(tracks: Mapping[str, Track]) -> dict[str, float]:
         P = inverse(others.information)
         x, v = _image(P, others.x, others.v)
         apart = inverse(Blocks(plus(P.A, track.A), add_times(P.C, 1.0, track.C), plus(P.D, track.D)))
-        d2 = _quadratic(apart, _minus(track.x_m, x), _minus(track.v_m_s, v))
+        d2 = _quadratic(apart, difference(track.x_m, x), difference(track.v_m_s, v))
         found[name] = d2 * (LOW / BOTH_LOW) ** 2
     return found
 
@@ -88,7 +88,3 @@ def _quadratic(m: Blocks, x: Vector, v: Vector) -> float:
 
 def _plus(a: Vector, b: Vector) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

@@ -8,7 +8,7 @@ sharpest frame of a sweep may be its first.
 
 from __future__ import annotations
 
-from bisect import bisect_right, insort
+from bisect import bisect_right
 from collections import deque
 from itertools import islice
 from typing import Literal, NamedTuple
@@ -67,20 +67,29 @@ def sighting(t_ns: int, offset_m: Vector, noise_m2: Symmetric) -> Event:
 
 
 class EventRing:
-    """The beliefs of one robot about itself over the last seconds."""
+    """The beliefs of one robot about itself over the last seconds.
+
+    What follows a late event is done again when somebody asks for it, so that several that come together, a fix and
+    the flow of its frame, cost one pass.
+    """
 
     def __init__(self, begun: Belief, hull: Hull, drift: Drift, ring_ns: int = RING_NS) -> None:
         """begun: the belief at the first fix; what happened before it does not count. ring_ns: how late one may be."""
         self._hull, self._drift, self._ring_ns = hull, drift, ring_ns
         self._settled: deque[Belief] = deque([begun])  # nothing comes before the newest of these any more
         self._events: list[Event] = []
-        self._beliefs: list[Belief] = []  # after each of the events
-        self._told: Belief | None = None  # the newest answer of `at`: one step asks for the same moment several times
+        self._beliefs: list[Belief] = []  # after each of the first events; those of the others are due
+        self._predicted = begun, begun  # the newest prediction: from which belief, and what came of it
         self.dropped = 0  # events that came too late
 
     @property
     def newest(self) -> Belief:
-        return self._beliefs[-1] if self._beliefs else self._settled[-1]
+        return self._after(len(self._events))
+
+    @property
+    def newest_ns(self) -> int:
+        """When something last happened."""
+        return self._events[-1].t_ns if self._events else self._settled[-1].t_ns
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -94,52 +103,54 @@ class EventRing:
             self.dropped += 1
             return False
         if event.kind == "3 flow":
-            self._keep_key(event.since_ns)
-        place = bisect_right(self._events, event)
-        self._events.insert(place, event)
-        self._again(place)
+            key = Event(event.since_ns, "4 key", 0, ())
+            if key.t_ns > self._settled[-1].t_ns and key not in self._events:
+                self._insert(key)
+        self._insert(event)
         return True
 
     def advance(self, now_ns: int) -> None:
         """Let go of what is so old that nothing may come before it."""
         n = bisect_right(self._events, now_ns - self._ring_ns, key=_time)
+        self._after(n)
         self._settled.extend(self._beliefs[:n])
         del self._events[:n], self._beliefs[:n]
         if not self._events and self._settled[-1].t_ns < now_ns - 2 * self._ring_ns:
             # Nothing happens any more: each answer would go all the way from the last event, longer and longer.
-            self._settled.append(predict(self._settled[-1], self._hull, self._drift, now_ns - self._ring_ns))
-            self._told = None
+            self._settled.append(self._predict(self._settled[-1], now_ns - self._ring_ns))
         while len(self._settled) > 1 and self._settled[1].t_ns <= now_ns - KEEP_NS:
             self._settled.popleft()
 
     def at(self, t_ns: int) -> Belief | None:
         """The belief at a time: after all that is known of the time before it. None of times that were let go."""
-        if self._told is None or self._told.t_ns != t_ns:
-            self._told = self._predicted(t_ns)
-        return self._told
-
-    def _predicted(self, t_ns: int) -> Belief | None:
-        n = bisect_right(self._beliefs, t_ns, key=_time)
+        n = bisect_right(self._events, t_ns, key=_time)
         if n:
-            return predict(self._beliefs[n - 1], self._hull, self._drift, t_ns)
+            return self._predict(self._after(n), t_ns)
         n = bisect_right(self._settled, t_ns, key=_time)
-        return predict(self._settled[n - 1], self._hull, self._drift, t_ns) if n else None
+        return self._predict(self._settled[n - 1], t_ns) if n else None
 
-    def _keep_key(self, since_ns: int) -> None:
-        """Clone the pose at a key frame, if that is not done yet and can be done."""
-        key = Event(since_ns, "4 key", 0, ())
-        if since_ns > self._settled[-1].t_ns and key not in self._events:
-            insort(self._events, key)
-            self._again(self._events.index(key))
-
-    def _again(self, place: int) -> None:
-        """Go through the events from that place on."""
+    def _insert(self, event: Event) -> None:
+        """Put an event where it belongs; what was believed from there on no longer counts."""
+        place = bisect_right(self._events, event)
+        self._events.insert(place, event)
         del self._beliefs[place:]
-        self._told = None
-        belief = self.newest
-        for event in islice(self._events, place, None):
-            belief = _apply(predict(belief, self._hull, self._drift, event.t_ns), event)
+
+    def _after(self, n: int) -> Belief:
+        """The belief after the first n events."""
+        belief = self._beliefs[-1] if self._beliefs else self._settled[-1]
+        for event in islice(self._events, len(self._beliefs), n):
+            belief = _apply(self._predict(belief, event.t_ns), event)
             self._beliefs.append(belief)
+        return self._beliefs[n - 1] if n else self._settled[-1]
+
+    def _predict(self, belief: Belief, t_ns: int) -> Belief:
+        """What comes of a belief until then. One step asks for the same moment several times, and then sends a force at
+        that moment."""
+        before, after = self._predicted
+        if before is not belief or after.t_ns != t_ns:
+            after = predict(belief, self._hull, self._drift, t_ns)
+            self._predicted = belief, after
+        return after
 
 
 def _time(of: Event | Belief) -> int:

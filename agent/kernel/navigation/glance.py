@@ -8,7 +8,7 @@ from functools import partial
 
 from agent.kernel.config import Body, Pose
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.messages import Vector
+from agent.kernel.navigation.tags.facing import facing
 from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.ranging.camera_model import look_at
 
@@ -70,23 +70,5 @@ def _beside(way: Way, other: Way) -> bool:
     return math.hypot(way[2] - other[2], way[3] - other[3]) < SEEN_DEG
 
 
-def facing(marker: Marker, from_m: Vector) -> float:
-    """Cosine between a landmark's normal, into the water, and the way from it to a point."""
-    a, b, c, _ = marker.corners_m
-    right, down = _minus(b, a), _minus(c, b)
-    normal = (
-        down[1] * right[2] - down[2] * right[1],
-        down[2] * right[0] - down[0] * right[2],
-        down[0] * right[1] - down[1] * right[0],
-    )
-    way = _minus(from_m, marker.middle_m)
-    along = normal[0] * way[0] + normal[1] * way[1] + normal[2] * way[2]
-    return along / max(math.hypot(*normal) * math.hypot(*way), 1e-9)
-
-
 def _within(deg: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= deg <= limits[1]
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

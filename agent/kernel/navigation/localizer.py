@@ -93,7 +93,7 @@ class Localizer:
         """It did not know where it was then, nor has anything told it since: what it believed is no place to begin
         from, and its filter has a yaw that goes round."""
         assert self._ring is not None
-        return not within(then, LOST_M, LOST_DEG) and self._ring.newest.t_ns < then.t_ns
+        return not within(then, LOST_M, LOST_DEG) and self._ring.newest_ns < then.t_ns
 
     def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
         """Points of a key frame in a later one; level and gimbal at either exposure."""

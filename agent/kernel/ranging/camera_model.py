@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 from agent.kernel.config import Body, Pose
+from agent.kernel.estimation.matrix import difference
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit
 
@@ -73,7 +74,7 @@ def look_at(
 ) -> tuple[float, float]:
     """(pan, tilt) that bring a point of the world onto the optical axis."""
     pivot, world_body = _pivot(pose, body, depth_m, roll_deg, pitch_deg, surface_m)
-    x, y, z = apply(_transpose(world_body), _minus(point_m, pivot))
+    x, y, z = apply(_transpose(world_body), difference(point_m, pivot))
     return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
@@ -109,7 +110,7 @@ def slopes_per_px(camera: CameraFit, m: Vector) -> tuple[tuple[float, float], tu
 
 def to_camera(eye: Eye, point_m: Vector) -> Vector:
     """A point of the world in the camera frame."""
-    return apply(_transpose(eye.rotation), _minus(point_m, eye.position_m))
+    return apply(_transpose(eye.rotation), difference(point_m, eye.position_m))
 
 
 def to_world(eye: Eye, point_m: Vector) -> Vector:
@@ -182,10 +183,6 @@ def apply(a: Rotation, v: Vector) -> Vector:
 def _times(a: Rotation, b: Rotation) -> Rotation:
     columns = _transpose(b)
     return _transpose((apply(a, columns[0]), apply(a, columns[1]), apply(a, columns[2])))
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def _clamp(value: float, limits: tuple[float, float]) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.kernel.config import Cues, Target
-from agent.kernel.estimation.matrix import plus, times
+from agent.kernel.estimation.matrix import cross, plus, times
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.ranging.calibration import Calibration, at_lens_position
 from agent.kernel.ranging.camera_model import Eye, apply, ray, slopes_per_px
@@ -72,7 +72,7 @@ def locate(
     right, down = apply(eye.rotation, (1.0, 0.0, 0.0)), apply(eye.rotation, (0.0, 1.0, 0.0))
     px2 = camera.noise_px**2 + CENTRE_NOISE_PX**2
     gimbal = math.radians(camera.noise_deg) ** 2
-    turns = [(_cross(axis_, r), d.distance_m**2 * gimbal) for axis_ in (right, down)]
+    turns = [(cross(axis_, r), d.distance_m**2 * gimbal) for axis_ in (right, down)]
     along_x, along_y = (_slope_shift(e, r, m_e, m[2], d) for e, m_e in ((right, m[0]), (down, m[1])))
     pushed = [_combine(sx, along_x, sy, along_y) for sx, sy in slopes_per_px(camera, m)]  # by a pixel right, and down
     shifts = [(push, px2) for push in pushed]
@@ -83,7 +83,7 @@ def locate(
     if own is not None:
         heading = place2 = 0.0  # its covariances have them
     attitude = [
-        (_cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
+        (cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
     ]
     place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2)]
     random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
@@ -103,10 +103,6 @@ def _slope_shift(e: Vector, r: Vector, m_e: float, m_z: float, d: Range) -> Vect
 
 def _combine(p: float, a: Vector, q: float, b: Vector) -> Vector:
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _sum(parts: Iterable[tuple[Vector, float]]) -> Symmetric:

@@ -33,6 +33,7 @@ STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 AGREE_PX = 2.0  # between the two sizes; what slid to another point does not
 MOST = 64  # pairs in a message, the clearest points first
 KEPT, OLDEST_NS = 0.6, 4_000_000_000  # a new key frame where fewer of the points are left, or it is older
+STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
 
 
 class KeyFrame(NamedTuple):
@@ -54,9 +55,20 @@ class Tracked(NamedTuple):
 
     @property
     def due(self) -> bool:
-        """Whether it is time for a new key frame. (How far the robot went since then is not seen in a picture.)"""
-        old = self.t_ns - self.key.t_ns > OLDEST_NS
-        return old or self.left.sum() < max(KEPT * len(self.left), 1)
+        """Whether it is time for a new key frame."""
+        return is_due(self.key.t_ns, self.t_ns, self.left)
+
+
+def is_due(begun_ns: int, now_ns: int, left: Mask) -> bool:
+    """Whether it is time for another key frame than that of then, of whose points these are left. (How far the robot
+    went since then is not seen in a picture.)"""
+    return now_ns - begun_ns > OLDEST_NS or bool(left.sum() < max(KEPT * len(left), 1))
+
+
+def has_stopped(before_px: float, step_px: float) -> bool:
+    """Whether the picture moved until the frame before this one, and no longer does: after a turn of the gimbal a new
+    key frame is due, too. Pixels by which half of the points moved, and more, from frame to frame."""
+    return step_px <= STILL_PX < before_px
 
 
 def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = ()) -> Tracked:

@@ -13,14 +13,14 @@ from agent.kernel.ranging.calibration import CameraFit, FocusFit, at_lens_positi
 from agent.kernel.ranging.focus import lens_position
 from agent.kernel.step_io import Flow, SeenTags, Sighting
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes
-from agent.perception.landmarks.flow import Box, Tracked, begin, flow, follow
+from agent.perception.landmarks.flow import Box, Tracked, begin, flow, follow, has_stopped
 from agent.perception.landmarks.tags import seen_tags
 from hw.camera.camera import Frame
 
 QUEUE = 64  # frames that nobody has fetched: 6 s
-STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
 WIDER = 1.2  # than a target, what points shall keep away from
-REST_M = 0.9  # where the lens is sharp between sweeps: from 0.5 m on a tag of 8 cm can be read
+REST_M = 0.9  # where the lens is sharp between sweeps
+NEAR_M = 0.5  # and from where on a tag of 8 cm can be read then; a lens as far from rest as that is still sharp enough
 
 
 class LandmarkWatch:
@@ -30,6 +30,7 @@ class LandmarkWatch:
         """hz: at most so many frames a second are searched; between sweeps the worker reads as many."""
         self._camera, self.period_s = camera, 1.0 / hz
         self.sharp = round(lens_position(focus, REST_M))  # what the lens is told between sweeps
+        self._reach = abs(lens_position(focus, NEAR_M) - self.sharp)
         self.rest: int | None = self.sharp  # what the device says that it did; None: its lens does not move
         self._lock = Lock()  # guards the next two
         self._tags: deque[SeenTags] = deque(maxlen=QUEUE)
@@ -57,20 +58,27 @@ class LandmarkWatch:
         if lens_position != self.rest:
             found = replace(found, tags=tuple(tag for tag in found.tags if tag.edges))  # blur draws corners inwards
         camera = at_lens_position(self._camera, lens_position)
-        moved, stopped = None, False
+        moved, due = None, True
         if self._tracked is not None:
             now = follow(self._tracked, frame.image, t_ns)
-            moved = flow(now, camera)
+            moved, due = flow(now, camera), now.due
             if lens_position == self.rest:
-                stopped = now.step_px <= STILL_PX < self._tracked.step_px  # after a turn of the gimbal
+                due = due or has_stopped(self._tracked.step_px, now.step_px)
                 self._tracked = now  # what a blur hides for a while is not lost
-        if lens_position == self.rest and (self._tracked is None or self._tracked.due or stopped):
+        if due and self._shows_points(lens_position):
             self._tracked = begin(frame.image, camera, t_ns, [box for box in map(_around, targets) if box])
         self._newest_ns = t_ns
         with self._lock:
             self._tags.append(found)
             if moved is not None and moved.pairs:
                 self._flows.append(moved)
+
+    def _shows_points(self, lens_position: int | None) -> bool:
+        """Whether a key frame may begin there: at rest, and where sweep follows sweep, at positions near it. The kernel
+        does not remember where it was longer than a key frame should last."""
+        if lens_position is None or self.rest is None:
+            return lens_position == self.rest
+        return abs(lens_position - self.rest) <= self._reach
 
     def drain(self) -> tuple[tuple[SeenTags, ...], tuple[Flow, ...]]:
         """All that was seen since the last call, oldest first."""

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from agent.experiments.posed_robot import PosedRobot
 from agent.fleet_files import fleet_file
+from agent.kernel.codec import encode
 from agent.kernel.config import Behaviour, Look
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet
@@ -33,6 +34,7 @@ from hw.twin.optics.painter import Painter
 from hw.twin.pace import run_in_lock_step
 from hw.twin.physics.rotation import euler_rad
 from hw.twin.scene import generator, scene_of
+from tests.replay.step_box import StepBox
 
 START_NS, STEP_TICKS = 10**15, 5
 
@@ -119,9 +121,16 @@ class LockstepCamera:
         pass
 
 
-def swim(name: str, seed: int, seconds: float, behaviour: Behaviour | None = None, look: Look | None = None):
+def swim(
+    name: str,
+    seed: int,
+    seconds: float,
+    behaviour: Behaviour | None = None,
+    look: Look | None = None,
+    into: Path | None = None,
+):
     """Rows (n, 9) of each step: t s, true x, y m and yaw rad, believed x, y and yaw (NaN: none), sigma of place m, and
-    whether a sweep is under way. look: at what, if not as the fleet file says."""
+    whether a sweep is under way. look: at what, if not as the fleet file says; into: where to write its steps."""
     fleet = load_fleet(fleet_file("swim"))
     robot = replace(fleet.robot[name], neighbours=(), behaviour=behaviour, look=look or fleet.robot[name].look)
     fleet = replace(fleet, robot={name: robot}, twin=replace(fleet.twin, seed=seed))
@@ -154,13 +163,14 @@ def swim(name: str, seed: int, seconds: float, behaviour: Behaviour | None = Non
         protocol = HostProtocol(1)
         protocol.connected()
         protocol.arm()
+        box = None if into is None else stack.enter_context(StepBox(into, fleet, name, calibration, START_NS))
         while dive.now_ns - START_NS < seconds * 1e9:
             clock.run_who_is_due()
             with contextlib.suppress(BlockingIOError):
                 protocol.receive(os.read(port, 4096), dive.now_ns)
             out = protocol.due(dive.now_ns)
             if dive.ticks % STEP_TICKS == 0:
-                out += _step(agent, protocol, eyes, watch, dive)
+                out += _step(agent, protocol, eyes, watch, dive, box)
                 rows.append(_row(agent, dive))
             if out:
                 os.write(port, out)
@@ -168,12 +178,16 @@ def swim(name: str, seed: int, seconds: float, behaviour: Behaviour | None = Non
     return np.array(rows, float)
 
 
-def _step(agent: Agent, protocol: HostProtocol, eyes: Vision, watch: LandmarkWatch, dive: Dive) -> bytes:
+def _step(
+    agent: Agent, protocol: HostProtocol, eyes: Vision, watch: LandmarkWatch, dive: Dive, box: StepBox | None
+) -> bytes:
     tags, flow = watch.drain()
     telemetry = tuple(each for each in protocol.telemetry if each.t_ns < dive.now_ns)
     protocol.telemetry.clear()
     inputs = Inputs(telemetry=telemetry, sightings=tuple(eyes.drain()), landmarks=tags or UNSET, flow=flow or UNSET)
     outputs = agent.step(inputs, dive.now_ns)
+    if box is not None:
+        box.add(dive.now_ns, encode(inputs), encode(outputs))
     if outputs.sweep is not None:
         eyes.plan(outputs.sweep)
     return protocol.set_point(outputs.set_point, dive.now_ns)

@@ -87,6 +87,16 @@ def test_a_key_frame_is_of_a_lens_at_rest_and_outlives_a_sweep(watch, floor) -> 
     assert all(pairs > 20 for *_, pairs in told)  # what the blur hid for a while is found again
 
 
+def test_where_sweep_follows_sweep_a_key_frame_begins_near_rest(watch, floor) -> None:
+    """The kernel has forgotten where it was at one that is older than its memory of a few seconds."""
+    near, far = watch.rest + 60, watch.rest + 200
+    late_s = 1.1 + OLDEST_NS / SECOND
+    for t_s, lens in ((1.0, watch.rest), (1.5, near), (late_s, far), (late_s + 0.2, near), (late_s + 0.4, far)):
+        see(watch, floor, t_s, lens)
+    told = [(flow.since_ns - OFFSET_NS) / SECOND for flow in watch.drain()[1]]
+    assert told == [1.0, 1.0, 1.0, pytest.approx(late_s + 0.2)]
+
+
 def test_defocused_only_fitted_corners_count(watch) -> None:
     small, large = np.full((240, 320), WALL), np.full((240, 320), WALL)
     tag_light(CAMERA, 3, turned(0, 0, 0), (0.0, 0.0, 2.1), small)  # 19 px: no edges are fitted

@@ -79,6 +79,18 @@ def test_a_whole_run_in_one_go() -> None:
     json.dumps(shown, allow_nan=False)
 
 
+def test_robots_side_by_side_are_found_the_same_as_in_turn(tmp_path: Path, monkeypatch) -> None:
+    step = stated(100)
+    rewritten(R1, tmp_path / "r1.mcap", nudged(step), run=here())
+    shutil.copy(GOLDEN / "three" / "r2.mcap", tmp_path)
+    in_turn = check([tmp_path])
+    monkeypatch.setattr("replay.check.side_by_side.WORTH_STEPS", 0)
+    side_by_side = check([tmp_path])
+    assert side_by_side.first.step == in_turn.first.step == step
+    assert text(side_by_side).splitlines()[:-1] == text(in_turn).splitlines()[:-1]  # the last one tells how fast it was
+    assert side_by_side.links == in_turn.links and side_by_side.exit_code == 1
+
+
 def test_what_was_heard_was_said() -> None:
     (found,) = check([GOLDEN / "three"]).links.values()
     assert len(found) == 6

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, forward
+from agent.kernel.navigation.tags.facing import normal
 from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.navigation.tags.projection import Theta, View, direction, upright
 from agent.kernel.navigation.tags.tag_fix import Map, NoFix, TagFix, tag_fix, whole
@@ -96,28 +96,16 @@ def closed_form(of: View, theta: Theta, marker: Marker, tag: SeenTag) -> Start |
 
 def mirror(marker: Marker, start: Start) -> Start | None:
     """The robot mirrored at the normal of a wall's tag, which it sees in the same direction; None of the floor's."""
-    normal = _normal(marker)
-    if normal is None:
+    out_x, out_y, out_z = normal(marker)
+    length = math.hypot(out_x, out_y)
+    if length <= abs(out_z):
         return None
+    out_x, out_y = out_x / length, out_y / length
     x, y = start[0] - marker.middle_m[0], start[1] - marker.middle_m[1]
-    turn = -2.0 * math.atan2(normal[0] * y - normal[1] * x, normal[0] * x + normal[1] * y)
+    turn = -2.0 * math.atan2(out_x * y - out_y * x, out_x * x + out_y * y)
     c, s = math.cos(turn), math.sin(turn)
     return marker.middle_m[0] + c * x - s * y, marker.middle_m[1] + s * x + c * y, wrap(start[2] + turn)
 
 
-def _normal(marker: Marker) -> tuple[float, float] | None:
-    """Horizontal unit normal, into the water; None on the floor."""
-    a, b, _, d = marker.corners_m
-    right, up = _minus(b, a), _minus(a, d)
-    x, y = right[1] * up[2] - right[2] * up[1], right[2] * up[0] - right[0] * up[2]
-    z = right[0] * up[1] - right[1] * up[0]
-    length = math.hypot(x, y)
-    return (x / length, y / length) if length > abs(z) else None
-
-
 def _same(a: Theta, b: Theta) -> bool:
     return math.hypot(a[0] - b[0], a[1] - b[1]) < SAME_M and abs(wrap(a[2] - b[2])) < SAME_RAD
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 from agent.kernel.config import Body
+from agent.kernel.estimation.matrix import cross
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.tags.layout import survey_jacobian
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
@@ -100,11 +101,11 @@ def seen(of: View, at: Gaze, point_m: Vector) -> Seen | None:
     )
     (x_u, y_u, z_u), (x_v, y_v, z_v) = by_point
     turns = (
-        _cross(from_body, at.yaw),
-        _cross(from_body, at.roll),
-        _cross(from_body, at.pitch),
-        _cross(p, at.pan),
-        _cross(p, at.tilt),
+        cross(from_body, at.yaw),
+        cross(from_body, at.roll),
+        cross(from_body, at.pitch),
+        cross(p, at.pan),
+        cross(p, at.tilt),
     )
     yaw_u, roll_u, pitch_u, pan_u, tilt_u = [per_m * (x - sx * ahead) for x, _, ahead in turns]
     yaw_v, roll_v, pitch_v, pan_v, tilt_v = [per_m * (y - sy * ahead) for _, y, ahead in turns]
@@ -164,10 +165,6 @@ def _times(a: tuple[Vector, Vector, Vector], b: tuple[Vector, Vector, Vector]) -
     (i0, i1, i2), (j0, j1, j2), (k0, k1, k2) = b
     p, q, r = ((x * i0 + y * j0 + z * k0, x * i1 + y * j1 + z * k1, x * i2 + y * j2 + z * k2) for x, y, z in a)
     return p, q, r
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _rx(a: float) -> tuple[Vector, Vector, Vector]:
