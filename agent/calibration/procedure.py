@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.calibration.fit import Corner, FocusRow, fit_camera, fit_focus
+from agent.calibration.camera_fit import Corner, fit_camera
+from agent.calibration.fit import FocusRow, fit_focus
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit

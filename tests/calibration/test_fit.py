@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from agent.calibration.fit import CalibrationRefused, Corner, FocusRow, fit_camera, fit_focus
+from agent.calibration.camera_fit import Corner, fit_camera
+from agent.calibration.fit import CalibrationRefused, FocusRow, fit_focus
 from agent.failure import Failed
 from agent.kernel.config import Body
 from agent.kernel.ranging.focus import h

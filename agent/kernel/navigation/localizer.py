@@ -34,6 +34,7 @@ STILL: Wrench = (*AT_REST, 0.0)
 UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
 SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
 LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
+AWAY_S = 1.0  # for which a camera that turns away sees no landmarks
 
 
 class Carriage(NamedTuple):
@@ -166,6 +167,25 @@ def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
     """Whether it knows where it is that well: one standard deviation."""
     xx, _, _, yy, _, pp = belief.covariance
     return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
+
+
+def foresees(belief: Belief) -> bool:
+    """Whether it will not be unsure after a turn of its camera: it knows how it moves, and what pushes it.
+
+    Who was just found by one frame or two knows neither; with no landmark in sight it would swim where chance has it.
+    """
+    xx, yy, pp = (_variance_ahead(belief, i, AWAY_S) for i in range(3))
+    return xx + yy <= UNSURE_M * UNSURE_M and pp <= math.radians(UNSURE_DEG) ** 2
+
+
+def _variance_ahead(belief: Belief, i: int, seconds: float) -> float:
+    """Of x, y or psi after that time, by the velocity and the push of now."""
+    P, weights = belief.P, ((i, 1.0), (i + 3, seconds), (i + 6, 0.5 * seconds * seconds))
+    total = 0.0
+    for j, a in weights:
+        for k, b in weights:
+            total += a * b * P[j][k]
+    return total
 
 
 def _priors(carriage: Carriage, moving: Belief | None) -> Priors:

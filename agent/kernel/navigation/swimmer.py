@@ -26,6 +26,7 @@ from agent.kernel.navigation.localizer import (
     UNSURE_M,
     Carriage,
     Localizer,
+    foresees,
     within,
 )
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
@@ -59,6 +60,7 @@ class Swimmer:
         self._progress: Progress | None = None
         self._gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
+        self._found = False  # it has known well enough how it moves, and was not lost since
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -104,6 +106,7 @@ class Swimmer:
             self._lost_since_ns = None
         elif self._lost_since_ns is None:
             self._lost_since_ns = now_ns
+        self._found = here is not None and not self.lost and (self._found or foresees(here))
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
@@ -120,7 +123,8 @@ class Swimmer:
         sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
-        sure = here is not None and within(here, *enough)
+        moves = self._found and (not self._glancing or (here is not None and foresees(here)))
+        sure = here is not None and within(here, *enough) and moves
         waits = self.company.waits(here, self._glancing, now_ns)
         if level is None or sure or waits or not (steady or self._glancing):
             self._glancing = False
@@ -144,16 +148,17 @@ class Swimmer:
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        asked = STILL if here is None or self.lost or not allowed else self._towards(here, watched_m, now_ns)
+        asked = STILL if here is None or not self._found or not allowed else self._towards(here, watched_m, now_ns)
         self.localizer.sent(asked, now_ns)
         return asked
 
     def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         before = self._progress or start(here.pose, 0.0, now_ns, self._home)
-        to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
+        turn_rad_s = math.radians(self._limits.turn_deg_s)
+        to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m, turn_rad_s)
         if to.coast:
             return STILL
-        share, turn_rad_s = pace(here), math.radians(self._limits.turn_deg_s)
+        share = pace(here)
         to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
