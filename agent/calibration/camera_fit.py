@@ -87,6 +87,9 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
     # A whole view that is off by the same shift is a servo that did not come back to the same angle.
     shift = np.array([r.reshape(2, -1)[:, [c.servos_us == s for c in corners]].mean(axis=1) for s in sorted(settings)])
     C = max(noise_px, PRIOR_PX) ** 2 * solve(normal, np.eye(len(p)))
+    order = [0, 5, 8, 9, 6, 7, 1, 2, 3, 4]  # of CameraFit.covariance, and its units
+    units = np.array([1.0 / p[0], 1.0, 1.0, 1.0, 1.0, 1.0 / travel, math.degrees(1.0), math.degrees(1.0), 1.0, 1.0])
+    of_all = (units[:, None] * C[order][:, order] * units)[np.triu_indices(len(p))]
     return CameraFit(
         width_px=size[0],
         height_px=size[1],
@@ -104,4 +107,5 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         tilt_gain=float(p[4]),
         noise_px=max(noise_px, 0.05),
         noise_deg=max(math.degrees(math.sqrt(float((shift * shift).mean())) / p[0]), 0.02),
+        covariance=tuple(of_all.tolist()),
     )
