@@ -13,16 +13,14 @@ from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Trial, Turn
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
-from agent.kernel.navigation.pilot import TURN_RAD_S, Reference
+from agent.kernel.navigation.pilot import Reference
 from agent.kernel.navigation.trial import Stage, trial
-from agent.kernel.navigation.yaw_profile import yaw_move
 
 THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived: so near, for so long
 NEAR_M = 0.10  # to the goal: the way has no direction any more
 MOST_TURNED_RAD = 2.0 * math.pi  # either way
 SLACK_RAD = math.radians(10.0)  # an orbit turns round so far before that, for the body lags and swings
 GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
-THRUST_S = 0.1  # until a moment that is asked for acts: the thrusters' lag, as far as the pilot's lead leaves it
 STRIDE_RAD = math.radians(90.0)  # of a reference ahead of the body: which way round stays clear
 
 
@@ -47,16 +45,10 @@ def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) ->
 
 
 def reference(
-    what: Behaviour,
-    progress: Progress,
-    pose: Vector,
-    now_ns: int,
-    watched_m: Planar | None = None,
-    turn_rad_s: float = TURN_RAD_S,
+    what: Behaviour, progress: Progress, pose: Vector, now_ns: int, watched_m: Planar | None = None
 ) -> tuple[Reference, Progress]:
     """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off
-    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body. turn_rad_s: at
-    most.
+    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body.
     """
     turned = progress.turned + wrap(pose[2] - progress.heading)
     progress = progress._replace(turned=turned, heading=pose[2])
@@ -64,7 +56,7 @@ def reference(
         case Hold():
             to = Reference(progress.from_m, in_sight(progress.yaw, pose, watched_m))
         case Turn():
-            to = _on_turn(what, progress, now_ns, turn_rad_s)
+            to = Reference(progress.from_m, math.radians(what.yaw_deg))
         case Goto():
             progress = progress._replace(yaw=_yaw_of_way(what, progress, pose, watched_m))
             to = Reference((what.x_m, what.y_m), progress.yaw, depth_m=what.depth_m)
@@ -104,18 +96,6 @@ def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar 
     return math.atan2(y, x) if math.hypot(x, y) > NEAR_M else progress.yaw
 
 
-def _on_turn(what: Turn, progress: Progress, now_ns: int, turn_rad_s: float) -> Reference:
-    """Evenly from the yaw that it had to the one that it shall have, on the way that keeps the tether from winding."""
-    goal = math.radians(what.yaw_deg)
-    way = wrap(goal - progress.yaw)
-    if abs(progress.turned_first + way) > MOST_TURNED_RAD:
-        way -= math.copysign(2.0 * math.pi, way)
-    seconds = (now_ns - progress.since_ns) * 1e-9
-    move, acts = yaw_move(way, turn_rad_s, seconds), yaw_move(way, turn_rad_s, seconds + THRUST_S)
-    yaw = wrap(goal + move.way - way)
-    return Reference(progress.from_m, yaw, rate_rad_s=move.rate, turn_rad_s2=acts.acceleration)
-
-
 def _on_orbit(what: Orbit, progress: Progress, now_ns: int) -> Reference:
     """p = c + R (cos th, sin th), th growing by V / R; back again where the tether has had its turn."""
     east, north = progress.from_m[0] - what.x_m, progress.from_m[1] - what.y_m
@@ -148,6 +128,6 @@ def _to_and_fro(way: float, lowest: float, highest: float) -> tuple[float, float
 
 def _there_since(to: Reference, progress: Progress, pose: Vector, now_ns: int) -> int | None:
     off_m = math.hypot(to.place_m[0] - pose[0], to.place_m[1] - pose[1])
-    if off_m > THERE_M or abs(wrap(to.yaw - pose[2])) > THERE_RAD or to.rate_rad_s != 0.0:
+    if off_m > THERE_M or abs(wrap(to.yaw - pose[2])) > THERE_RAD:
         return None
     return now_ns if progress.there_ns is None else progress.there_ns

@@ -2,7 +2,7 @@
 
     v_d = sat(k_p (p_ref - p), v_max) + v_ref ;  k_p = w / (2 z), k_v = 2 z w ;  barrier.py has its say on v_d
     F = M R(psi + r tau)' (a_ref + k_v (v_d - v) + k v - d)                yaw when the thrust acts
-    r_d = sat(w_psi / (2 z) e_psi + r_ref, r_max) ;  N = J (a_psi + 2 z w_psi (r_d - r) + k_r r - d_psi)
+    r_d = sat(w_psi / (2 z) e_psi, r_max) + r_ref ;  N = J (2 z w_psi (r_d - r) + k_r r - d_psi)
     u = f + 1.4 (F - f), within limits
 
 There is no integrator, and nothing that could wind up: d is learnt from the force that was sent, after the limits.
@@ -38,7 +38,6 @@ class Reference(NamedTuple):
     velocity_m_s: Planar = STILL
     acceleration_m_s2: Planar = STILL
     rate_rad_s: float = 0.0
-    turn_rad_s2: float = 0.0  # how that changes
     depth_m: float | None = None  # None: as before
     speed_m_s: float = SPEED_M_S  # at most, beside that of the reference
     turn_rad_s: float = TURN_RAD_S
@@ -67,10 +66,9 @@ def wrench(belief: Belief, hull: Hull, to: Reference, velocity_m_s: Planar) -> W
     px = hull.mass_kg * (to.acceleration_m_s2[0] + stiff * (velocity_m_s[0] - vx) + k * vx - dx)
     py = hull.mass_kg * (to.acceleration_m_s2[1] + stiff * (velocity_m_s[1] - vy) + k * vy - dy)
     c, s = math.cos(psi + r * hull.lag_s), math.sin(psi + r * hull.lag_s)
-    turn = YAW_W_RAD_S / (2.0 * Z) * wrap(to.yaw - psi) + to.rate_rad_s
-    rate = min(max(turn, -to.turn_rad_s), to.turn_rad_s)
-    spin = to.turn_rad_s2 + 2.0 * Z * YAW_W_RAD_S * (rate - r) + turn_damping(hull, r) * r - dpsi
-    moment = hull.inertia_kgm2 * spin
+    turn = YAW_W_RAD_S / (2.0 * Z) * wrap(to.yaw - psi)
+    rate = min(max(turn, -to.turn_rad_s), to.turn_rad_s) + to.rate_rad_s
+    moment = hull.inertia_kgm2 * (2.0 * Z * YAW_W_RAD_S * (rate - r) + turn_damping(hull, r) * r - dpsi)
     ahead, left, round_ = (
         f + LEAD * (wish - f) for f, wish in zip(belief.force, (c * px + s * py, c * py - s * px, moment), strict=True)
     )

@@ -106,7 +106,10 @@ class Swimmer:
             self._lost_since_ns = None
         elif self._lost_since_ns is None:
             self._lost_since_ns = now_ns
-        self._found = here is not None and not self.lost and (self._found or foresees(here))
+        if here is None or self.lost:
+            self._found = False
+        elif foresees(here) and seek.pointing.steady(now_ns):  # not as the camera turns back from where it found itself
+            self._found = True
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
@@ -148,17 +151,17 @@ class Swimmer:
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        asked = STILL if here is None or not self._found or not allowed else self._towards(here, watched_m, now_ns)
+        self._found = self._found and allowed  # whoever lies still may begin when it is well
+        asked = self._towards(here, watched_m, now_ns) if here is not None and self._found else STILL
         self.localizer.sent(asked, now_ns)
         return asked
 
     def _towards(self, here: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         before = self._progress or start(here.pose, 0.0, now_ns, self._home)
-        turn_rad_s = math.radians(self._limits.turn_deg_s)
-        to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m, turn_rad_s)
+        to, self._progress = reference(self._behaviour, before, here.pose, now_ns, watched_m)
         if to.coast:
             return STILL
-        share = pace(here)
+        share, turn_rad_s = pace(here), math.radians(self._limits.turn_deg_s)
         to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
