@@ -8,12 +8,12 @@ puts a robot that goes by tags 10 mm beside its place. Half a thousand corners t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from agent.calibration.fit import Array, CalibrationRefused, gauss_newton, scale, solve
+from agent.calibration.fit import HUBER, Array, CalibrationRefused, gauss_newton, scale, solve
 from agent.kernel.config import Body
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit
@@ -34,6 +34,7 @@ class Corner(NamedTuple):
     point_m: Vector
     px: tuple[float, float]
     lens_position: float = 0.0
+    number: int | None = None  # of this corner on the board
 
 
 def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> CameraFit:
@@ -86,7 +87,7 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         raise CalibrationRefused(f"corners miss by {noise_px:.1f} px; check the board's squares and where it stood")
     # A whole view that is off by the same shift is a servo that did not come back to the same angle.
     shift = np.array([r.reshape(2, -1)[:, [c.servos_us == s for c in corners]].mean(axis=1) for s in sorted(settings)])
-    C = max(noise_px, PRIOR_PX) ** 2 * solve(normal, np.eye(len(p)))
+    C = _covariance(p, residual, jacobian, normal, [corner.number for corner in corners], noise_px)
     order = [0, 5, 8, 9, 6, 7, 1, 2, 3, 4]  # of CameraFit.covariance, and its units
     units = np.array([1.0 / p[0], 1.0, 1.0, 1.0, 1.0, 1.0 / travel, math.degrees(1.0), math.degrees(1.0), 1.0, 1.0])
     of_all = (units[:, None] * C[order][:, order] * units)[np.triu_indices(len(p))]
@@ -109,3 +110,39 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         noise_deg=max(math.degrees(math.sqrt(float((shift * shift).mean())) / p[0]), 0.02),
         covariance=tuple(of_all.tolist()),
     )
+
+
+def _covariance(
+    p: Array,
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    normal: Array,
+    numbers: Sequence[int | None],
+    noise_px: float,
+) -> Array:
+    """Of p, px2 and so on. What the print and its grain shift a corner by, they do in every view: what is summed over
+    the views of a corner is independent, not what is in each (Liang and Zeger 1986, the sandwich)."""
+    inverse = solve(normal, np.eye(len(p)))
+    known = [number for number in numbers if number is not None]
+    if len(known) < len(numbers) or len(set(known)) <= 2 * len(p):
+        return np.asarray(max(noise_px, PRIOR_PX) ** 2 * inverse, np.float64)
+    r, J = residual(p), jacobian(p)
+    limit = HUBER * noise_px
+    r = np.clip(r, -limit, limit)
+    values, group = np.unique(np.array(known), return_inverse=True)
+    pulls = np.zeros((len(p), len(values)))
+    for axis in range(2):
+        part = slice(axis * len(known), (axis + 1) * len(known))
+        for i in range(len(p)):
+            pulls[i] += np.bincount(group, J[i, part] * r[part], len(values))
+    K = len(values)
+    meat = (pulls[:, None] * pulls[None]).sum(axis=-1) * K / (K - len(p))
+    priors = J[:, -PRIORS:] * PRIOR_PX
+    meat += (priors[:, None] * priors[None]).sum(axis=-1)
+    out: Array = _times(_times(inverse, meat), inverse)
+    return 0.5 * (out + out.T)
+
+
+def _times(a: Array, b: Array) -> Array:
+    out: Array = (a[:, :, None] * b[None]).sum(axis=1)
+    return out

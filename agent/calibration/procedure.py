@@ -173,7 +173,7 @@ def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterat
                 reached = camera.set_focus(round(sharp + blur * focus.width))
                 grey = luminance(camera.read(settle_s=HOMING_S).image)
                 pairs = zip(board_points(board_m), find_corners(grey), strict=False)
-                found += [Corner(us, point, px, float(reached)) for point, px in pairs]
+                found += [Corner(us, point, px, float(reached), k) for k, (point, px) in enumerate(pairs)]
             yield found
 
 

@@ -14,11 +14,13 @@ from agent.kernel.navigation.tags.tag_priors import Prior
 from agent.kernel.navigation.tags.tag_priors import priors as known_before
 from agent.kernel.step_io import SeenTag
 from tests.kernel.navigation.tank_with_tags import (
+    BENT_PX,
     DEPTH_M,
     EDGE_SIGMA_PX,
     GIMBAL_DEG,
     LEVEL_DEG,
     MAP,
+    OFFSET_PX,
     SIGMA_DEG,
     SIGMA_M,
     STRETCH,
@@ -88,7 +90,7 @@ def covariance_px2(theta, tag):
     G = differences(project_px, np.zeros(6)) * np.r_[[SIGMA_M] * 3, [np.radians(SIGMA_DEG)] * 3]
     c = VIEW.f_px * np.array(tag.corners)
     c = (c - c.mean(axis=0)).ravel()
-    offset = 0.10 + 0.5 * (tag.rho_px / (0.55 * VIEW.width_px)) ** 3
+    offset = OFFSET_PX + BENT_PX * (tag.rho_px / (0.55 * VIEW.width_px)) ** 3
     both = np.kron(np.ones((4, 4)), np.eye(2))
     return EDGE_SIGMA_PX**2 * np.eye(8) + offset**2 * both + STRETCH**2 * np.outer(c, c) + G @ G.T
 
