@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.calibration.fit import Corner, FocusRow, fit_camera, fit_focus
+from agent.calibration.camera_fit import Corner, fit_camera
+from agent.calibration.fit import FocusRow, fit_focus
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
@@ -172,7 +173,7 @@ def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterat
                 reached = camera.set_focus(round(sharp + blur * focus.width))
                 grey = luminance(camera.read(settle_s=HOMING_S).image)
                 pairs = zip(board_points(board_m), find_corners(grey), strict=False)
-                found += [Corner(us, point, px, float(reached)) for point, px in pairs]
+                found += [Corner(us, point, px, float(reached), k) for k, (point, px) in enumerate(pairs)]
             yield found
 
 

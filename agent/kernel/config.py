@@ -89,6 +89,7 @@ class Camera(Struct, frozen=True, kw_only=True):
     height_px: Annotated[int, Meta(ge=64)] = 480
     settle_s: Positive = 0.05  # lens at rest after a focus command
     sweep_steps: Annotated[int, Meta(ge=8)] = 30
+    row_time_us: Annotated[float, Meta(ge=0)] = 0.0  # from row to row of a rolling shutter; 0: all rows at once
     enhance: bool = False  # look again, enhanced, where a frame shows no target; clarity is always the raw frame's
 
 

@@ -66,6 +66,7 @@ class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
     room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
+    white_card: Literal["upright", "lying"] = "upright"  # what the exposure is set by; upright, lying paper burns out
     camera: str = "imx519_640"  # preset of hw.twin.optics.lens
     solid: tuple[Solid, ...] = ()
     waves: Waves = Waves()

@@ -69,9 +69,9 @@ def seen(rng, truth: Truth, eye, ahead) -> tuple[SeenTag, ...]:
         if point[:, 2].min() < 0.1 or facing < 0.3 or (np.abs(F_PX * slopes) > np.array(SIZE_PX) / 2 - 10).any():
             continue
         rho_px = F_PX * float(np.hypot(*slopes.mean(axis=0)))
-        offset_px = 0.10 + 0.5 * (rho_px / (0.55 * SIZE_PX[0])) ** 3
-        noise_px = rng.normal(0, 0.12, (4, 2)) + rng.normal(0, offset_px, 2)
-        noisy = slopes + 0.0025 * rng.normal() * (slopes - slopes.mean(axis=0)) + noise_px / F_PX
+        offset_px = 0.04 + 0.15 * (rho_px / (0.55 * SIZE_PX[0])) ** 3
+        noise_px = rng.normal(0, 0.08, (4, 2)) + rng.normal(0, offset_px, 2)
+        noisy = slopes + 0.0012 * rng.normal() * (slopes - slopes.mean(axis=0)) + noise_px / F_PX
         side_px = F_PX * float(np.hypot(*(np.roll(slopes, 1, axis=0) - slopes).T).min())
         tags.append(SeenTag(k, tuple(map(tuple, noisy.tolist())), side_px, rho_px, True))
     return tuple(tags)

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from agent.calibration.fit import CalibrationRefused, Corner, FocusRow, fit_camera, fit_focus
+from agent.calibration.camera_fit import Corner, fit_camera
+from agent.calibration.fit import CalibrationRefused, FocusRow, fit_focus
 from agent.failure import Failed
 from agent.kernel.config import Body
 from agent.kernel.ranging.focus import h
@@ -97,8 +98,16 @@ def test_too_little_is_refused(distances, word):
 BEND, AHEAD_M, BREATHING = 0.39, -0.0017, 4e-5  # of a flat port, and of a small module's lens
 
 
-def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8)), lens=(200.0, 300.0)):
-    rng = np.random.default_rng(3)
+AXIS_PX = 319.5 + 5.0, 239.5 - 4.0  # where the optical axis meets the sensor: not in its middle
+TRUE = (math.log(1175), BEND, *AXIS_PX, AHEAD_M, BREATHING, 0.8, -0.5, 1.01, 0.99)  # as CameraFit.covariance
+
+
+def corners(
+    noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8)), lens=(200.0, 300.0), printed_px=0.0, seed=3
+):
+    """printed_px: by which each corner of the board is off in all views."""
+    rng = np.random.default_rng(seed)
+    printed = rng.normal(0, printed_px, (35, 2))
     out = []
     for d, position in itertools.product((0.65, 0.85), lens):
         f_px = 1175 * (1 + BREATHING * (position - np.mean(lens)))
@@ -108,19 +117,26 @@ def corners(noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8)), le
             R = np.array([[math.cos(P), -math.sin(P), 0], [math.sin(P), math.cos(P), 0], [0, 0, 1]]) @ np.array(
                 [[math.cos(T), 0, -math.sin(T)], [0, 1, 0], [math.sin(T), 0, math.cos(T)]]
             )
-            for y in np.linspace(0.12, -0.12, 7):
-                for z in np.linspace(0.08, -0.08, 5):
-                    point = at + np.array([0, y, z])
-                    g = R.T @ point
-                    slope = g[1:] / (g[0] - AHEAD_M)
-                    scale = f_px * (1 + BEND * slope @ slope)
-                    px = (
-                        319.5 - scale * slope[0] + rng.normal(0, noise_px),
-                        239.5 - scale * slope[1] + rng.normal(0, noise_px),
-                    )
-                    us = (1500 + pan * BODY.servo_us_per_deg, 1500 + tilt * BODY.servo_us_per_deg)
-                    out.append(Corner(us, tuple(point), px, position))
+            grid = itertools.product(np.linspace(0.12, -0.12, 7), np.linspace(0.08, -0.08, 5))
+            for number, (y, z) in enumerate(grid):
+                point = at + np.array([0, y, z])
+                g = R.T @ point
+                slope = g[1:] / (g[0] - AHEAD_M)
+                off_px = printed[number] + rng.normal(0, noise_px, 2)
+                px = tuple(AXIS_PX - f_px * (1 + BEND * slope @ slope) * slope + off_px)
+                us = (1500 + pan * BODY.servo_us_per_deg, 1500 + tilt * BODY.servo_us_per_deg)
+                out.append(Corner(us, tuple(point), px, position, number))
     return out
+
+
+def error_and_covariance(fit):
+    found = (
+        *(math.log(fit.f_px), fit.bend, fit.cx_px, fit.cy_px, fit.ahead_m, fit.breathing),
+        *(fit.pan_zero_deg, fit.tilt_zero_deg, fit.pan_gain, fit.tilt_gain),
+    )
+    covariance = np.zeros((10, 10))
+    covariance[np.triu_indices(10)] = fit.covariance
+    return np.subtract(found, TRUE), covariance + np.triu(covariance, 1).T
 
 
 def test_camera_and_servos_come_back():
@@ -133,11 +149,24 @@ def test_camera_and_servos_come_back():
     at_board = math.sqrt(ff + 2 * fa / 0.75 + aa / 0.75**2)  # the picture's scale is best known where the board was
     assert at_board < 1e-4
     assert fit.f_px / (0.75 - fit.ahead_m) == pytest.approx(1175 / (0.75 - AHEAD_M), rel=3 * at_board)
-    assert fit.bend == pytest.approx(BEND, abs=0.02)
-    assert fit.breathing == pytest.approx(BREATHING, rel=0.05)
-    assert (fit.pan_zero_deg, fit.tilt_zero_deg) == pytest.approx((0.8, -0.5), abs=0.003)
-    assert (fit.pan_gain, fit.tilt_gain) == pytest.approx((1.01, 0.99), abs=5e-4)
+    error, covariance = error_and_covariance(fit)
+    sigma = np.sqrt(np.diag(covariance))
+    assert (np.abs(error) < 3.5 * sigma).all()
+    # ln f, bend, centre (px), where rays meet (m), breathing, zeros (deg), gains
+    assert (sigma < (4e-4, 0.02, 0.4, 0.8, 5e-4, 2e-6, 0.02, 0.04, 5e-4, 5e-4)).all()
     assert fit.noise_px == pytest.approx(0.1, rel=0.1)
+
+
+def test_the_covariance_knows_that_a_print_errs_alike_in_all_views():
+    """Mahalanobis distance of the centre, a half of its square: 1 where honest; it is far too large where corners are
+    taken for independent."""
+    knows, believes = [], []
+    for seed in range(8):
+        seen = corners(noise_px=0.03, lens=(200.0,), printed_px=0.1, seed=seed)
+        for said, out in ((seen, knows), ([one._replace(number=None) for one in seen], believes)):
+            error, covariance = error_and_covariance(fit_camera(said, BODY, (640, 480)))
+            out.append(error[2:4] @ np.linalg.solve(covariance[2:4, 2:4], error[2:4]) / 2)
+    assert 0.4 < np.mean(knows) < 2.5 < 4 < np.mean(believes)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,7 @@
 
 The tags hang where the twin's survey errors put them (hw.twin.landmarks), the camera looks from where the twin's
 gimbal carries it. Corners err as tag_noise.py has measured it on rendered frames; points that are followed, as
-docs/landmarks.md has it. No edge is fitted on the floor: where an upright card is exposed as it should be, paper that
-lies is burnt out (115 of 116 tags of rendered frames). Nothing is hidden by anything, and no motion blurs anything.
+docs/landmarks.md has it. Tags without edges are left out. Nothing is hidden by anything, and no motion blurs anything.
 """
 
 from __future__ import annotations
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from agent.experiments.navigation.basin import TANK
 from agent.kernel.config import Fleet
-from agent.kernel.navigation.tags.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, FOUND_PX, OFFSET_PX, STRETCH
+from agent.kernel.navigation.tags.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Flow, SeenTag, SeenTags
+from agent.perception.landmarks.edges import module_px
 from agent.perception.landmarks.flow import MOST, has_stopped, is_due
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose
@@ -26,7 +26,7 @@ from hw.twin.scene import generator
 
 Array = NDArray[np.float64]
 
-SMALLEST_PX = 20.0  # of a tag's shortest side: edges can be fitted from there on
+NARROWEST_PX = 3.0  # of a tag's modules: nine of ten in rendered frames have edges from there on, else one of ten
 STEEPEST = 0.35  # cosine between a tag's normal and the way to it: 70 degrees
 NEAREST_M, FARTHEST_M = 0.15, 2.2  # in rendered frames of tap water some tags are read at 2.3 m
 POINTS_M2 = 600.0  # points worth following, on floor and walls
@@ -46,7 +46,6 @@ class DrawnCamera:
         axes, self._middles = np.array([tag.rotation for tag in hung]), np.array([tag.position_m for tag in hung])
         self._corners = self._middles[:, None] + 0.5 * sizes * np.einsum("nij,mkj->nki", axes, arms)
         self._out = axes[:, :, 2]
-        self._edges = [tag.face != "floor" for tag in hung]
         self._points = points_of_planes(generator(seed, "points"))
         self._camera, self._camera_m = camera, fleet.body.camera_m
         self._rng = generator(seed, name, "drawn camera")
@@ -73,17 +72,18 @@ class DrawnCamera:
         way = at - self._middles
         facing = np.sum(way * self._out, axis=1) / np.linalg.norm(way, axis=1)
         size_px = f_px * np.linalg.norm(np.roll(slopes, -1, axis=1) - slopes, axis=2).min(axis=1)
-        seen = self._inside(slopes, depths).all(axis=1) & (facing > STEEPEST) & (size_px >= SMALLEST_PX)
+        seen = self._inside(slopes, depths).all(axis=1) & (facing > STEEPEST)
         found = []
         for k in np.flatnonzero(seen):
+            if module_px(f_px * slopes[k]) < NARROWEST_PX:
+                continue
             corners, rho_px = slopes[k], f_px * float(np.hypot(*slopes[k].mean(axis=0)))
             offset_px = OFFSET_PX + BENT_PX * (rho_px / (EDGE_AT * self._camera.width_px)) ** 3
-            corner_px = EDGE_PX if self._edges[k] else FOUND_PX
-            off_px = self._rng.normal(0.0, corner_px, (4, 2)) + self._rng.normal(0.0, offset_px, 2)
+            off_px = self._rng.normal(0.0, EDGE_PX, (4, 2)) + self._rng.normal(0.0, offset_px, 2)
             larger = self._rng.normal(0.0, STRETCH) * (corners - corners.mean(axis=0))
             told = (corners + larger + off_px / f_px).tolist()
             a, b, c, d = ((x, y) for x, y in told)
-            found.append(SeenTag(self._ids[k], (a, b, c, d), float(size_px[k]), rho_px, self._edges[k]))
+            found.append(SeenTag(self._ids[k], (a, b, c, d), float(size_px[k]), rho_px, True))
         return tuple(found)
 
     def _flow(self, at: Array, axes: Array, t_ns: int) -> Flow | None:

@@ -15,6 +15,10 @@ OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mas
 # both speeds. And of every push some moment, for no two thrusters are alike: so long an arm.
 MUNK_KG, ARM_M = 0.8, 0.003
 
+# An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
+# four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
+ZERO_N, ZERO_NM = 0.12, 0.03
+
 Wrench = tuple[float, float, float]  # N forward, N left, N m
 
 STEP_NS = 20_000_000  # no longer: what drag and turn change over it is neglected to first order

@@ -22,6 +22,7 @@ from agent.kernel.navigation.pose_filter import (
     add_flow,
     add_rate,
     add_sighting,
+    ask,
     keep_key,
     predict,
 )
@@ -139,7 +140,7 @@ class EventRing:
         """The belief after the first n events."""
         belief = self._beliefs[-1] if self._beliefs else self._settled[-1]
         for event in islice(self._events, len(self._beliefs), n):
-            belief = _apply(self._predict(belief, event.t_ns), event)
+            belief = _apply(self._predict(belief, event.t_ns), self._hull, event)
             self._beliefs.append(belief)
         return self._beliefs[n - 1] if n else self._settled[-1]
 
@@ -157,11 +158,11 @@ def _time(of: Event | Belief) -> int:
     return of.t_ns
 
 
-def _apply(belief: Belief, event: Event) -> Belief:
+def _apply(belief: Belief, hull: Hull, event: Event) -> Belief:
     v = event.values
     match event.kind:
         case "1 asked":
-            return belief._replace(asked=(v[0], v[1], v[2]))
+            return ask(belief, hull, (v[0], v[1], v[2]))
         case "2 fix":
             fluctuates, stays = (v[3], v[4], v[5], v[6], v[7], v[8]), (v[9], v[10], v[11], v[12], v[13], v[14])
             return add_fix(belief, (v[0], v[1], v[2]), fluctuates, stays)

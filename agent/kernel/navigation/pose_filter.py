@@ -16,7 +16,7 @@ from typing import NamedTuple
 from agent.kernel.estimation.matrix import ZERO
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import STEP_NS, Hull, Motion, Wrench, motion
+from agent.kernel.navigation.body_model import STEP_NS, ZERO_N, ZERO_NM, Hull, Motion, Wrench, motion
 from agent.kernel.navigation.dense import Rows, cholesky, dot, inverse
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
@@ -131,6 +131,18 @@ def _times_F(P: Rows, h: float, v_by_v: float, vx_by_yaw: float, vy_by_yaw: floa
         [r_by_r * a + h * b for a, b in zip(r, dpsi, strict=True)],
         *(list(row) for row in P[6:]),
     ]
+
+
+def ask(belief: Belief, hull: Hull, wrench: Wrench) -> Belief:
+    """That wrench is asked for from now on. With the first one thrusters turn, and push besides as nobody knows."""
+    turned, turn = any(belief.asked), any(wrench)
+    if turned == turn:
+        return belief._replace(asked=wrench)
+    push, twist = ZERO_N / hull.mass_kg, ZERO_NM / hull.inertia_kgm2
+    rows = [list(row) for row in belief.P]
+    for i, sigma in ((6, push), (7, push), (8, twist)):
+        rows[i][i] += sigma * sigma
+    return belief._replace(asked=wrench, P=_frozen(rows))
 
 
 def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Belief:

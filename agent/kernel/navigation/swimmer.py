@@ -27,6 +27,7 @@ from agent.kernel.navigation.localizer import (
     UNSURE_M,
     Carriage,
     Localizer,
+    foresees,
     within,
 )
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
@@ -61,6 +62,7 @@ class Swimmer:
         self._gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
+        self._found = False  # it has known well enough how it moves, and was not lost since
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -104,6 +106,10 @@ class Swimmer:
             self._lost_since_ns = None
         elif self._lost_since_ns is None:
             self._lost_since_ns = now_ns
+        if here is None or self.lost:
+            self._found = False
+        elif foresees(here) and seek.pointing.steady(now_ns):  # not as the camera turns back from where it found itself
+            self._found = True
 
     def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
         """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
@@ -127,7 +133,8 @@ class Swimmer:
         sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
-        sure = here is not None and within(here, *enough)
+        moves = self._found and (not self._glancing or (here is not None and foresees(here)))
+        sure = here is not None and within(here, *enough) and moves
         waits = self.company.waits(here, self._glancing, now_ns)
         if level is None or sure or waits or not (steady or self._glancing):
             self._glancing = False
@@ -151,8 +158,9 @@ class Swimmer:
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        by, free = self.here or here, allowed and not self.lost
-        asked = STILL if here is None or by is None or not free else self._towards(here, by, watched_m, now_ns)
+        self._found = self._found and allowed  # whoever lies still may begin when it is well
+        by = self.here or here
+        asked = STILL if here is None or by is None or not self._found else self._towards(here, by, watched_m, now_ns)
         self.localizer.sent(asked, now_ns)
         return asked
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from msgspec import Meta
 from msgspec.structs import replace
 
 from agent.kernel.config import ConfigError, Positive, Struct
@@ -58,6 +59,9 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     gamma: Positive = 2.2  # a byte is 255 light ** (1 / gamma), light linear and 1 at the sensor's limit
     noise_px: Positive = 0.5  # residual of the fit
     noise_deg: Positive = 0.1  # repeatability of the gimbal
+    # Of ln f_px, bend, cx_px, cy_px, ahead_m, breathing, pan_zero_deg, tilt_zero_deg, pan_gain and tilt_gain: the upper
+    # triangle, row by row; None: nobody knows.
+    covariance: Annotated[tuple[float, ...], Meta(min_length=55, max_length=55)] | None = None
 
 
 class BodyFit(Struct, frozen=True, kw_only=True):

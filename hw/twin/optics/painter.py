@@ -30,8 +30,8 @@ from hw.twin.scene import Scene, generator
 Image = NDArray[np.uint8]  # (h, w, 3), blue green red
 Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
 
-WHITE_M, WHITE_LEVEL = 0.5, 0.75  # the exposure is set once: an upright white card at this range has this level
-WHITE_ALBEDO, UPRIGHT = 0.8, 0.6
+WHITE_M, WHITE_LEVEL = 0.5, 0.75  # the exposure is set once: the scene's white card at this range has this level
+WHITE_ALBEDO, CARD_LIGHT = 0.8, {"upright": 0.6, "lying": 1.0}  # shares of the light from above, as in shade.py
 LARGEST_PX = 14.0  # radius of blur; what is blurrier, all but touching the port, is drawn with this one
 ALIGN = 4  # the coarsest pixels of the blur lie on one grid whichever part is asked for
 
@@ -74,7 +74,8 @@ class Painter:
             pixel=np.float32(self._lens.pixel_m / self._lens.at_rest_m / self._index),
         )
         arriving, _ = transmission_and_veil(water, WHITE_M)
-        card = WHITE_ALBEDO * UPRIGHT * room * daylight(water, self._box_m[2]) * arriving
+        lit = CARD_LIGHT[self._scene.white_card] * room * daylight(water, self._box_m[2])
+        card = WHITE_ALBEDO * lit * arriving
         self._gain = np.float32(WHITE_LEVEL / card.max())
         self.frame(Eye(self._box_m / 2, np.eye(3)), self._lens.at_rest_m, roi=(0, 0, 64, 64))
 

@@ -27,6 +27,7 @@ from hw.twin.devices.board import Board, interpreter
 from hw.twin.dive import Dive
 from hw.twin.pace import run_in_lock_step
 from hw.twin.physics.rotation import euler_rad
+from hw.twin.physics.servo import PLAY_DEG
 from hw.twin.scene import Current, Pull, Scene
 from tests.kernel.navigation.swimming_agent import CALIBRATION, fleet
 from tests.kernel.navigation.tank_with_tags import TANK_M, VIEW, sight
@@ -47,7 +48,8 @@ class DrawnSwimmer:
 
     def __init__(self, of: Fleet, folder: Path, body: BodyFit | None = None) -> None:
         self.dive = Dive(of, ["r1"], 10**9, scene=SCENE)
-        self.dive.bodies["servo_zero_deg"], self.dive.bodies["servo_gain"] = 0.0, 1.0  # as if calibrated
+        # As if calibrated: the last way to a goal is from below, so the camera hangs behind the motor by half the play.
+        self.dive.bodies["servo_zero_deg"], self.dive.bodies["servo_gain"] = PLAY_DEG / 2, 1.0
         self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter())
         self.dive.boards = [self.board]
         self.protocol = HostProtocol(7)

@@ -14,7 +14,7 @@ from agent.kernel.step_io import SeenTag
 TANK_M = TANK.size_m
 VIEW = View(f_px=930.0, width_px=640, ahead_m=0.012, arm_m=(0.10, 0.01, -0.02), surface_m=TANK.surface_m)
 HALF = (0.344, 0.258)  # slopes at the picture's edges
-EDGE_SIGMA_PX, STRETCH = 0.12, 0.0025
+EDGE_SIGMA_PX, OFFSET_PX, BENT_PX, STRETCH = 0.08, 0.04, 0.15, 0.0012
 DEPTH_M, LEVEL_DEG, GIMBAL_DEG = 0.0007, 0.1, 0.02
 SIGMA_M, SIGMA_DEG = 0.0005, 0.1
 
@@ -65,7 +65,7 @@ def sight(theta, rng=None, most=5):
         turned = arms + np.cross(np.radians(rng.normal(0.0, SIGMA_DEG, (n, 1, 3))), arms)
         there = middles + rng.normal(0.0, SIGMA_M, (n, 1, 3)) + turned
         true = project(theta, there.reshape(-1, 3))[0].reshape(-1, 4, 2)
-        offset_px = 0.10 + 0.5 * (rho_px / (0.55 * VIEW.width_px)) ** 3
+        offset_px = OFFSET_PX + BENT_PX * (rho_px / (0.55 * VIEW.width_px)) ** 3
         noise_px = rng.normal(0.0, EDGE_SIGMA_PX, (n, 4, 2)) + rng.normal(size=(n, 1, 2)) * offset_px[:, None, None]
         about = true - true.mean(axis=1, keepdims=True)
         true = true + about * rng.normal(0.0, STRETCH, (n, 1, 1)) + noise_px / VIEW.f_px

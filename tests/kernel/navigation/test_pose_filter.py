@@ -8,7 +8,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag, solve_discrete_are
 
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import STEP_NS, Hull
+from agent.kernel.navigation.body_model import STEP_NS, ZERO_N, ZERO_NM, Hull
 from agent.kernel.navigation.event_ring import KEEP_NS, RING_NS, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.pose_filter import (
     RATE_RAD_S,
@@ -17,6 +17,7 @@ from agent.kernel.navigation.pose_filter import (
     add_fix,
     add_flow,
     add_rate,
+    ask,
     begin,
     keep_key,
     predict,
@@ -190,6 +191,16 @@ def test_odometry_by_a_clone_is_a_filter_of_both_poses() -> None:
     np.testing.assert_allclose(belief.x, x, rtol=0, atol=1e-12)
     np.testing.assert_allclose(belief.P, P, rtol=0, atol=1e-12)
     assert add_flow(belief, t_ns - 1, (0.0, 0.0, 0.0), FLOW) == belief  # of a key frame long gone
+
+
+def test_thrusters_that_begin_to_turn_push_as_nobody_knows() -> None:
+    still = begin(0, START, R)
+    turning = ask(still, HULL, (0.0, 0.0, 0.1))
+    grown = np.subtract(turning.P, still.P)
+    d2 = [(ZERO_N / HULL.mass_kg) ** 2] * 2 + [(ZERO_NM / HULL.inertia_kgm2) ** 2]
+    np.testing.assert_allclose(grown, np.diag([0.0] * 6 + d2), atol=1e-15)
+    assert ask(turning, HULL, (2.0, 0.0, 0.0)).P == turning.P  # they have turned all the time
+    assert ask(turning, HULL, (0.0, 0.0, 0.0)).P[8][8] > turning.P[8][8]
 
 
 # --- what cannot be ---------------------------------------------------------------------------------------------

@@ -49,6 +49,18 @@ def test_without_noise_corners_are_exact_at_every_blur(tags, blur_px):
         assert np.abs(errors_px(photograph(light, blur_px), truth_px)).max() < 0.05
 
 
+def test_rough_corners_may_be_off_by_most_of_a_module():
+    """Where the edge's gradient lies half outside of where it is looked for, it is looked for again."""
+    light, place = np.full((CAMERA.height_px, CAMERA.width_px), WALL), (turned(10, 55, 5), (0.02, -0.02, 1.0))
+    tag_light(CAMERA, 0, *place, light)
+    truth_px = bend(CAMERA, corner_slopes(*place))
+    module = module_px(truth_px)
+    assert 4.0 < module < 8.0
+    rough_px, gamma = truth_px + 0.7 * module * np.array([[1, 0], [-1, 1], [-1, 0], [1, -1]]), light_of_bytes(2.2)
+    found = fit_corners(np.ascontiguousarray(photograph(light, 2.0)[..., 1]), gamma, rough_px, CAMERA)
+    assert found is not None and np.abs(to_pixels(CAMERA, found.slopes) - truth_px).max() < 0.05
+
+
 def test_a_near_tag_may_be_far_out_of_focus():
     """Modules of 22 px and a blur of 18: edges are looked for as far as the border reaches."""
     light, place = np.full((CAMERA.height_px, CAMERA.width_px), WALL), (turned(0, 0, 2), (0.0227, -0.0136, 0.538))

@@ -14,6 +14,7 @@ from agent.kernel.config import Body
 from agent.kernel.estimation.matrix import cross
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.tags.layout import survey_jacobian
+from agent.kernel.navigation.tags.lens_errors import LensError, lens_errors
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.kernel.step_io import Slope
 
@@ -29,6 +30,8 @@ class View(NamedTuple):
     ahead_m: float
     arm_m: Vector  # of the gimbal's pivot, body frame
     surface_m: float  # height of the water
+    bend: float = 0.0
+    errors: tuple[LensError, ...] = ()  # of the calibration, where it says
 
 
 class Gaze(NamedTuple):
@@ -50,12 +53,14 @@ class Seen(NamedTuple):
     slope: Slope
     by_theta: tuple[tuple[float, ...], tuple[float, ...]]  # 2 x 8
     by_point: tuple[Vector, Vector]  # 2 x 3, world frame
+    per_m: float  # 1 over its distance along the optical axis from where rays meet
 
 
 def view(camera: CameraFit, body: Body, surface_m: float, focus: float | None) -> View:
     """The view of a calibrated camera with its lens at that position; None: unknown."""
+    errors = lens_errors(camera, focus)
     camera = at_lens_position(camera, focus)
-    return View(camera.f_px, camera.width_px, camera.ahead_m, body.camera_m, surface_m)
+    return View(camera.f_px, camera.width_px, camera.ahead_m, body.camera_m, surface_m, camera.bend, errors)
 
 
 def gaze(of: View, theta: Theta) -> Gaze:
@@ -113,7 +118,7 @@ def seen(of: View, at: Gaze, point_m: Vector) -> Seen | None:
         (-x_u, -y_u, yaw_u, z_u, roll_u, pitch_u, pan_u, tilt_u),
         (-x_v, -y_v, yaw_v, z_v, roll_v, pitch_v, pan_v, tilt_v),
     )
-    return Seen((sx, sy), by_theta, by_point)
+    return Seen((sx, sy), by_theta, by_point, per_m)
 
 
 def by_survey(of: Seen, middle_m: Vector, corner_m: Vector) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -5,8 +5,8 @@
 
 over tags t with V_t = L_t L_t' (tag_noise.py), rho Huber's per tag, by Gauss-Newton. Depth, level and gimbal are known
 beforehand but not exactly; place and yaw have no prior: a fix owes nothing to the prediction that it starts from. The
-covariance of (x, y, psi) is the block of (J' W J)^-1. Part of it, what survey and priors have wrong in the same way
-in every frame, no filter may take for noise: B.
+covariance of (x, y, psi) is the block of (J' W J)^-1, and what the camera's calibration has wrong. Part of it, which
+survey, priors and calibration have wrong in the same way in every frame, no filter may take for noise: B.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from agent.kernel.messages import Symmetric
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, forward_nine, inverse
 from agent.kernel.navigation.tags.layout import Marker
+from agent.kernel.navigation.tags.lens_errors import slope_error
 from agent.kernel.navigation.tags.projection import Gaze, Seen, Theta, View, gaze, seen
 from agent.kernel.navigation.tags.tag_noise import TagNoise, tag_noise
 from agent.kernel.navigation.tags.tag_priors import Priors
@@ -96,7 +97,7 @@ def tag_fix(
             return found
         odd = sum(weight < 1.0 for weight in found.normal.weights)
         if found.settled and 2 * odd < len(used):
-            return _fix(priors, used, found)
+            return _fix(of, priors, used, found)
         if len(used) < 3:
             return NoFix("the tags contradict each other, or the map")
         worst = min(range(len(used)), key=lambda k: found.normal.weights[k])
@@ -195,7 +196,7 @@ def _normal(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _N
     return _Normal(H, g, cost, weights, whitened)
 
 
-def _fix(priors: Priors, used: Sequence[_Used], found: _Minimum) -> TagFix:
+def _fix(of: View, priors: Priors, used: Sequence[_Used], found: _Minimum) -> TagFix:
     """The fix at the minimum, and its covariance."""
     normal, C = found.normal, inverse(found.L)
     odd = sum(weight < 1.0 for weight in normal.weights)
@@ -207,8 +208,36 @@ def _fix(priors: Priors, used: Sequence[_Used], found: _Minimum) -> TagFix:
     for k, prior in enumerate(priors, start=3):
         gain = prior.stays / prior.variance
         stays = plus(stays, _outer(gain * C[0][k], gain * C[1][k], gain * C[2][k]))
-    covariance = C[0][0], C[0][1], C[0][2], C[1][1], C[1][2], C[2][2]
-    return TagFix(found.theta, covariance, stays, normal.cost, len(used), odd)
+    by_lens = ZERO
+    for pull in _lens_pulls(of, priors, used, found):
+        by_lens = plus(by_lens, _outer(dot(C[0], pull), dot(C[1], pull), dot(C[2], pull)))
+    covariance = plus((C[0][0], C[0][1], C[0][2], C[1][1], C[1][2], C[2][2]), by_lens)
+    return TagFix(found.theta, covariance, plus(stays, by_lens), normal.cost, len(used), odd)
+
+
+def _lens_pulls(of: View, priors: Priors, used: Sequence[_Used], found: _Minimum) -> list[list[float]]:
+    """What each error of the calibration adds to J' W r: all tags are moved at once, and the gimbal turns."""
+    if not of.errors:
+        return []
+    at, pan, tilt = gaze(of, found.theta), found.theta[6], found.theta[7]
+    pulls = [
+        [0.0] * 6
+        + [(error.pan + error.pan_gain * pan) / priors.pan.variance]
+        + [(error.tilt + error.tilt_gain * tilt) / priors.tilt.variance]
+        for error in of.errors
+    ]
+    for (tag, marker, noise), weight, J in zip(used, found.normal.weights, found.normal.columns, strict=True):
+        expected = _expected(of, at, marker)
+        if expected is None:  # the last step, a hundredth of a millimetre, took it out of sight
+            continue
+        rows = []
+        for slope, point in zip(tag.corners, expected, strict=True):
+            moved = [slope_error(error, of.bend, slope, point.per_m) for error in of.errors]
+            rows += [[of.f_px * du for du, _ in moved], [of.f_px * dv for _, dv in moved]]
+        for pull, error_px in zip(pulls, zip(*forward_all(noise.L, rows), strict=True), strict=True):
+            for i, column in enumerate(J):
+                pull[i] += weight * dot8(column, error_px)
+    return pulls
 
 
 def _outer(x: float, y: float, p: float) -> Symmetric:

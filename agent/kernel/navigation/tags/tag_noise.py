@@ -19,12 +19,12 @@ from agent.kernel.navigation.tags.projection import Seen, View, by_survey
 from agent.kernel.step_io import SeenTag
 
 # Measured on rendered frames, blurred by 0 to 7 px, of 640x480.
-EDGE_PX = 0.12  # s_c of corners where fitted edges meet
+EDGE_PX = 0.08  # s_c of corners where fitted edges meet
 FOUND_PX = 0.8  # s_c of corners as a corner finder puts them
-OFFSET_PX = 0.10  # s_o in the middle of the picture
-BENT_PX = 0.5  # and what the lens's bending leaves of it at the edge, growing with the cube of the distance
+OFFSET_PX = 0.04  # s_o in the middle of the picture
+BENT_PX = 0.15  # and what the lens's bending leaves of it at the edge, growing with the cube of the distance
 EDGE_AT = 0.55  # of the picture's width, that edge
-STRETCH = 0.0025  # s_s: blur and threshold make all of a tag larger or smaller
+STRETCH = 0.0012  # s_s: blur and threshold make all of a tag larger or smaller
 # What a corner finder adds to it: it draws all four inwards alike, so that a small tag seems far away. In what was
 # rendered a tag without edges, seen from beyond 0.8 m, was 24 mm wrong (90 %) where it said 8.
 INWARDS_PX = 0.8
