@@ -7,8 +7,6 @@ docs/landmarks.md has it. Tags without edges are left out. Nothing is hidden by 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +16,7 @@ from agent.kernel.navigation.tags.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, OF
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Flow, SeenTag, SeenTags
 from agent.perception.landmarks.edges import module_px
-from agent.perception.landmarks.flow import MOST, has_stopped, is_due
+from agent.perception.landmarks.flow import MOST, STILL_PX, has_settled, is_due
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose
 from hw.twin.landmarks import true_tags
@@ -52,7 +50,7 @@ class DrawnCamera:
         self._frames = 0
         self._key: tuple[int, Array, Array] | None = None  # exposure, numbers of points, slopes then
         self._before: tuple[Array, NDArray[np.bool_]] | None = None  # slopes of all points, and which were seen
-        self._step_px = 0.0  # how far they moved in the picture from the frame before to that one
+        self._moved_ns = 0  # when the picture last moved
 
     def expose(self, pose: RobotPose, t_ns: int) -> tuple[SeenTags, Flow | None]:
         """A frame from there, the lens at rest."""
@@ -90,7 +88,8 @@ class DrawnCamera:
         """Points of the key frame that are still in the picture; a new one where that is due."""
         slopes, depths = self._project(self._points, at, axes)
         here = self._inside(slopes, depths)
-        told, stopped = None, self._stopped(slopes, here)
+        told = None
+        self._heed(slopes, here, t_ns)
         if self._key is not None:
             since_ns, numbers, then = self._key
             left = here[numbers]
@@ -98,22 +97,21 @@ class DrawnCamera:
             now = slopes[numbers[kept]] + self._rng.normal(0.0, FOLLOWED_PX / self._camera.f_px, (len(kept), 2))
             pairs = np.hstack([then[kept], now]).tolist()
             told = Flow(t_ns=t_ns, since_ns=since_ns, pairs=tuple((a, b, c, d) for a, b, c, d in pairs))
-            if stopped or is_due(since_ns, t_ns, left):
+            if has_settled(since_ns, t_ns, self._moved_ns) or is_due(since_ns, t_ns, left):
                 self._key = None
         if self._key is None:
             numbers = self._rng.permutation(np.flatnonzero(here))
             self._key = t_ns, numbers, slopes[numbers]
         return told if told is not None and told.pairs else None
 
-    def _stopped(self, slopes: Array, here: NDArray[np.bool_]) -> bool:
-        """Whether the picture moved from the frame before last to the last one, and has not since."""
-        moved_px = self._step_px
+    def _heed(self, slopes: Array, here: NDArray[np.bool_], t_ns: int) -> None:
+        """Take note of whether the picture moved since the frame before."""
         if self._before is not None:
             both = here & self._before[1]
             steps_px = self._camera.f_px * np.linalg.norm(slopes[both] - self._before[0][both], axis=1)
-            self._step_px = float(np.median(steps_px)) if len(steps_px) else math.inf
+            if not len(steps_px) or np.median(steps_px) > STILL_PX:
+                self._moved_ns = t_ns
         self._before = slopes, here
-        return has_stopped(moved_px, self._step_px)
 
     def _project(self, points_m: Array, at: Array, axes: Array) -> tuple[Array, Array]:
         """Slopes (n, 2) and depths (n,) of points (n, 3)."""

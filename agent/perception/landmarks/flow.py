@@ -34,6 +34,9 @@ AGREE_PX = 2.0  # between the two sizes; what slid to another point does not
 MOST = 64  # pairs in a message, the clearest points first
 KEPT, OLDEST_NS = 0.6, 4_000_000_000  # a new key frame where fewer of the points are left, or it is older
 STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
+# After a turn: for longer than the kernel thinks that a servo may still be on its way (navigation/gimbal_log.py), for
+# it makes nothing of a key frame in which it does not know where the camera points.
+STILL_NS = 200_000_000
 
 
 class KeyFrame(NamedTuple):
@@ -51,12 +54,17 @@ class Tracked(NamedTuple):
     t_ns: int
     points_px: Points  # where each was last seen
     left: Mask  # (n,) which are still followed
-    step_px: float = 0.0  # by which half of them moved, and more, since the frame before
+    moved_ns: int = 0  # of the newest frame in which half of them and more were elsewhere than in the one before
 
     @property
     def due(self) -> bool:
-        """Whether it is time for a new key frame."""
+        """Whether it is time for a new key frame, whatever the gimbal does."""
         return is_due(self.key.t_ns, self.t_ns, self.left)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is time for one because the gimbal has turned."""
+        return has_settled(self.key.t_ns, self.t_ns, self.moved_ns)
 
 
 def is_due(begun_ns: int, now_ns: int, left: Mask) -> bool:
@@ -65,15 +73,14 @@ def is_due(begun_ns: int, now_ns: int, left: Mask) -> bool:
     return now_ns - begun_ns > OLDEST_NS or bool(left.sum() < max(KEPT * len(left), 1))
 
 
-def has_stopped(before_px: float, step_px: float) -> bool:
-    """Whether the picture moved until the frame before this one, and no longer does: after a turn of the gimbal a new
-    key frame is due, too. Pixels by which half of the points moved, and more, from frame to frame."""
-    return step_px <= STILL_PX < before_px
+def has_settled(begun_ns: int, now_ns: int, moved_ns: int) -> bool:
+    """Whether the picture moved, at moved_ns, since the key frame of begun_ns, and has been still for a while."""
+    return begun_ns <= moved_ns <= now_ns - STILL_NS
 
 
-def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = ()) -> Tracked:
+def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = (), moved_ns: int = 0) -> Tracked:
     """A key frame: a whole frame (height, width, 3), with the camera at its lens position. No points on what is found
-    in it: that is neither floor nor wall, and may swim."""
+    in it: that is neither floor nor wall, and may swim. moved_ns: when the picture was last seen to move."""
     full = green(image)
     half = _halved(full)
     free = np.full(half.shape, 255, np.uint8)
@@ -87,7 +94,7 @@ def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = ()
         np.zeros((0, 2), np.float32) if corners is None else _from_half(np.asarray(corners, np.float32).reshape(-1, 2))
     )
     key = KeyFrame(t_ns, full, half, found, to_slopes(camera, found.astype(np.float64)))
-    return Tracked(key, t_ns, found, np.ones(len(found), bool))
+    return Tracked(key, t_ns, found, np.ones(len(found), bool), moved_ns)
 
 
 def follow(tracked: Tracked, image: Image, t_ns: int) -> Tracked:
@@ -104,7 +111,8 @@ def follow(tracked: Tracked, image: Image, t_ns: int) -> Tracked:
         agree = np.hypot(*(fine - coarse).T) <= AGREE_PX
         left[k], points[k] = seen & seen_too & inside & agree, fine
     went = np.hypot(*(points - tracked.points_px)[left].T)
-    return Tracked(key, t_ns, points, left, float(np.median(went)) if len(went) else np.inf)
+    still = len(went) > 0 and np.median(went) <= STILL_PX
+    return Tracked(key, t_ns, points, left, tracked.moved_ns if still else t_ns)
 
 
 def flow(tracked: Tracked, camera: CameraFit) -> Flow:

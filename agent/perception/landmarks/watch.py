@@ -13,7 +13,7 @@ from agent.kernel.ranging.calibration import CameraFit, FocusFit, at_lens_positi
 from agent.kernel.ranging.focus import lens_position
 from agent.kernel.step_io import Flow, SeenTags, Sighting
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes
-from agent.perception.landmarks.flow import Box, Tracked, begin, flow, follow, has_stopped
+from agent.perception.landmarks.flow import Box, Tracked, begin, flow, follow
 from agent.perception.landmarks.tags import seen_tags
 from hw.camera.camera import Frame
 
@@ -58,15 +58,16 @@ class LandmarkWatch:
         if lens_position != self.rest:
             found = replace(found, tags=tuple(tag for tag in found.tags if tag.edges))  # blur draws corners inwards
         camera = at_lens_position(self._camera, lens_position)
-        moved, due = None, True
+        moved, due, moved_ns = None, True, 0
         if self._tracked is not None:
             now = follow(self._tracked, frame.image, t_ns)
-            moved, due = flow(now, camera), now.due
+            moved, due, moved_ns = flow(now, camera), now.due, self._tracked.moved_ns
             if lens_position == self.rest:
-                due = due or has_stopped(self._tracked.step_px, now.step_px)
+                due, moved_ns = due or now.settled, now.moved_ns
                 self._tracked = now  # what a blur hides for a while is not lost
         if due and self._shows_points(lens_position):
-            self._tracked = begin(frame.image, camera, t_ns, [box for box in map(_around, targets) if box])
+            around = [box for box in map(_around, targets) if box]
+            self._tracked = begin(frame.image, camera, t_ns, around, moved_ns)
         self._newest_ns = t_ns
         with self._lock:
             self._tags.append(found)

@@ -119,12 +119,12 @@ def test_a_key_frame_is_followed_until_another_is_due(watch, floor) -> None:
     assert told == [pytest.approx(late_s + 0.3)]
 
 
-def test_a_key_frame_begins_when_the_gimbal_has_stopped(watch, floor) -> None:
+def test_a_key_frame_begins_when_the_gimbal_has_been_still_for_a_while(watch, floor) -> None:
     turned = np.roll(floor, 40, axis=1)
-    for t_s, image in ((1.0, floor), (1.1, turned), (1.2, turned), (1.3, turned), (1.4, turned)):
+    for t_s, image in ((1.0, floor), (1.1, turned), (1.2, turned), (1.3, turned), (1.4, turned), (1.5, turned)):
         see(watch, image, t_s)
     told = [round((flow.since_ns - OFFSET_NS) / SECOND, 2) for flow in watch.drain()[1]]
-    assert told == [1.0, 1.0, 1.2, 1.2]
+    assert told == [1.0, 1.0, 1.0, 1.3, 1.3]  # the kernel does not know where the camera points until then
 
 
 def test_points_keep_away_from_targets(watch, floor) -> None:
