@@ -57,10 +57,10 @@ def _piece(case: tuple[float, int]) -> Piece:
     return crossing(case[1], case[0], MINUTES)
 
 
-def crossing(seed: int, loss: float, minutes: float) -> Piece:
+def crossing(seed: int, loss: float, minutes: float, odometry: bool = True) -> Piece:
     """Ten robots that swim to and fro for that long."""
     xs, ys = (0.40, 0.95, 1.50, 2.05, 2.60), (0.5, 1.5)
-    tank = FleetInTank(fleet_of([(x, y, 0.0) for y in ys for x in xs]), seed, loss)
+    tank = FleetInTank(fleet_of([(x, y, 0.0) for y in ys for x in xs]), seed, loss, odometry)
     for one in tank.robots.values():
         one.agent.net.step = lambda state, work, inputs, now_ns: work(inputs, now_ns)  # no step breaks: a third quicker
     names, rng = list(tank.robots), np.random.default_rng((seed, 1))
