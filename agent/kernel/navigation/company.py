@@ -42,7 +42,8 @@ class Company:
 
     def waits(self, here: Belief | None, looks: bool, now_ns: int) -> bool:
         """Whether it leaves it to others to look for landmarks just now: a third of a fleet at a time, so that the
-        target is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it does."""
+        target is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it
+        does."""
         since_ns = self._looks_since_ns = (self._looks_since_ns or now_ns) if looks else None
         if here is None or direly_unsure(here):
             return False

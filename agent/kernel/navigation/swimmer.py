@@ -41,6 +41,7 @@ from agent.kernel.step_io import Flow, SeenTags, Telemetry
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
+BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilot's damping takes
 NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
@@ -153,11 +154,12 @@ class Swimmer:
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
         if here is None or not allowed or adrift(here):
             asked = STILL
-        elif self.lost:  # it holds on by the forces that it knows of: brakes, and leans against what pulls
-            stay = Reference(here.pose[:2], here.pose[2])
-            asked = wrench(here, self.localizer.hull, stay, AT_REST)
-        else:
+        elif self._lost_since_ns is None:
             asked = self._towards(here, watched_m, now_ns)
+        elif now_ns - self._lost_since_ns < BRAKES_NS:
+            asked = wrench(here, self.localizer.hull, Reference(here.pose[:2], here.pose[2]), AT_REST)
+        else:  # what it leans against may be drag that it believed wrong, and gone with its speed
+            asked = STILL
         self.localizer.sent(asked, now_ns)
         return asked
 
