@@ -1,8 +1,8 @@
 """How near ten robots come that cross a tank of 3 x 2 m, each told by the others where they are.
 
-Whole agents with tags in sight, tethers that pull and drags that are not as believed; bodies in the plane. Each swims
-to one place after the other, through all others. In six pieces, each from a seed of its own, side
-by side; an hour by AUCAMP_CROSSING_MIN=10.
+Whole agents with tags in sight and odometry, tethers that pull and drags that are not as believed; bodies in the plane,
+between walls. Each swims to one place after the other, through all others. In six pieces, each from a seed of its own,
+side by side; an hour by AUCAMP_CROSSING_MIN=10.
 Distances are between true centres, twenty times a second; the thruster rings of two robots touch at 0.34 m.
 """
 
