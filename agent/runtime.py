@@ -118,11 +118,12 @@ class Runtime:
             self._log(level, text, now_ns)
 
     def _act(self, outputs: Outputs, now_ns: int) -> None:
-        """Hand the outputs of a step to the devices and the network; nothing here waits."""
-        self._part("control module", lambda: self._module.send(outputs.set_point, now_ns))
+        """Hand the outputs of a step to the devices and the network; nothing here waits. What a part is told has a name
+        of its own: that it still answers does not mean that it takes orders."""
+        self._part("set-points", lambda: self._module.send(outputs.set_point, now_ns))
         if (sweep := outputs.sweep) is not None:
-            self._part("vision", lambda: self._eyes.plan(sweep))
-        self._part("links", lambda: self._say(outputs))
+            self._part("sweeps", lambda: self._eyes.plan(sweep))
+        self._part("words", lambda: self._say(outputs))
 
     def _say(self, outputs: Outputs) -> None:
         for estimate in outputs.says:

@@ -11,7 +11,7 @@ from agent.kernel.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, Symm
 
 class Presence(Message, frozen=True, kw_only=True):
     """Where a robot that swims is and where it goes, to one neighbour, so that they keep clear of each other. One that
-    does not know where it is says nothing."""
+    is lost says where it may be, by a wide `cov`; one that has not found itself yet says nothing."""
 
     schema: Annotated[int, means(NUMBER)] = SCHEMA
     fleet: Annotated[Id, means("name of the fleet")]

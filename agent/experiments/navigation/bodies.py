@@ -77,6 +77,7 @@ class PlanarBodies:
             self._pulls[name] = self._keeps * pull + np.sqrt(1.0 - self._keeps**2) * fresh
             if self.armed:
                 self._bodies[name].swim((*to.force_n, to.yaw_moment_nm), STEP_NS * 1e-9, (pull[0], pull[1], 0.0))
+                self._bodies[name].stay_in(*TANK.size_m[:2])
             way = np.array(to.servos_us[:2]) - self._servos_us[name]
             self._servos_us[name] += np.clip(way, -SLEW_US, SLEW_US)
         return {name: (at_rest(self.now_ns, self.armed),) for name in self._bodies}

@@ -13,6 +13,7 @@ from agent.kernel.navigation.body_model import Hull
 Array = NDArray[np.float64]
 
 STEP_S = 0.005
+RING_M = 0.17  # from the centre to the outside of the thruster ring
 WITHIN = {"drag": 2.0, "turn": 2.0, "mass": 1.15}  # a drawn body's constants are these times larger or smaller at most
 
 
@@ -43,6 +44,13 @@ class PlanarBody:
             inertia = [hull.mass_kg, hull.mass_kg, hull.inertia_kgm2]
             self.speed += STEP_S * (push + pull - drag * self.speed) / inertia
             self.at += STEP_S * self.speed
+
+    def stay_in(self, length_m: float, breadth_m: float) -> None:
+        """A wall of the tank stops the thruster ring that has come to it."""
+        for k, side_m in enumerate((length_m, breadth_m)):
+            if not RING_M <= self.at[k] <= side_m - RING_M:
+                self.at[k] = np.clip(self.at[k], RING_M, side_m - RING_M)
+                self.speed[k] = 0.0
 
 
 def drawn_hull(rng: np.random.Generator) -> Hull:

@@ -3,7 +3,6 @@ for landmarks."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 from msgspec.structs import replace
@@ -11,7 +10,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Fleet
 from agent.kernel.estimation.matrix import plus
 from agent.kernel.navigation.barrier import DELAY_S, Disc, Planar, Spread, keep_right, safe_velocity
-from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, UNSURE_DEG, UNSURE_M, within
+from agent.kernel.navigation.localizer import UNSURE_DEG, UNSURE_M, sigmas, within
 from agent.kernel.navigation.neighbours import Neighbours, content_fault
 from agent.kernel.navigation.pilot import Reference
 from agent.kernel.navigation.pose_filter import Belief
@@ -28,6 +27,7 @@ class Company:
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:
         self._fleet, self._name, self._incarnation, self._tank_m = fleet.fleet, name, incarnation, fleet.tank.size_m
         self.neighbours = Neighbours(fleet, name)
+        self._at_once = max(1, (1 + len(self.neighbours.letters.senders)) // 3)  # so many look for landmarks
         self._looks_since_ns: int | None = None  # at landmarks
         self._goal: Reference | None = None  # where it was told to be last
 
@@ -41,15 +41,17 @@ class Company:
         return safe_velocity(wanted, at_m, spread_m2, self._tank_m, things, robots)
 
     def waits(self, here: Belief | None, looks: bool, now_ns: int) -> bool:
-        """Whether it leaves it to others to look for landmarks just now: one of a fleet at a time, so that the target
-        is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it does."""
+        """Whether it leaves it to others to look for landmarks just now: a third of a fleet at a time, so that the
+        target is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it
+        does."""
         since_ns = self._looks_since_ns = (self._looks_since_ns or now_ns) if looks else None
-        if here is None or not within(here, WAIT_WITHIN * UNSURE_M, WAIT_WITHIN * UNSURE_DEG):
+        if here is None or direly_unsure(here):
             return False
         others = self.neighbours.glancing(now_ns)
         if since_ns is None:
-            return bool(others)
-        return now_ns - since_ns < YIELD_NS and any(name < self._name for name in others)
+            return len(others) >= self._at_once
+        first = sum(name < self._name for name in others)
+        return now_ns - since_ns < YIELD_NS and first >= self._at_once
 
     def say(
         self, here: Belief, behaviour: str, looks: bool, depth_m: float, seq: int, now_ns: int
@@ -83,13 +85,18 @@ class Company:
         return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.letters.senders)
 
 
+def direly_unsure(belief: Belief) -> bool:
+    """It has to look for landmarks at once, whoever else looks."""
+    return not within(belief, WAIT_WITHIN * UNSURE_M, WAIT_WITHIN * UNSURE_DEG)
+
+
 def pace(belief: Belief) -> float:
-    """Share of its speed that a robot may swim at: all of it until it is unsure of its place, nothing once it is lost.
-    It would be lost while it swims, and then drift on."""
-    xx, _, _, yy, _, pp = belief.covariance
-    place, yaw = math.sqrt(xx + yy), math.degrees(math.sqrt(pp))
-    sure = min((LOST_M - place) / (LOST_M - UNSURE_M), (LOST_DEG - yaw) / (LOST_DEG - UNSURE_DEG))
-    return min(max(sure, 0.0), 1.0)
+    """Share of its speed that a robot may swim and turn at: all of it until it is unsure of its place, nothing once it
+    is so unsure that it waits for nobody to look for landmarks. It would be lost while it swims, and then drift on; and
+    a camera that is turned to where landmarks should be misses them while the body turns on."""
+    place, yaw = sigmas(belief)
+    worst = max(place / UNSURE_M, yaw / UNSURE_DEG)
+    return min(max((WAIT_WITHIN - worst) / (WAIT_WITHIN - 1.0), 0.0), 1.0)
 
 
 def spread_ahead(here: Belief) -> Spread:

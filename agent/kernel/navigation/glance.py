@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import partial
+from typing import NamedTuple
 
 from agent.kernel.config import Body, Pose
 from agent.kernel.control.attitude import Attitude
@@ -13,28 +13,49 @@ from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.ranging.camera_model import look_at
 
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
-STEEP = 0.5  # cosine between a tag's normal and the way to it: beyond 60 degrees its corners say little
+CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, nobody says
+STEEP = 0.35  # cosine between a tag's normal and the way to it: beyond 70 degrees it is hardly found
 WAIT_NS = 700_000_000  # for the first frames in a direction, gimbal at rest
-NEAR_M = 0.35  # nearer, one fills the picture
-SEEN_DEG = 12.0  # from the middle of the picture
 SEARCH_DEG = tuple((pan, tilt) for tilt in (-10.0, -35.0) for pan in (0.0, 30.0, -30.0, 60.0, -60.0, 85.0, -85.0))
 
-Way = tuple[float, int, float, float]  # distance, id, pan, tilt of a landmark
+
+class Sure(NamedTuple):
+    """How well a robot knows its pose: one sigma."""
+
+    place_m: float
+    yaw_deg: float
+
+
+class Way(NamedTuple):
+    """To one landmark, from where the robot is believed to be."""
+
+    pan_deg: float
+    tilt_deg: float
+    distance_m: float
+    marker: int
+    worth: float  # share of its contrast that is left: less the more aslant, and the more water there is before it
+    room_deg: float  # how far from the middle of the picture its own may be: all of it is in there
+    sigma_deg: float  # of its direction, for all that is known of the pose
 
 
 class Glance:
     """One look for landmarks after the other, until the pose is sure enough."""
 
-    def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float) -> None:
-        self._markers, self._body, self._surface_m = tuple(markers), body, surface_m
+    def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float, half_deg: float) -> None:
+        """half_deg: from the middle of the picture to its nearest edge."""
+        self._markers, self._body, self._surface_m, self._half_deg = tuple(markers), body, surface_m, half_deg
         self._step = 0
         self._way: tuple[float, float] | None = None  # of this step: a gimbal that is told another angle never rests
         self._until_ns: int | None = None  # nobody knows while the gimbal is on its way
         self._blind = True  # the pose was not known
+        self._looked_at: set[int] = set()  # landmarks that were in the pictures before
 
-    def direction_deg(self, pose: Pose | None, level: Attitude, steady: bool, now_ns: int) -> tuple[float, float]:
-        """Pan and tilt to look at: where most landmarks are first, the next if that has not helped. Of a robot that
-        knows nothing: all around. steady: whether the gimbal rests where it was told to look before."""
+    def direction_deg(
+        self, pose: Pose | None, sure: Sure, level: Attitude, steady: bool, now_ns: int
+    ) -> tuple[float, float]:
+        """Pan and tilt to look at: where most landmarks are first; if that has not helped, where most others are. Of a
+        robot that knows too little for that: all around. steady: whether the gimbal
+        rests where it was told to look before."""
         if (pose is None) != self._blind:  # other ways, from the first on, when this one has had its time
             self._blind, self._step = pose is None, 0 if self._way is None else -1
         if not steady:
@@ -44,30 +65,61 @@ class Glance:
         elif now_ns >= self._until_ns:
             self._step, self._way, self._until_ns = self._step + 1, None, None
         if self._way is None:
-            ways = SEARCH_DEG if pose is None else self._in_reach(pose, level) or SEARCH_DEG
-            self._way = ways[self._step % len(ways)]
+            known = None if pose is None else self._best(pose, sure, level)
+            self._way = known or SEARCH_DEG[self._step % len(SEARCH_DEG)]
         return self._way
 
     def reset(self) -> None:
         self._step, self._way, self._until_ns = 0, None, None
+        self._looked_at.clear()
 
-    def _in_reach(self, pose: Pose, level: Attitude) -> tuple[tuple[float, float], ...]:
-        """Directions of landmarks that the gimbal can turn to, those first around which there are most."""
-        here = pose.x_m, pose.y_m, self._surface_m - level.depth_m
+    def _best(self, pose: Pose, sure: Sure, level: Attitude) -> tuple[float, float] | None:
+        """Towards the landmark around which there are most that no look has shown yet, seen as square as may be; of
+        several alike the nearest one. Then these have been looked at."""
+        ways = self._in_reach(pose, sure, level)
+        if all(way.marker in self._looked_at for way in ways):
+            self._looked_at.clear()
+        ways = [way for way in ways if way.marker not in self._looked_at]
+        if not ways:
+            return None
+        *_, best = min(
+            (-sum(other.worth * _chance(way, other) for other in ways), way.distance_m, k) for k, way in enumerate(ways)
+        )
+        way = ways[best]
+        self._looked_at.update(
+            other.marker for other in ways if other is way or _apart_deg(way, other) < other.room_deg
+        )
+        return way.pan_deg, way.tilt_deg
+
+    def _in_reach(self, pose: Pose, sure: Sure, level: Attitude) -> list[Way]:
+        """Landmarks that the gimbal can turn to, and that can be read from there."""
+        x, y, z = self._body.camera_m
+        c, s = math.cos(math.radians(pose.yaw_deg)), math.sin(math.radians(pose.yaw_deg))
+        here = pose.x_m + c * x - s * y, pose.y_m + s * x + c * y, self._surface_m - level.depth_m + z
         found: list[Way] = []
         for marker in self._markers:
+            distance_m, square = math.dist(here, marker.middle_m), facing(marker, here)
             pan, tilt = look_at(marker.middle_m, pose, self._body, *level, self._surface_m)
-            distance_m = math.dist(here, marker.middle_m)
             free = _within(pan, self._body.pan_limit_deg) and _within(tilt, self._body.tilt_limit_deg)
-            if free and NEAR_M < distance_m < FAR_M and facing(marker, here) > STEEP:
-                found.append((distance_m, marker.id, pan, tilt))
-        ranked = sorted((-sum(map(partial(_beside, way), found)), *way) for way in found)
-        return tuple((pan, tilt) for _, _, _, pan, tilt in ranked)
+            half_m = math.dist(marker.middle_m, marker.corners_m[0])
+            room_deg = self._half_deg - math.degrees(math.atan2(half_m, distance_m))
+            if free and distance_m < FAR_M and square > STEEP and room_deg > 0.0:
+                sigma_deg = math.hypot(sure.yaw_deg, math.degrees(math.atan2(sure.place_m, distance_m)))
+                worth = square * math.exp(-distance_m / CLEAR_M)
+                found.append(Way(pan, tilt, distance_m, marker.id, worth, room_deg, sigma_deg))
+        return found
 
 
-def _beside(way: Way, other: Way) -> bool:
-    """Whether a camera that looks at one sees the other as well."""
-    return math.hypot(way[2] - other[2], way[3] - other[3]) < SEEN_DEG
+def _chance(way: Way, other: Way) -> float:
+    """That a camera which looks at one has the whole of the other in the picture as well; the picture has soft edges,
+    so that it is a product of Gaussians."""
+    soft2, sigma2 = 0.5 * other.room_deg**2, other.sigma_deg**2
+    apart_deg = _apart_deg(way, other)
+    return soft2 / (soft2 + sigma2) * math.exp(-0.5 * apart_deg * apart_deg / (soft2 + sigma2))
+
+
+def _apart_deg(way: Way, other: Way) -> float:
+    return math.hypot(way.pan_deg - other.pan_deg, way.tilt_deg - other.tilt_deg)
 
 
 def _within(deg: float, limits: tuple[float, float]) -> bool:

@@ -37,6 +37,7 @@ STILL: Wrench = (*AT_REST, 0.0)
 UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
 SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
 LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
+ADRIFT_M, ADRIFT_DEG = 0.5, 45.0  # nor, beyond this, which way to brake or where landmarks should be
 # A rolling shutter shears what it sees of a robot that turns; the rows' own times are not modelled. At this rate, with
 # 30 ms from the first row to the last, a tag of 80 px is sheared by half a pixel: four times what its corners err.
 ROLLING_RAD_S = math.radians(5.0)
@@ -89,24 +90,24 @@ class Localizer:
             return
         self.refused = ""
         pose = found.theta[0], found.theta[1], found.theta[2]
-        if self._ring is None or before is None or self._astray(before):
+        if self._ring is None or before is None or adrift(before):
             begun = begin(frame.t_ns, pose, found.fluctuates, found.stays, self._gyro)
             self._ring = EventRing(begun, self.hull, Drift())
+            self._asked = STILL
             self.aid.reset()
         elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
             return
         self._fixes_ns.append(frame.t_ns)
 
     def _astray(self, then: Belief) -> bool:
-        """It did not know where it was then, nor has anything told it since: what it believed is no place to begin
-        from, and its filter has a yaw that goes round."""
-        assert self._ring is not None
-        return not within(then, LOST_M, LOST_DEG) and self._ring.newest_ns < then.t_ns
+        """It did not know where it was then, nor have landmarks told it since: what it believed is no place to begin
+        the search for a pose from."""
+        return not within(then, LOST_M, LOST_DEG) and not any(t_ns > then.t_ns for t_ns in self._fixes_ns)
 
     def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
         """Points of a key frame in a later one; level and gimbal at either exposure."""
         key, before = self.at(seen.since_ns), self.at(seen.t_ns)
-        if self._ring is None or key is None or before is None or self._astray(before):
+        if self._ring is None or key is None or before is None or adrift(before):
             return
         of = view(self._camera, self._body, self._surface_m, focus)
         start, end = whole(key.pose, _priors(then, key)), whole(before.pose, _priors(now, before))
@@ -161,6 +162,11 @@ class Localizer:
         return None if self._ring is None else self._ring.at(t_ns)
 
     @property
+    def fixed_ns(self) -> int:
+        """Exposure of the newest frame whose landmarks told it where it was; 0: none of the last seconds did."""
+        return max(self._fixes_ns, default=0)
+
+    @property
     def events(self) -> tuple[Event, ...]:
         """What has told it of its motion in the last moments, oldest first: forces asked for, fixes, rates."""
         return () if self._ring is None else self._ring.events
@@ -200,8 +206,19 @@ def hull_of(fit: BodyFit | None) -> Hull:
 
 def within(belief: Belief, place_m: float, yaw_deg: float) -> bool:
     """Whether it knows where it is that well: one standard deviation."""
+    place_sigma_m, yaw_sigma_deg = sigmas(belief)
+    return place_sigma_m <= place_m and yaw_sigma_deg <= yaw_deg
+
+
+def sigmas(belief: Belief) -> tuple[float, float]:
+    """One standard deviation of place, m, and of yaw, degrees, of what fluctuates."""
     xx, _, _, yy, _, pp = belief.covariance
-    return xx + yy <= place_m * place_m and pp <= math.radians(yaw_deg) ** 2
+    return math.sqrt(xx + yy), math.degrees(math.sqrt(pp))
+
+
+def adrift(belief: Belief) -> bool:
+    """It knows too little for what it believed to be of use: its filter has a yaw that may go round."""
+    return not within(belief, ADRIFT_M, ADRIFT_DEG)
 
 
 def foresees(belief: Belief) -> bool:

@@ -10,12 +10,13 @@ from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import Vector
+from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
-from agent.kernel.navigation.company import Company, pace
+from agent.kernel.navigation.company import Company, direly_unsure, pace
 from agent.kernel.navigation.gimbal_log import GimbalLog
-from agent.kernel.navigation.glance import Glance
+from agent.kernel.navigation.glance import Glance, Sure
 from agent.kernel.navigation.gyro import Gyro
 from agent.kernel.navigation.localizer import (
     LOST_DEG,
@@ -27,19 +28,23 @@ from agent.kernel.navigation.localizer import (
     UNSURE_M,
     Carriage,
     Localizer,
+    adrift,
     foresees,
+    sigmas,
     within,
 )
-from agent.kernel.navigation.pilot import wanted_velocity, wrench
+from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.net import SURFACE_M
 from agent.kernel.presence import Presence
-from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.step_io import Flow, SeenTags, Telemetry
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
+BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilot's damping takes
+NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
 
@@ -55,7 +60,8 @@ class Swimmer:
         self._depth_m = robot.depth_m
         self.localizer = Localizer(fleet, calibration)
         self._gyro = Gyro() if fleet.navigation.gyro else None
-        self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m)
+        half_deg = half_picture_deg(calibration.camera)
+        self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m, half_deg)
         self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way
         self._progress: Progress | None = None
@@ -136,16 +142,19 @@ class Swimmer:
         moves = self._found and (not self._glancing or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         waits = self.company.waits(here, self._glancing, now_ns)
-        if level is None or sure or waits or not (steady or self._glancing):
+        blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
+        dire = blind and here is not None and direly_unsure(here)
+        if level is None or sure or waits or not (steady or dire or self._glancing):
             self._glancing = False
             return False
         if not self._glancing:
-            if now_ns <= max(seek.pointing.steady_from_ns, self._swept_ns) + ARRIVED_NS:
+            if not dire and now_ns <= max(seek.pointing.steady_from_ns, self._swept_ns) + ARRIVED_NS:
                 return True
             self._glancing = True
             self._glance.reset()
-        pose = None if here is None or self.lost else seek.pose
-        pan, tilt = self._glance.direction_deg(pose, level, steady, now_ns)
+        by = self.here or here
+        pose, known = (None, NOTHING) if by is None or adrift(by) else (seek.pose, Sure(*sigmas(by)))
+        pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns)
         seek.look(pan, tilt, now_ns)
         return True
 
@@ -159,8 +168,15 @@ class Swimmer:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
         self._found = self._found and allowed  # whoever lies still may begin when it is well
-        by = self.here or here
-        asked = STILL if here is None or by is None or not self._found else self._towards(here, by, watched_m, now_ns)
+        by, since_ns = self.here or here, self._lost_since_ns
+        if here is None or by is None or not allowed or adrift(here):
+            asked = STILL
+        elif self._found:
+            asked = self._towards(here, by, watched_m, now_ns)
+        elif since_ns is not None and now_ns - since_ns < BRAKES_NS:
+            asked = wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST)
+        else:  # what it leans against may be drag that it believed wrong, and gone with its speed
+            asked = STILL
         self.localizer.sent(asked, now_ns)
         return asked
 
@@ -171,7 +187,8 @@ class Swimmer:
         if to.coast:
             return STILL
         share, turn_rad_s = pace(by), math.radians(self._limits.turn_deg_s)
-        to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=share * turn_rad_s)
+        turns = 0.0 if self._glancing else share  # the gimbal would look past the landmarks
+        to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=turns * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
@@ -179,14 +196,19 @@ class Swimmer:
         return wrench(by, self.localizer.hull, to, velocity)
 
     def say(self, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
-        """Where it is and where it goes, to each neighbour; nothing while it does not know where it is."""
+        """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""
         here, kind = self.localizer.at(now_ns), str(self._behaviour.__struct_config__.tag)
-        return () if here is None or self.lost else self.company.say(here, kind, self._glancing, depth_m, seq, now_ns)
+        return () if here is None else self.company.say(here, kind, self._glancing, depth_m, seq, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
         lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
         return SURFACE_M if lost else self._depth_m
+
+
+def half_picture_deg(camera: CameraFit) -> float:
+    """From the middle of the picture to its nearest edge."""
+    return math.degrees(math.atan(0.5 * min(camera.width_px, camera.height_px) / camera.f_px))
 
 
 def pose_of(belief: Belief) -> Pose:

@@ -1,8 +1,8 @@
 """How near ten robots come that cross a tank of 3 x 2 m, each told by the others where they are.
 
-Whole agents with tags in sight, tethers that pull and drags that are not as believed; bodies in the plane. Each swims
-to one place after the other, through all others. In six pieces, each from a seed of its own, side
-by side; an hour by AUCAMP_CROSSING_MIN=10.
+Whole agents with tags in sight and odometry, tethers that pull and drags that are not as believed; bodies in the plane,
+between walls. Each swims to one place after the other, through all others. In six pieces, each from a seed of its own,
+side by side; an hour by AUCAMP_CROSSING_MIN=10.
 Distances are between true centres, twenty times a second; the thruster rings of two robots touch at 0.34 m.
 """
 
@@ -57,10 +57,10 @@ def _piece(case: tuple[float, int]) -> Piece:
     return crossing(case[1], case[0], MINUTES)
 
 
-def crossing(seed: int, loss: float, minutes: float) -> Piece:
+def crossing(seed: int, loss: float, minutes: float, odometry: bool = True) -> Piece:
     """Ten robots that swim to and fro for that long."""
     xs, ys = (0.40, 0.95, 1.50, 2.05, 2.60), (0.5, 1.5)
-    tank = FleetInTank(fleet_of([(x, y, 0.0) for y in ys for x in xs]), seed, loss)
+    tank = FleetInTank(fleet_of([(x, y, 0.0) for y in ys for x in xs]), seed, loss, odometry)
     for one in tank.robots.values():
         one.agent.net.step = lambda state, work, inputs, now_ns: work(inputs, now_ns)  # no step breaks: a third quicker
     names, rng = list(tank.robots), np.random.default_rng((seed, 1))

@@ -19,6 +19,11 @@ from tests.sample_messages import telemetry
 START_NS, STEP_NS = 10**18, 50_000_000
 KEY_NS = 2_000_000_000  # how old a key frame gets
 FLOOR_M = np.array([(x, y, 0.0) for x in np.arange(0.0, 3.0, 0.08) for y in np.arange(0.0, 2.0, 0.08)])
+WALLS_M = np.array(
+    [(x, y, z) for z in np.arange(0.04, 0.6, 0.08) for x in np.arange(0.0, 3.0, 0.08) for y in (0.0, 2.0)]
+    + [(x, y, z) for z in np.arange(0.04, 0.6, 0.08) for x in (0.0, 3.0) for y in np.arange(0.0, 2.0, 0.08)]
+)
+FOLLOWED_PX = 0.17  # as agent/experiments/navigation/drawn_camera.py has it
 FRAME_STEPS, LATE_STEPS = 4, 2  # 5 Hz; what a frame shows is known 0.1 s after its exposure
 SLEW_US = 100  # of a servo in a step, as fast as the slowest that the kernel waits for
 CAMERA = CameraFit(
@@ -67,7 +72,9 @@ class InTank:
         self.now_ns, self.steps, self.frames = START_NS, 0, 0
         self.armed, self.ladder = True, 0
         self.sees_tags, self.sees_floor = True, False
-        self.key: tuple[int, np.ndarray] | None = None  # exposure, slopes of FLOOR_M
+        self.points_m = FLOOR_M  # that may be followed
+        self.key: tuple[int, np.ndarray] | None = None  # exposure, slopes of these points
+        self.looked_us, self.turned = np.array([1500.0, 1500.0]), False  # at the last exposure; the gimbal was turning
         self.servos_us = np.array([1500.0, 1500.0])
         self.depth_m = DEPTH_M
         self.coming: deque[tuple[int, SeenTags, Flow]] = deque()
@@ -80,17 +87,24 @@ class InTank:
         theta = (*self.body.at, self.depth_m, 0.0, 0.0, pan, tilt)
         self.frames += 1
         tags = sight(theta, self.rng, most=3) if self.sees_tags else []
-        return SeenTags(t_ns=self.now_ns, frame=self.frames, tags=tuple(tags)), self.flow(theta)
+        flow = self.flow(theta) if self.sees_floor else Flow(t_ns=self.now_ns, since_ns=self.now_ns, pairs=())
+        return SeenTags(t_ns=self.now_ns, frame=self.frames, tags=tuple(tags)), flow
 
     def flow(self, theta) -> Flow:
-        """Points of the floor since the key frame; a new one when that is due."""
-        slopes, depths = project(theta, FLOOR_M)
+        """Points since the key frame; a new one when that is due, or the gimbal has come to rest."""
+        slopes, depths = project(theta, self.points_m)
         slopes[(depths < 0.1) | np.any(np.abs(slopes) > HALF, axis=1)] = np.nan
-        if self.key is None:
+        if self.rng is not None:
+            slopes += self.rng.normal(0.0, FOLLOWED_PX / VIEW.f_px, slopes.shape)
+        turns = bool(np.any(self.servos_us != self.looked_us))
+        if self.key is None or (self.turned and not turns):
             self.key = self.now_ns, slopes
+        self.looked_us, self.turned = self.servos_us.copy(), turns
         since_ns, then = self.key
         pairs = np.hstack([then, slopes])
-        pairs = pairs[np.isfinite(pairs).all(axis=1)][:64]
+        pairs = pairs[np.isfinite(pairs).all(axis=1)]
+        if len(pairs) > 64:
+            pairs = pairs[np.linspace(0, len(pairs) - 1, 64).astype(int)]
         if self.now_ns - since_ns >= KEY_NS:
             self.key = self.now_ns, slopes
         return Flow(t_ns=self.now_ns, since_ns=since_ns, pairs=tuple(map(tuple, pairs.tolist())))
@@ -118,6 +132,7 @@ class InTank:
         slew_us = SLEW_US * step_ns / STEP_NS
         self.servos_us += np.clip(wanted - self.servos_us, -slew_us, slew_us)
         self.body.swim(self.wrench, step_ns * 1e-9, pull)
+        self.body.stay_in(*TANK_M[:2])
         return self.outputs
 
     def run(self, seconds, step_ns=STEP_NS) -> None:

@@ -9,7 +9,7 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Fleet, Goto, Link, Pose
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.step_io import Heard
-from tests.kernel.navigation.swimming_agent import STEP_NS, InTank, fleet, robot
+from tests.kernel.navigation.swimming_agent import FLOOR_M, STEP_NS, WALLS_M, InTank, fleet, robot
 
 PULL_N, PULLS_S = 0.05, 4.0  # of the tether, rms, and how long it is alike
 
@@ -35,12 +35,15 @@ def fleet_of(poses, **about) -> Fleet:
 class FleetInTank:
     """Agents that step one after the other; a word said in one step is heard in the next."""
 
-    def __init__(self, of: Fleet, seed: int, loss: float = 0.0) -> None:
-        """seed: of drag and mass of each body, of the pull of its tether, of what it sees, and of what is lost."""
+    def __init__(self, of: Fleet, seed: int, loss: float = 0.0, odometry: bool = False) -> None:
+        """seed: of drag and mass of each body, of the pull of its tether, of what it sees, and of what is lost.
+        odometry: points of floor and walls are followed from frame to frame."""
         self.rng, self.loss = np.random.default_rng(seed), loss
         self.robots = {
             name: InTank(of, seed=(seed, k), name=name, hull=self._hull()) for k, name in enumerate(of.robot)
         }
+        for one in self.robots.values() if odometry else ():
+            one.sees_floor, one.points_m = True, np.concatenate([FLOOR_M, WALLS_M])
         self._post: dict[str, list[Heard]] = {name: [] for name in of.robot}
         self._pull = {name: self._draw() for name in of.robot}
         self.silent: set[str] = set()  # whose words are all lost

@@ -11,6 +11,7 @@ from agent.kernel.navigation.barrier import (
     APART_1_S,
     BRAKE_M_S2,
     DELAY_S,
+    FLEES_M,
     MARGIN_M,
     NEAR_1_S,
     RINGS_M,
@@ -86,6 +87,16 @@ def test_one_that_is_silent_is_not_approached_and_nobody_flees_from_it() -> None
     near = (1.0, 1.0 + RINGS_M)  # by its last word
     assert clear_of(here, KNOWN, robot(near, STILL, KNOWN, 600.0)).least == pytest.approx(APART_1_S * MARGIN_M)
     assert robot(near, (0.1, 0.0), KNOWN, 600.0).at_m == pytest.approx((1.1, near[1]))  # it does not swim to the moon
+
+
+def test_one_that_may_be_anywhere_is_fled_from_so_far_and_not_approached_beyond() -> None:
+    """Three sigma are 0.9 m: of these FLEES_M count for who has to leave, all for who may come."""
+    lost = (0.09, 0.0, 0.09)
+    for spare_m, least in ((FLEES_M - 0.1, -0.1 * APART_1_S), (FLEES_M + 0.1, 0.0), (0.8, 0.0), (0.95, 0.05)):
+        there = (1.0 + RINGS_M + MARGIN_M + spare_m, 1.0)
+        for ours, theirs in ((KNOWN, lost), (lost, KNOWN)):
+            plane = clear_of((1.0, 1.0), ours, robot(there, STILL, theirs))
+            assert plane.least == pytest.approx(-approach_m_s(least) if least > 0.0 else -least)
 
 
 def test_a_safe_velocity_stays_as_it_is() -> None:

@@ -7,14 +7,14 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Body, Landmarks, Pose, Tag
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.navigation.glance import SEARCH_DEG, WAIT_NS, Glance
+from agent.kernel.navigation.glance import SEARCH_DEG, WAIT_NS, Glance, Sure
 from agent.kernel.navigation.tags.facing import facing
 from agent.kernel.navigation.tags.layout import markers
 
 SURFACE_M, LEVEL = 0.5, Attitude(0.3, 0.0, 0.0)  # 0.2 m above the floor
 HERE = Pose(x_m=1.0, y_m=1.0, yaw_deg=0.0)
 BODY = Body(camera_m=(0.0, 0.0, 0.0), pan_limit_deg=(-80.0, 80.0))
-MS = 1_000_000
+MS, KNOWN = 1_000_000, Sure(0.0, 0.0)
 
 
 def on_wall(number, y_m, face="x1", x_m=2.5):
@@ -22,16 +22,16 @@ def on_wall(number, y_m, face="x1", x_m=2.5):
 
 
 def glance(*tags, body=BODY):
-    return Glance(markers(Landmarks(size_m=0.08, tag=tags)).values(), body, SURFACE_M)
+    return Glance(markers(Landmarks(size_m=0.08, tag=tags)).values(), body, SURFACE_M, half_deg=14.0)
 
 
-def ways(of, count, pose=HERE):
+def ways(of, count, pose=HERE, sure=KNOWN):
     """What it looks at, one after the other, with a gimbal that takes as long to turn as it is waited for."""
-    found, now_ns = [of.direction_deg(pose, LEVEL, True, 0)], 0
+    found, now_ns = [of.direction_deg(pose, sure, LEVEL, True, 0)], 0
     while len(found) < count:
         for steady in (False, True, True):
             now_ns += WAIT_NS
-            way = of.direction_deg(pose, LEVEL, steady, now_ns)
+            way = of.direction_deg(pose, sure, LEVEL, steady, now_ns)
         found.append(way)
     return found
 
@@ -41,25 +41,33 @@ ALONE = on_wall(0, 0.5)  # nearer, to the right
 LEFT, RIGHT = pytest.approx((30.96, 0.0), abs=0.01), pytest.approx((-18.43, 0.0), abs=0.01)
 
 
-def test_where_most_landmarks_are_first_and_the_next_after_the_wait() -> None:
+def test_where_most_landmarks_are_first_and_after_the_wait_where_others_are() -> None:
     of = glance(*TWO, ALONE)
-    assert ways(of, 4) == [LEFT, pytest.approx((36.25, 0.0), abs=0.01), RIGHT, LEFT]
+    assert ways(of, 4) == [LEFT, RIGHT, LEFT, RIGHT]  # the other of the two was seen beside the first
 
 
-def test_of_two_alike_the_nearer_one_first() -> None:
+def test_of_two_the_one_that_murky_water_leaves_first() -> None:
     near, far = on_wall(5, 0.5), on_wall(4, 1.9)
     assert ways(glance(far, near), 2) == [RIGHT, LEFT]
 
 
+def test_who_hardly_knows_its_yaw_looks_to_where_it_can_hardly_miss() -> None:
+    """One landmark straight ahead and near, or four in a row from 20 to 40 degrees to the left."""
+    row = [on_wall(k, 1.0 + 1.5 * tan) for k, tan in enumerate((0.38, 0.52, 0.67, 0.83))]
+    of = glance(on_wall(9, 1.0, x_m=1.45), *row)
+    (sure,), (unsure,) = ways(of, 1), ways(glance(on_wall(9, 1.0, x_m=1.45), *row), 1, sure=Sure(0.1, 12.0))
+    assert sure == pytest.approx((0.0, 0.0)) and 25.0 < unsure[0] < 40.0
+
+
 def test_the_wait_counts_from_when_the_gimbal_rests_and_the_way_stays_the_same() -> None:
     of, moved = glance(*TWO, ALONE), replace(HERE, x_m=1.05, yaw_deg=2.0)
-    assert of.direction_deg(HERE, LEVEL, False, 0) == LEFT
-    assert of.direction_deg(moved, LEVEL, False, 5000 * MS) == LEFT
-    assert of.direction_deg(moved, LEVEL, True, 5100 * MS) == LEFT  # at rest from now on
-    assert of.direction_deg(moved, LEVEL, True, 5100 * MS + WAIT_NS - 1) == LEFT
-    assert of.direction_deg(HERE, LEVEL, True, 5100 * MS + WAIT_NS)[0] > 32.0
+    assert of.direction_deg(HERE, KNOWN, LEVEL, False, 0) == LEFT
+    assert of.direction_deg(moved, KNOWN, LEVEL, False, 5000 * MS) == LEFT
+    assert of.direction_deg(moved, KNOWN, LEVEL, True, 5100 * MS) == LEFT  # at rest from now on
+    assert of.direction_deg(moved, KNOWN, LEVEL, True, 5100 * MS + WAIT_NS - 1) == LEFT
+    assert of.direction_deg(HERE, KNOWN, LEVEL, True, 5100 * MS + WAIT_NS) == RIGHT
     of.reset()
-    assert of.direction_deg(HERE, LEVEL, True, 9000 * MS) == LEFT
+    assert of.direction_deg(HERE, KNOWN, LEVEL, True, 9000 * MS) == LEFT
 
 
 UNREACHABLE = {
@@ -67,7 +75,7 @@ UNREACHABLE = {
     "beyond the gimbal's pan": Tag(id=9, face="y1", position_m=(0.9, 2.0, 0.2)),
     "beyond its tilt": Tag(id=9, face="floor", position_m=(1.05, 1.05, 0.0)),
     "too far": on_wall(9, 1.0, x_m=3.1),
-    "too near": on_wall(9, 1.0, x_m=1.3),
+    "too near to be in the picture as a whole": on_wall(9, 1.0, x_m=1.2),
     "at a glance": Tag(id=9, face="y1", position_m=(2.2, 1.3, 0.2)),
     "from behind": on_wall(9, 1.0, "x0", 2.0),
 }

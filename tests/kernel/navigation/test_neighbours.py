@@ -145,7 +145,7 @@ def swapped(*, told: bool) -> tuple[FleetInTank, float, float]:
     """Two that swap places: the tank, their least distance, and how far on its left each had the other at least, m."""
     tank, least, left = FleetInTank(fleet_of(POSES[:2]), seed=4), 9.0, 9.0
     tank.silent = set() if told else {"r01", "r02"}
-    for step in range(11 * 20):
+    for step in range((13 if told else 8) * 20):
         tank.step()
         if step == 3 * 20:
             tank.goto("r01", POSES[1][:2])

@@ -7,11 +7,13 @@ from msgspec.structs import replace
 from agent.kernel.codec import encode
 from agent.kernel.config import Goto, Look, Orbit, Turn
 from agent.kernel.core import Agent
+from agent.kernel.navigation.company import pace
 from agent.kernel.navigation.event_ring import RING_NS
-from agent.kernel.navigation.localizer import UNSURE_DEG, UNSURE_M, within
-from agent.kernel.navigation.swimmer import ARRIVED_NS
+from agent.kernel.navigation.localizer import LOST_M, UNSURE_DEG, UNSURE_M, within
+from agent.kernel.navigation.swimmer import ARRIVED_NS, BRAKES_NS
 from agent.kernel.net import SURFACE_M
 from tests.kernel.navigation.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
+from tests.kernel.navigation.swimming_fleet import FleetInTank, fleet_of
 
 THERE = POSE.x_m, POSE.y_m, POSE.yaw_deg
 AT_REST = (0.0, 0.0, 0.0)
@@ -79,7 +81,35 @@ def test_no_force_while_the_module_may_not_turn_motors(how) -> None:
 # --- lost -------------------------------------------------------------------------------------------------------
 
 
-def test_lost_it_drifts_looks_around_surfaces_and_goes_on_when_it_is_found() -> None:
+def test_it_brakes_though_it_is_lost_and_tells_the_others_where_it_may_be() -> None:
+    """Landmarks are gone while it swims at full speed: it has stopped before it is lost, and nearly stays there."""
+    goto = Goto(x_m=2.4, y_m=1.0, yaw_deg=0.0)
+    one = FleetInTank(fleet_of([(0.7, 1.0, 0.0), (0.6, 0.4, 0.0)], behaviour=goto), seed=4).robots["r01"]
+    assert one.until(lambda: one.body.speed[0] > 0.2, 8.0)
+    one.sees_tags = False
+    assert one.until(lambda: one.agent.swimmer.lost, 4.0)
+    at_m, said = one.body.at[:2].copy(), []
+    assert np.hypot(*one.body.speed[:2]) < 0.05
+    for _ in range(3 * 20):
+        said += one.step().near or ()
+    assert np.hypot(*(one.body.at[:2] - at_m)) < 0.10 and one.wrench == AT_REST
+    off_m = np.hypot(said[-1].x_m - one.body.at[0], said[-1].y_m - one.body.at[1])
+    sigma_m = np.sqrt(said[-1].cov[0] + said[-1].cov[3])
+    assert len(said) >= 25 and sigma_m > LOST_M and off_m < 3.0 * sigma_m
+
+
+def test_it_stands_still_while_it_looks_for_landmarks() -> None:
+    """Turned to where landmarks should be, its camera would miss them."""
+    one = InTank(fleet(behaviour=Turn(yaw_deg=170.0)))
+    assert one.until(lambda: abs(one.body.speed[2]) > 0.5, 6.0)
+    one.sees_tags = False
+    assert one.until(lambda: one.agent.swimmer._glancing, 4.0)
+    one.run(0.6)
+    assert abs(one.body.speed[2]) < 0.1 and one.off(0.0, 0.0, 170.0)[1] > 10.0
+    assert 0.0 < pace(one.agent.swimmer.localizer.at(one.now_ns)) < 1.0 or one.agent.swimmer.lost
+
+
+def test_lost_it_brakes_looks_around_surfaces_and_goes_on_when_it_is_found() -> None:
     one = InTank(fleet(), seed=5)
     assert one.until(lambda: not one.agent.swimmer.lost, 3.0)
     one.run(1.0)
@@ -88,9 +118,13 @@ def test_lost_it_drifts_looks_around_surfaces_and_goes_on_when_it_is_found() -> 
     since_ns, ways = one.now_ns, set()
     while one.outputs.set_point.depth_m == DEPTH_M:
         one.step(8 * STEP_NS)  # a busy computer; what it does does not hang on how often
-        assert one.wrench == AT_REST
+        assert one.wrench == AT_REST or one.now_ns - since_ns < BRAKES_NS
         ways.add(one.agent.seek.pointing.goal_us)
-    assert 30.0 < (one.now_ns - since_ns) * 1e-9 < 30.9 and one.outputs.set_point.depth_m == SURFACE_M
+    assert (
+        one.wrench == AT_REST
+        and 30.0 < (one.now_ns - since_ns) * 1e-9 < 30.9
+        and one.outputs.set_point.depth_m == SURFACE_M
+    )
     assert len(ways) > 6
     one.body.at += (0.30, -0.15, np.radians(150.0))  # somebody gave it a push
     one.sees_tags = True
