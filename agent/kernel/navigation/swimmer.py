@@ -138,8 +138,8 @@ class Swimmer:
                 return True
             self._glancing = True
             self._glance.reset()
-        pose, sure = (None, NOTHING) if here is None or adrift(here) else (pose_of(here), Sure(*sigmas(here)))
-        pan, tilt = self._glance.direction_deg(pose, sure, level, steady, now_ns)
+        pose, known = (None, NOTHING) if here is None or adrift(here) else (pose_of(here), Sure(*sigmas(here)))
+        pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns)
         seek.look(pan, tilt, now_ns)
         return True
 
