@@ -37,7 +37,8 @@ def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]
     """None where the calibration does not say how good it is. camera: as calibrated; focus: the frame's."""
     if camera.covariance is None:
         return ()
-    rows, rest = [], list(camera.covariance)
+    rows: list[list[float]] = []
+    rest = list(camera.covariance)
     for i in range(NUMBERS):
         rows.append([rows[k][i] for k in range(i)] + rest[: NUMBERS - i])
         del rest[: NUMBERS - i]
