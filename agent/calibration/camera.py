@@ -52,6 +52,7 @@ def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | Non
         lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
         # OpenCV's k1 is our bend; what else the old scale went with does not belong to the new one.
         fresh = {"bend": fit.k1, "ahead_m": 0.0, "lens": 0.0, "breathing": 0.0, "scale_covariance": [0.0, 0.0, 0.0]}
+        kept = {key: value for key, value in kept.items() if key != "covariance"}  # it was of the old one
         console.print(put(out, "camera", {**kept, **sizes, **lens, **fresh}, folder))
     return fit
 

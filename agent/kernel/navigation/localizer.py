@@ -27,7 +27,7 @@ from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.tags.projection import view
 from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
-from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors
+from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors, wake_rad
 from agent.kernel.ranging.calibration import BodyFit, Calibration
 from agent.kernel.ranging.fix import Fix
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
@@ -112,7 +112,9 @@ class Localizer:
         of = view(self._camera, self._body, self._surface_m, focus)
         start, end = whole(key.pose, _priors(then, key)), whole(before.pose, _priors(now, before))
         settling = (not then.gimbal.rests) + (not now.gimbal.rests)
-        moved = odometry(of, start, end, seen.pairs, self._water_m, settling * math.radians(TURNING_DEG))
+        wake = math.hypot(*(wake_rad(math.hypot(belief.x[3], belief.x[4])) for belief in (key, before)))
+        unsettled = settling * math.radians(TURNING_DEG)
+        moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake)
         if moved is not None:
             self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, moved.covariance))
 

@@ -7,7 +7,8 @@ is at t, turned by dpsi, and sees a at
     q = R(dpsi)' (a - t) - o ;  bearing = atan2(q_y, q_x) ;  elevation = atan2(q_z, |q_xy|) + e
 
 t, dpsi and e minimise the sum of squares, by Gauss-Newton. e, by which all points are seen too high alike, is what
-noise of the level does (0.05 degrees, which looks like 6 mm of way on a floor 1.2 m off), or a gimbal that settles.
+noise of the level does (0.05 degrees, which looks like 6 mm of way on a floor 1.2 m off), its wake or a gimbal that
+settles.
 
 Always from the key frame, never from the frame before: increments would be wrong one after the other.
 """
@@ -56,11 +57,14 @@ class Moved(NamedTuple):
     pairs: int  # that agreed
 
 
-def odometry(of: View, then: Theta, now: Theta, pairs: Sequence[Pair], box_m: Box, unsettled: float) -> Moved | None:
+def odometry(
+    of: View, then: Theta, now: Theta, pairs: Sequence[Pair], box_m: Box, unsettled: float, wake: float = 0.0
+) -> Moved | None:
     """None where too few points agree.
 
     then, now: at either exposure; place and yaw of then tell which wall a ray meets, those of now where to begin.
-    unsettled: sigma of the angle that a gimbal which was not at rest may be off by, rad.
+    unsettled: sigma of the angle that a gimbal which was not at rest may be off by, rad; wake: of what the level is off
+    by as the robot swims.
     """
     eye_then, eye_now = upright(of, then), upright(of, now)
     points = []
@@ -70,7 +74,7 @@ def odometry(of: View, then: Theta, now: Theta, pairs: Sequence[Pair], box_m: Bo
             x, y, z = direction(eye_now, (x_now, y_now))
             points.append(Point(place_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y))))
     state, kept, off, L = [*_between(then, now), 0.0], points, 0.0, None
-    lift = math.hypot(LEVEL_RAD, unsettled)
+    lift = math.hypot(LEVEL_RAD, unsettled, wake)
     for _ in range(ROUNDS):
         if len(kept) < FEWEST:
             return None

@@ -1,6 +1,7 @@
 """What a calibration has wrong of camera and gimbal moves all tags of all frames in one pattern: no filter averages it.
 
-    c + f (1 + b |s|^2) s = pixel ;  M ds = -((1 + b |s|^2) s dln f + |s|^2 s db + dc / f) ,  M = (1 + b |s|^2) I + 2 b s s'
+    c + f (1 + b |s|^2) s = pixel
+    M ds = -((1 + b |s|^2) s dln f + |s|^2 s db + dc / f) ,  M = (1 + b |s|^2) I + 2 b s s'
 
 The covariance of the calibration's ten numbers is taken apart into ten errors that know nothing of each other, each of
 one sigma.
@@ -36,7 +37,8 @@ def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]
     """None where the calibration does not say how good it is. camera: as calibrated; focus: the frame's."""
     if camera.covariance is None:
         return ()
-    rows, rest = [], list(camera.covariance)
+    rows: list[list[float]] = []
+    rest = list(camera.covariance)
     for i in range(NUMBERS):
         rows.append([rows[k][i] for k in range(i)] + rest[: NUMBERS - i])
         del rest[: NUMBERS - i]
@@ -46,11 +48,9 @@ def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]
     travel = 0.0 if focus is None else focus - camera.lens
     errors = []
     for k in range(NUMBERS):
-        f, bend, cx, cy, ahead_m, breathing, pan, tilt, pan_gain, tilt_gain = ([0.0] * k + [row[k] for row in L[k:]])
+        f, bend, cx, cy, ahead_m, breathing, pan, tilt, pan_gain, tilt_gain = [0.0] * k + [row[k] for row in L[k:]]
         scale, zeros = f + breathing * travel, (math.radians(pan), math.radians(tilt))
-        errors.append(
-            LensError(scale, bend, cx / camera.f_px, cy / camera.f_px, ahead_m, *zeros, pan_gain, tilt_gain)
-        )
+        errors.append(LensError(scale, bend, cx / camera.f_px, cy / camera.f_px, ahead_m, *zeros, pan_gain, tilt_gain))
     return tuple(errors)
 
 

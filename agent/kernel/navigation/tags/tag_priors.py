@@ -35,6 +35,11 @@ class Priors(NamedTuple):
     tilt: Prior
 
 
+def wake_rad(speed_m_s: float) -> float:
+    """Sigma of what roll and pitch are off by as a robot swims."""
+    return math.radians(WAKE_DEG_S2_M2 * speed_m_s * speed_m_s)
+
+
 def priors(
     level: Attitude, gimbal_deg: tuple[float, float], speed_m_s: float, turning: bool, zero_deg: float = 0.0
 ) -> Priors:
@@ -43,8 +48,7 @@ def priors(
     gimbal_deg: pan and tilt as the servos really do them; turning: whether they may still be moving; zero_deg: sigma of
     their calibrated zeros, which is in every frame the same.
     """
-    wake_deg = WAKE_DEG_S2_M2 * speed_m_s * speed_m_s
-    fluctuates = math.radians(max(LEVEL_DEG, wake_deg))
+    fluctuates = max(math.radians(LEVEL_DEG), wake_rad(speed_m_s))
     roll, pitch = (
         Prior(math.radians(deg), fluctuates, math.radians(LEVEL_DRIFT_DEG)) for deg in (level.roll_deg, level.pitch_deg)
     )

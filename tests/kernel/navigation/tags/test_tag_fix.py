@@ -1,22 +1,18 @@
 """Pose from tags: derivatives by central differences, minimum and covariance by GTSAM, honesty by many draws."""
 
-import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import Body
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.messages import upper
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import survey_jacobian
-from agent.kernel.navigation.tags.projection import by_survey, gaze, seen, slope, view
+from agent.kernel.navigation.tags.projection import by_survey, gaze, seen, slope
 from agent.kernel.navigation.tags.tag_fix import HUBER, NoFix, TagFix, tag_fix
 from agent.kernel.navigation.tags.tag_priors import Prior
 from agent.kernel.navigation.tags.tag_priors import priors as known_before
-from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.kernel.step_io import SeenTag
-from agent.perception.landmarks.slopes import to_pixels, to_slopes
 from tests.kernel.navigation.tank_with_tags import (
     BENT_PX,
     DEPTH_M,
@@ -197,51 +193,6 @@ def test_what_stays_is_what_survey_and_zeros_do_to_a_fix() -> None:
             expected += np.outer(gain, gain)
     np.testing.assert_allclose(full(fix.stays), expected, rtol=0.03, atol=1e-3 * expected.max())
     assert np.linalg.eigvalsh(full(fix.fluctuates)).min() > 0.0
-
-
-def test_what_stays_has_what_a_calibration_has_wrong() -> None:
-    """Against fixes with the calibration that one error at a time would have made of the same pixels."""
-    names = ("f_px", "bend", "cx_px", "cy_px", "ahead_m", "breathing", "pan_zero_deg", "tilt_zero_deg")
-    names = (*names, "pan_gain", "tilt_gain")
-    rng, (_, theta) = np.random.default_rng(7), next(places(3, 1, least=3))
-    sigma = np.array([3e-4, 0.01, 0.5, 0.8, 3e-4, 1e-7, 0.03, 0.05, 1e-3, 1e-3])
-    mixed = sigma[:, None] * (np.eye(10) + 0.5 * rng.standard_normal((10, 10)))
-    covariance = mixed @ mixed.T
-    body, focus = Body(camera_m=VIEW.arm_m), 500.0
-    known = CameraFit(
-        width_px=640, height_px=480, f_px=VIEW.f_px, cx_px=320.0, cy_px=240.0, bend=0.39, ahead_m=VIEW.ahead_m
-    )
-    at_lens = at_lens_position(known, focus)
-    tags, before = sight(theta), priors(theta)
-    pixels = [to_pixels(at_lens, np.array(tag.corners)) for tag in tags]
-
-    def fixed(camera):
-        of = view(camera, body, VIEW.surface_m, focus)
-        slopes = [to_slopes(at_lens_position(camera, focus), px) for px in pixels]
-        told = [
-            SeenTag(tag.id, tuple(map(tuple, corners.tolist())), tag.size_px, tag.rho_px, True)
-            for tag, corners in zip(tags, slopes, strict=True)
-        ]
-        pan, tilt = before.pan.value, before.tilt.value
-        pan = np.radians(camera.pan_zero_deg) + camera.pan_gain * pan
-        tilt = np.radians(camera.tilt_zero_deg) + camera.tilt_gain * tilt
-        turned = before._replace(pan=before.pan._replace(value=pan), tilt=before.tilt._replace(value=tilt))
-        return tag_fix(of, turned, MAP, told, theta[:3])
-
-    def wrong(name, by):
-        value = getattr(known, name)
-        return msgspec.structs.replace(known, **{name: value * np.exp(by) if name == "f_px" else value + by})
-
-    gains = [
-        np.subtract(fixed(wrong(name, h)).theta, fixed(wrong(name, -h)).theta)[:3] / (2 * h)
-        for name, h in zip(names, 0.1 * sigma, strict=True)
-    ]
-    says = fixed(msgspec.structs.replace(known, covariance=tuple(covariance[np.triu_indices(10)].tolist())))
-    expected = np.transpose(gains) @ covariance @ gains
-    np.testing.assert_allclose(
-        full(says.stays) - full(fixed(known).stays), expected, rtol=0.03, atol=0.01 * np.diag(expected).min()
-    )
-    np.testing.assert_allclose(full(says.fluctuates), full(fixed(known).fluctuates), rtol=1e-9)
 
 
 def test_one_tag_seen_elsewhere_does_little() -> None:
