@@ -22,7 +22,7 @@ from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.pose_filter import Drift, add_sighting, begin, keep_key
 from agent.kernel.step_io import SeenTags
-from tests.kernel.navigation.drifting import S, drifted
+from tests.kernel.navigation.aid.drifting import S, drifted
 
 OWN = upper(np.array([[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 9e-4]]))
 STAYS = upper(np.diag([4e-6, 1e-6, 2e-6]))
