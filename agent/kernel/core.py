@@ -19,6 +19,7 @@ from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
+from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
 from agent.kernel.presence import Presence
@@ -110,6 +111,8 @@ class Agent:
 
     def _measure(self, now_ns: int) -> SweepOutcome | UnsetType:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
+        if self.swimmer is not None and (late := self.swimmer.localizer.settled(now_ns)) is not None:
+            self.targets[late[0]].measure(late[1])
         result = self.seek.finish(now_ns)
         if (remark := self.seek.remark()) is not None:
             self._note("warning", remark, now_ns)
@@ -118,22 +121,23 @@ class Agent:
         if isinstance(result, Rejected):
             self._note("info", f"sweep rejected: {result.reason}", now_ns)
             return sweep_outcome(self.current.name, result)
-        fix = self._fix(result, now_ns)
+        known = None if self.swimmer is None else self.swimmer.localizer.of_sample(result.t_ns, now_ns)
+        fix = self._fix(result, known)
         if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
-            self.current.measure(Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2))
-            self._aid(result, now_ns)
+            prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2)
+            if known is None or not self._sight(result, known, prior, now_ns):
+                self.current.measure(prior)
         return sweep_outcome(self.current.name, result, fix)
 
-    def _fix(self, peak: Measurement, now_ns: int) -> Fix | NoRange:
-        """Where a sweep's peak puts the target."""
+    def _fix(self, peak: Measurement, known: tuple[Belief, OwnPose] | None) -> Fix | NoRange:
+        """Where a sweep's peak puts the target; known: where a robot that swims was then."""
         level = self.attitude.at(peak.t_ns)
         if level is None:
             return NoRange("no telemetry at the time of its sharpest frame")
         pose, own = None, None
         if self.swimmer is not None:
-            known = self.swimmer.localizer.of_sample(peak.t_ns, now_ns)
             if known is None:
                 return NoRange("where it was itself at the time of its sharpest frame is not known")
             pose, own = pose_of(known[0]), known[1]
@@ -146,20 +150,26 @@ class Agent:
         ball, cues = self.current.ball, self._fleet.ranging.cues
         return locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
 
-    def _aid(self, peak: Measurement, now_ns: int) -> None:
-        """Where others say that the target is tells a robot that swims where it is itself."""
-        if self.swimmer is None or self.current.estimator.by_others() is None:
-            return
-        there, level = self.swimmer.localizer.at(peak.t_ns), self.attitude.at(peak.t_ns)
-        if there is not None and level is not None:
-            seen = self._located(peak, self.seek.eye(level, pose_of(there)), EXACT)
-            if isinstance(seen, Fix):
-                self.swimmer.localizer.sight(self.current.name, peak.t_ns, seen)
+    def _sight(self, peak: Measurement, known: tuple[Belief, OwnPose], prior: Prior, now_ns: int) -> bool:
+        """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also
+        tell it where it is, by what others say of the target."""
+        level = self.attitude.at(peak.t_ns)
+        if self.swimmer is None or level is None:
+            return False
+        seen = self._located(peak, self.seek.eye(level, pose_of(known[0])), EXACT)
+        if isinstance(seen, Fix):
+            self.swimmer.localizer.sight(self.current.name, seen, known, prior, now_ns)
+        return isinstance(seen, Fix)
+
+    @property
+    def _settling(self) -> bool:
+        return self.swimmer is not None and self.swimmer.localizer.settling
 
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
-        waiting = target.prior is None and self.seek.measuring and elapsed_ns < LATEST_ITERATION * self._iteration_ns
+        coming = self.seek.measuring or self._settling
+        waiting = target.prior is None and coming and elapsed_ns < LATEST_ITERATION * self._iteration_ns
         if elapsed_ns < self._iteration_ns or waiting:
             return
         self._iterated_ns = now_ns
@@ -171,7 +181,7 @@ class Agent:
     def _act(self, now_ns: int) -> SweepPlan | None:
         """Whose turn it is, gimbal and lens."""
         before = self.scheduler.target
-        if not self.seek.measuring and self.current.prior is None:
+        if not self.seek.measuring and not self._settling and self.current.prior is None:
             self.scheduler.next({name: target.estimator.t for name, target in self.targets.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
@@ -182,7 +192,9 @@ class Agent:
             return None
         believed = self.current.estimator.posterior
         told_m = believed.x_m if believed else None
-        wanted = self.current.prior is None and (self.swimmer is None or self.swimmer.calm(now_ns))
+        wanted = (
+            self.current.prior is None and not self._settling and (self.swimmer is None or self.swimmer.calm(now_ns))
+        )
         plan = self.seek.act(now_ns, self.scheduler.target, level, told_m, wanted)
         if self.scheduler.target != before:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.kernel.estimation.interface import Posterior
@@ -101,10 +102,7 @@ class Aid:
 
     def begin(self, settled: Belief) -> None:
         """Run from that belief of the own filter on: it is of begins_ns()."""
-        self._ring = EventRing(settled, self._hull, Drift(), LATE_NS)
-        for each in sorted((*self._log, *map(_event, self._seen))):
-            if each.t_ns > settled.t_ns:
-                self._ring.add(each)
+        self._ring = self._run(settled, self._seen)
 
     def at(self, own: Belief, others: Posterior | None) -> Belief | None:
         """The aided pose at the time of the own one; None where there is none, or the own one needs no aid any more."""
@@ -119,6 +117,23 @@ class Aid:
         believed = self._ring.at(own.t_ns)
         return None if believed is None else aided(believed, others, self._seen[-1].alike_m2)
 
+    def smoothed(self, seen: Seen, before: Belief) -> tuple[Vector, Symmetric] | None:
+        """The target's place and its covariance, m and m^2, by all that happened until now: later fixes tell where the
+        robot was at the sighting. before: the own filter's belief just before it. None: nothing better is known."""
+        belief = self._run(before, (seen,)).newest
+        if not belief.has_target:
+            return None
+        place, spread_m2, _ = _target(belief)
+        return place, spread_m2
+
+    def _run(self, settled: Belief, sightings: Iterable[Seen]) -> EventRing:
+        """A filter with these sightings and all that the own one was told after that belief."""
+        ring = EventRing(settled, self._hull, Drift(), LATE_NS)
+        for each in sorted((*self._log, *map(_event, sightings))):
+            if each.t_ns > settled.t_ns:
+                ring.add(each)
+        return ring
+
     def _forget(self) -> None:
         self._seen.clear()
         self._ring = None
@@ -129,9 +144,7 @@ def aided(believed: Belief, others: Posterior, alike_m2: Symmetric) -> Belief | 
     refused (None). alike_m2: of the robot's sightings, what is wrong in all of them."""
     if not believed.has_target:
         return None
-    n = len(believed.x) - (6 if believed.key_ns is not None else 3)
-    P, (x, y, z) = believed.P, believed.x[n : n + 3]
-    spread = P[n][n], P[n][n + 1], P[n][n + 2], P[n + 1][n + 1], P[n + 1][n + 2], P[n + 2][n + 2]
+    P, ((x, y, z), spread, n) = believed.P, _target(believed)
     arm_m = x - believed.x[0], y - believed.x[1], 0.0
     S = plus(plus(plus(spread, others.cov_m2), alike_m2), carried(arm_m, believed.stays))
     precision, miss_m = inverse(S), (others.x_m[0] - x, others.x_m[1] - y, others.x_m[2] - z)
@@ -153,6 +166,13 @@ def offset_m(from_pose: Vector, place_m: Vector) -> Vector:
     east, north = place_m[0] - from_pose[0], place_m[1] - from_pose[1]
     c, s = math.cos(from_pose[2]), math.sin(from_pose[2])
     return c * east + s * north, c * north - s * east, place_m[2]
+
+
+def _target(belief: Belief) -> tuple[Vector, Symmetric, int]:
+    """Its place in the state, the covariance of that, and where in the state it is."""
+    n, P = len(belief.x) - (6 if belief.key_ns is not None else 3), belief.P
+    spread = P[n][n], P[n][n + 1], P[n][n + 2], P[n + 1][n + 1], P[n + 1][n + 2], P[n + 2][n + 2]
+    return (belief.x[n], belief.x[n + 1], belief.x[n + 2]), spread, n
 
 
 def _event(seen: Seen) -> Event:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.estimation.interface import Posterior
-from agent.kernel.estimation.matrix import plus
+from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.estimation.matrix import minus, plus, times
 from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.barrier import STILL as AT_REST
@@ -30,12 +30,13 @@ from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix, whole
 from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors, wake_rad
 from agent.kernel.ranging.calibration import BodyFit, Calibration
 from agent.kernel.ranging.fix import Fix
-from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, kappa, longest_gap_s
+from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, carried, kappa, longest_gap_s
 from agent.kernel.step_io import Flow, SeenTags
 
 STILL: Wrench = (*AT_REST, 0.0)
 UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
 SURE_M, SURE_DEG = 0.006, 0.5  # which is over when it knows as well as this
+SETTLED, SETTLE_NS = 3, 600_000_000  # fixes after a measurement that it awaits, and for how long
 LOST_M, LOST_DEG = 0.15, 10.0  # and beyond this it does not know where it is
 ADRIFT_M, ADRIFT_DEG = 0.5, 45.0  # nor, beyond this, which way to brake or where landmarks should be
 # A rolling shutter shears what it sees of a robot that turns; the rows' own times are not modelled. At this rate, with
@@ -49,6 +50,15 @@ class Carriage(NamedTuple):
 
     level: Attitude
     gimbal: Gimbal
+
+
+class Unsettled(NamedTuple):
+    """A measurement of a target that awaits what later frames say of where the robot was."""
+
+    seen: Seen
+    until_ns: int
+    own: OwnPose
+    filtered: Prior  # by what was known when it was made
 
 
 class Localizer:
@@ -67,6 +77,7 @@ class Localizer:
         self._asked = STILL
         self._fixes_ns: deque[int] = deque()
         self._sampled_ns: int | None = None
+        self._unsettled: Unsettled | None = None
         self.refused = ""  # why the newest frame with landmarks gave no pose
 
     def see(self, frame: SeenTags, carriage: Carriage) -> None:
@@ -135,12 +146,36 @@ class Localizer:
         self.aid.add(event)
         return True
 
-    def sight(self, target: str, t_ns: int, seen: Fix) -> None:
-        """A target at rest, as seen from where this robot believes that it was then; that pose is taken for exact
-        (own_pose.EXACT)."""
-        if (there := self.at(t_ns)) is not None:
-            offset = offset_m(there.pose, seen.position_m)
-            self.aid.see(Seen(target, t_ns, offset, seen.random_m2, seen.systematic_m2))
+    def sight(self, target: str, seen: Fix, known: tuple[Belief, OwnPose], filtered: Prior, now_ns: int) -> None:
+        """A target was measured. known: of_sample(); seen: from there, that pose taken for exact (own_pose.EXACT);
+        filtered: with what that pose has wrong in it."""
+        there, own = known
+        offset = offset_m(there.pose, seen.position_m)
+        sighting = Seen(target, filtered.t_ns, offset, seen.random_m2, seen.systematic_m2)
+        self.aid.see(sighting)
+        self._unsettled = Unsettled(sighting, now_ns + SETTLE_NS, own, filtered)
+
+    @property
+    def settling(self) -> bool:
+        """Whether a measurement still awaits fixes: no sweep ought to begin, which shows none."""
+        return self._unsettled is not None
+
+    def settled(self, now_ns: int) -> tuple[str, Prior] | None:
+        """The newest measurement and its target, once, as soon as enough fixes later than it are in or it has waited
+        long enough. A pose amid a sweep is known far better with the fixes of both its sides."""
+        if self._unsettled is None:
+            return None
+        seen, until_ns, own, filtered = self._unsettled
+        if now_ns < until_ns and sum(t_ns > seen.t_ns for t_ns in self._fixes_ns) < SETTLED:
+            return None
+        self._unsettled, before = None, self.at(seen.t_ns - 1)
+        smoothed = None if before is None else self.aid.smoothed(seen, before)
+        if before is None or smoothed is None:
+            return seen.target, filtered
+        place, spread_m2 = smoothed
+        random_m2 = plus(seen.random_m2, times(own.kappa, minus(spread_m2, seen.random_m2)))
+        arm_m = place[0] - before.x[0], place[1] - before.x[1], 0.0
+        return seen.target, Prior(place, random_m2, seen.t_ns, plus(seen.alike_m2, carried(arm_m, own.stays)))
 
     def best(self, others: Posterior | None, now_ns: int) -> Belief | None:
         """The aided pose of now where there is one, else the own; others: where all but this robot see `aid.target`."""

@@ -22,7 +22,7 @@ from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.pose_filter import Drift, add_sighting, begin, keep_key
 from agent.kernel.step_io import SeenTags
-from tests.kernel.navigation.drifting import S, drifted
+from tests.kernel.navigation.aid.drifting import S, drifted
 
 OWN = upper(np.array([[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 9e-4]]))
 STAYS = upper(np.diag([4e-6, 1e-6, 2e-6]))
@@ -199,3 +199,24 @@ def test_nothing_that_is_said_has_anything_of_it() -> None:
         assert (told.near is UNSET) == (outputs.near is UNSET)
         differed += told.set_point.force_n != outputs.set_point.force_n
     assert differed > 20  # where it is decides where it swims
+
+
+def test_later_fixes_tell_where_it_was_at_a_sighting() -> None:
+    rests = np.diag([4e-4, 4e-4, 4e-4, *[1e-8] * 3, *[1e-12] * 3])  # x, y and yaw stay what they are
+    first = begin(0, AT, OWN)._replace(P=tuple(map(tuple, rests.tolist())))
+    ring, aid = EventRing(first, Hull(), Drift(*[0.0] * 6)), Aid(Hull())
+    seen, before = Seen("ball", S // 10, offset_m(AT, (1.5, 1.0, 0.07)), R, D), ring.at(S // 10 - 1)
+    J = np.array([[1.0, 0.0, -0.1], [0.0, 1.0, 0.7], [0.0, 0.0, 0.0]])
+    place, spread_m2 = aid.smoothed(seen, before)
+    np.testing.assert_allclose(place, (1.5, 1.0, 0.07), atol=1e-9)
+    np.testing.assert_allclose(full(spread_m2), full(R) + 4e-4 * J @ J.T, rtol=1e-3, atol=1e-8)
+    noise = np.diag([1e-6, 1e-6, 1e-6])
+    for k in range(2, 5):
+        event = fix(k * S // 10, (0.81, 0.9, 0.4), upper(noise), STAYS)
+        assert ring.add(event)
+        aid.add(event)
+    place, spread_m2 = aid.smoothed(seen, before)
+    np.testing.assert_allclose(place, (1.51, 1.0, 0.07), atol=2e-4)  # it was there a centimetre farther ahead
+    least = full(R) + J @ (noise / 3.0) @ J.T  # three fixes of one pose; it may have moved a little since
+    assert (np.linalg.eigvalsh(full(spread_m2) - least) > -1e-9).all()
+    assert (np.linalg.eigvalsh(1.5 * least - full(spread_m2)) > 0.0).all()
