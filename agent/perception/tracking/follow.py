@@ -186,10 +186,11 @@ class Follower:
         return result
 
     def _lately(self, places: Iterable[Place]) -> list[Place]:
-        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first."""
+        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first; but
+        what would not be held is not found, or each finding would lower the measure for the next."""
+        usual = max(self._colour, HOLD_COLOUR / FOUND_LIKE)
         fair = [
-            place._replace(like=place.like._replace(colour=min(place.like.colour / self._colour, 1.0)))
-            for place in places
+            place._replace(like=place.like._replace(colour=min(place.like.colour / usual, 1.0))) for place in places
         ]
         return sorted(fair, key=lambda place: -place.like.least)
 
