@@ -24,12 +24,12 @@ ANEW_MEETINGS: Sequence[Met] = (
     ("balls", "usc_b_0005.jpg", 0, "passes behind"), ("balls_composite", "comp_036.jpg", 0, "turns round at"),
 )  # fmt: skip
 KEPT_BACK: Sequence[Drift] = (
-    ("balls", "usc_b_0003.jpg", 1, (-1, 0.1)), ("balls", "usc_a_0010.jpg", 0, (1, 0.2)),
+    ("balls", "usc_b_0003.jpg", 0, (-1, 0.1)), ("balls", "usc_a_0010.jpg", 0, (1, 0.2)),
     ("balls_composite", "comp_021.jpg", 0, (0.1, -1)), ("balls_composite", "comp_033.jpg", 0, (1, 0)),
     ("balls_composite", "comp_051.jpg", 0, (-1, -0.2)),
 )  # fmt: skip
 KEPT_BACK_MEETINGS: Sequence[Met] = (
-    ("balls", "usc_b_0003.jpg", 1, "passes before"), ("balls_composite", "comp_051.jpg", 0, "passes behind"),
+    ("balls", "usc_b_0003.jpg", 0, "passes before"), ("balls_composite", "comp_051.jpg", 0, "passes behind"),
 )  # fmt: skip
 
 
