@@ -22,7 +22,7 @@ from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
 from agent.kernel.ranging.calibration import Calibration, load_calibration
 from agent.kernel.step_io import Sighting
 from agent.keys.robot_keys import RobotKeys, robot_keys
-from agent.perception.detection.detectors import Detector, load_detectors
+from agent.perception.detection.detectors import Detector, colours_too_alike, load_detectors
 from agent.perception.enhancement.enhance import default
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from agent.perception.landmarks.watch import LandmarkWatch
@@ -87,7 +87,10 @@ def load_setup(fleet_path: Path, name: str) -> Setup:
     known_scheme(robot.camera)
     calibration = own_calibration(fleet, name, fleet_path)
     keys = robot_keys(fleet, name, fleet_path)
-    return Setup(fleet, name, robot, calibration, load_detectors(fleet, calibration.camera), keys)
+    detectors = load_detectors(fleet, calibration.camera)
+    for line in colours_too_alike(fleet):
+        tell(f"{name}: {line}\n")
+    return Setup(fleet, name, robot, calibration, detectors, keys)
 
 
 class AgentProcess:

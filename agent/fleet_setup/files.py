@@ -16,7 +16,7 @@ from agent.kernel.config import ConfigError, Fleet, Target
 from agent.keys.key_files import private_file
 from agent.keys.key_folder import read_keys
 from agent.keys.robot_keys import keys_folder, robot_keys
-from agent.perception.detection.detectors import target_picture
+from agent.perception.detection.detectors import colours_too_alike, sought, target_picture
 from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.perception.tracking.follow import check_box
@@ -62,11 +62,24 @@ def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
 
 
 def target_findings(fleet: Fleet) -> Iterator[Finding]:
-    """Pictures and models of targets that are no balls."""
+    """Pictures and models of targets, and whether balls are told apart by their colours."""
     size = fleet.camera.width_px, fleet.camera.height_px
+    balls_can_be_read = True
     for name, target in fleet.target.items():
         if target.detector == "box":
             yield tried(f"target {name}", partial(box_target, name, target, size))
+        elif target.picture is not None:
+            found = tried(f"target {name}", partial(ball_sample, name, target, size))
+            balls_can_be_read &= found.level == "ok"
+            yield found
+    if balls_can_be_read:
+        yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
+
+
+def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:
+    """Raises ConfigError, as the agent does at its start."""
+    sought(name, target, size)
+    return f"its colour is that of the box in {target.picture}"
 
 
 def box_target(name: str, target: Target, size: tuple[int, int]) -> str:

@@ -50,6 +50,13 @@ class Tone(NamedTuple):
     burnt: float  # share of it that is too bright to have a colour
 
 
+class Sample(NamedTuple):
+    """Pixels that show a colour, blue green red."""
+
+    thing: NDArray[np.uint8]  # (n, 3)
+    around: NDArray[np.uint8]  # (m, 3)
+
+
 class ColourModel(NamedTuple):
     """A colour that is looked for."""
 
@@ -114,14 +121,21 @@ NAMED: dict[Colour, ColourModel] = {
 }
 
 
-def sampled(sample: NDArray[np.uint8], around: NDArray[np.uint8]) -> ColourModel | None:
-    """The colour of pixels (n, 3) of a thing against others (m, 3) around it; None where it is as grey as these."""
-    log_light = exposed(np.concatenate([sample, around])[:, None]).log_light
-    contrast = np.median(log_light[sample], axis=0) - np.median(log_light[around], axis=0)
-    hue_rad, strength = hue_and_strength(np.asarray(contrast, np.float32))
-    if strength < MIN_STRENGTH:
+def tone_of(sample: Sample) -> Tone:
+    """The tone of a thing, by the median of its pixels against that of the others."""
+    shown = exposed(np.concatenate([sample.thing, sample.around])[:, None])
+    own, around = (np.median(shown.log_light[pixels], axis=0) for pixels in sample)
+    hue_rad, strength = hue_and_strength(np.asarray(own - around, np.float32))
+    burnt = float(((sample.thing >= shown.white).sum(axis=1) >= 2).mean())
+    return Tone(hue_rad, strength, float(own[2] - 0.5 * (own[0] + own[1])), float(own[2] - own[1]), burnt)
+
+
+def sampled(sample: Sample) -> ColourModel | None:
+    """The colour of a thing against what is around it; None where it is as grey as that."""
+    tone = tone_of(sample)
+    if tone.strength < MIN_STRENGTH:
         return None
-    return ColourModel(hue_rad, hue_rad - SAMPLE_TURN_RAD, hue_rad + SAMPLE_TURN_RAD)
+    return ColourModel(tone.hue_rad, tone.hue_rad - SAMPLE_TURN_RAD, tone.hue_rad + SAMPLE_TURN_RAD)
 
 
 def weights(hue_rad: float) -> Light:

@@ -6,7 +6,8 @@ whole picture, in many sizes, by its likeness to the picture in which the box wa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -14,7 +15,8 @@ import numpy as np
 
 from agent.kernel.config import Colour, ConfigError, Fleet, Target
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
-from agent.perception.detection.colour import ColourModel, sampled
+from agent.perception.detection.colour import NAMED, ColourModel, Sample, sampled
+from agent.perception.detection.colours_apart import Sought, mistaken_in, named_paint
 from agent.perception.detection.detect import find_ball
 from agent.perception.tracking.box import Box, Image
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
@@ -96,21 +98,46 @@ def load_detectors(fleet: Fleet, camera: CameraFit) -> Mapping[str, Detector]:
 
 
 def _colour(name: str, target: Target, size: tuple[int, int]) -> Colour | ColourModel:
-    """What a ball target names, or the colour of a part of it in a picture against the picture's border.
+    """What a ball target names, or shows. Raises ConfigError for a picture or box that shows no colour."""
+    return target.ball_colour if target.box is None else sought(name, target, size).model
+
+
+def sought(name: str, target: Target, size: tuple[int, int]) -> Sought:
+    """The colour of a ball target: the one that it names, or that of a part of it in a picture of (width, height)
+    against the picture's border.
 
     Raises ConfigError for a picture or box that shows no colour.
     """
     if target.box is None:
-        return target.ball_colour
+        named = NAMED[target.ball_colour]
+        return Sought(named, named_paint(named))
     image = target_picture(name, target, size)
     x, y, width, height = (round(value) for value in target.box)
     part = image[y : y + height, x : x + width].reshape(-1, 3)
-    border = np.concatenate([image[0], image[-1], image[1:-1, 0], image[1:-1, -1]])
-    model = sampled(part, border) if len(part) else None
+    sample = Sample(part, np.concatenate([image[0], image[-1], image[1:-1, 0], image[1:-1, -1]]))
+    model = sampled(sample) if len(part) else None
     if model is None:
         why = "lies outside of it" if not len(part) else "is as grey as its border"
         raise ConfigError(f"{target.picture}: the box of target '{name}' {why}; draw it on the coloured ball")
-    return model
+    return Sought(model, sample)
+
+
+def colours_too_alike(fleet: Fleet) -> Iterator[str]:
+    """A line for each two ball targets of which one would be found as the other. Raises ConfigError as sought() does.
+
+    Of named colours alone the fleet's own rules have judged; the pictures of the others are read.
+    """
+    size = fleet.camera.width_px, fleet.camera.height_px
+    balls = {name: target for name, target in fleet.target.items() if target.detector == "ball"}
+    if len(balls) < 2 or all(target.box is None for target in balls.values()):
+        return
+    colours = {name: sought(name, target, size) for name, target in balls.items()}
+    for one, other in itertools.combinations(colours, 2):
+        if (light := mistaken_in(colours[one], colours[other])) is not None:
+            yield (
+                f"targets '{one}' and '{other}' are too alike in colour to be told apart (light of their pictures: "
+                f"{light}), and one may be measured as the other; take colours that are farther apart"
+            )
 
 
 def target_picture(name: str, target: Target, size: tuple[int, int]) -> Image:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 Image = NDArray[np.uint8]
 Light = NDArray[np.float32]
 
-LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(2.2)  # of 8-bit values, as cameras encode it
+ENCODED = 2.2  # power between 8-bit values and light, as cameras encode it
+LIGHT = (np.arange(256, dtype=np.float32) / 255.0) ** np.float32(ENCODED)  # of 8-bit values
 BELOW = 5  # bytes below the brightest of all: from there on a plane says no more than that it is bright
 FAINT = 150  # where the brightest is below, nothing has been at the sensor's limit
 EVERY = 8  # of rows and columns one is enough to know the exposure

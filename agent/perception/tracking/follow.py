@@ -55,6 +55,9 @@ HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon 
 SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
+# The same where others of its kind are about: of the fish that is away other fish reach 0.8, buoys come back with 0.9.
+# Where nothing is somewhat like it, one that has turned meanwhile is still found.
+AGAIN_LIKE = 0.84
 RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
 CLEAR = 0.9  # of the most: a tenth may be hidden
 PATIENCE = 12  # frames in a row that need not be sure: less than half a second
@@ -164,7 +167,7 @@ class Follower:
         if not self._seen:
             return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
         if self._meeting is not None:
-            least = max(SURE_SHAPE, places[0].like.least - BETTER) if places else 0.0
+            least = max(FOUND_LIKE, places[0].like.least - BETTER) if places else 0.0
             both = [place for place in places if place.like.least >= least and self._meeting.reaches(place.box)]
             if both:
                 return self._part(image, appearance, self._meeting, both)
@@ -175,7 +178,7 @@ class Follower:
         free = unexplained(self._others or (), rivals)
         near = [place for place in places if self._motion.reaches(place.box)]
         elsewhere = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
-        least = max(FOUND_LIKE, self._surveys.surpass(self._frame, elsewhere) + NEARLY)
+        least = max(self._enough, self._surveys.surpass(self._frame, elsewhere) + NEARLY)
         mine = [place for place in near if place.like.least >= least and place.box in free]
         result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
         if result.lost:
@@ -185,11 +188,17 @@ class Follower:
                 self._surveys.add(self._frame, elsewhere)
         return result
 
+    @property
+    def _enough(self) -> float:
+        """How like it a place has to be at least that is taken for it."""
+        return FOUND_LIKE if self._surveys.empty else AGAIN_LIKE
+
     def _lately(self, places: Iterable[Place]) -> list[Place]:
-        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first."""
+        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first; but
+        what would not be held is not found, or each finding would lower the measure for the next."""
+        usual = max(self._colour, HOLD_COLOUR / self._enough)
         fair = [
-            place._replace(like=place.like._replace(colour=min(place.like.colour / self._colour, 1.0)))
-            for place in places
+            place._replace(like=place.like._replace(colour=min(place.like.colour / usual, 1.0))) for place in places
         ]
         return sorted(fair, key=lambda place: -place.like.least)
 

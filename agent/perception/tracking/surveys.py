@@ -31,6 +31,11 @@ class Surveys:
     def add(self, frame: int, places: Sequence[Seen]) -> None:
         self._kept.append((frame, [*places]))
 
+    @property
+    def empty(self) -> bool:
+        """Whether none of them found anything like it."""
+        return not any(places for _, places in self._kept)
+
     def clear(self) -> None:
         self._kept.clear()
 

@@ -2,7 +2,8 @@
 
 Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
 other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of motion.py and
-the limits of meeting.py and look_alikes.py were settled, and frame by frame while surveys.py was written.
+the limits of meeting.py and look_alikes.py were settled, and frame by frame while surveys.py was written. "anew" and
+"kept_back" were made afterwards (later_clips.py says what was chosen on the first of them).
 
 `python -m tests.bench.pictures.bench_track_loss gamma_0.7 half_rate --only filter` runs the same clips as another
 camera would have given them (disturbed.py names all of them; as_is is none), and prints the table.
@@ -21,11 +22,13 @@ from agent.perception.tracking.follow import FOLLOWED, Followed, Follower
 from agent.pictures.track_truth import Score, score
 from tests.bench.__main__ import WIDE, table
 from tests.perception.tracking.disturbed import DISTURBANCES
+from tests.perception.tracking.later_clips import anew, kept_back
 from tests.perception.tracking.loss_clips import WATER, Clip, held_out, tuned
 from tests.places import DATA
 
 MODELS = DATA / "models" / "nanotrack_v2"
 ELSEWHERE_IOU = 0.1  # below it a box is on something else
+PARTS = {"tuned": tuned, "held_out": held_out, "anew": anew, "kept_back": kept_back}
 TRACKERS = {"filter": (None, None), "nano": model_files(MODELS)}
 
 
@@ -36,7 +39,7 @@ def run(disturbance: str = "as_is", only: Sequence[str] = tuple(TRACKERS)) -> di
     cv2.setNumThreads(1)
     try:
         found: dict[str, dict] = {}
-        for part, clips in {"tuned": tuned, "held_out": held_out}.items():
+        for part, clips in PARTS.items():
             name = part if disturbance == "as_is" else f"{part}_{disturbance}"
             found |= rows(name, map(DISTURBANCES.get(disturbance, lambda clip: clip), clips(DATA)), only)
         return found
@@ -100,7 +103,7 @@ def returns(clip: Clip, said: list[Followed]) -> list[float]:
 def misled(clip: Clip, said: list[Followed]) -> int:
     """Frames in which it is there and something else is said to be it."""
     return sum(
-        box is not None and counted and now.state in FOLLOWED and overlap(now.box, box) < ELSEWHERE_IOU
+        box is not None and counted and now.state in FOLLOWED and bool(overlap(now.box, box) < ELSEWHERE_IOU)
         for (_, box, counted), now in zip(clip.truth, said, strict=True)
     )
 

@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 
 from agent.experiments.detection.marked_pictures import MarkedBall
+from agent.perception.detection.other_light import LIGHTS
+from agent.perception.detection.picture import ENCODED
 
 NOISE = 4.0  # standard deviation, of 255
 SMALLER = 0.75
-ENCODED = 2.2  # power between 8-bit values and light
 
 Image = np.ndarray
 
@@ -23,16 +24,6 @@ class Changed(NamedTuple):
 
 
 AS_TAKEN = Changed(lambda image: image)
-
-
-def gamma(power: float) -> Changed:
-    return Changed(lambda image: cv2.LUT(image, np.uint8(np.rint(255.0 * (np.arange(256) / 255.0) ** power))))
-
-
-def gains(blue: float, green: float, red: float) -> Changed:
-    """Factors of light, for 8-bit values encoded with a power of 1 / 2.2."""
-    factors = np.array([blue, green, red]) ** (1.0 / ENCODED)
-    return Changed(lambda image: np.uint8(np.rint(np.minimum(image * factors, 255.0))))
 
 
 def noisy(image: Image) -> Image:
@@ -72,13 +63,13 @@ def smaller(ball: MarkedBall, width_px: int) -> MarkedBall:
 CHANGES: dict[str, Changed] = {
     "as_taken": AS_TAKEN,
     "mirrored": Changed(lambda image: np.ascontiguousarray(image[:, ::-1]), mirrored),
-    "gamma_0.7": gamma(0.7),
-    "gamma_1.4": gamma(1.4),
+    "gamma_0.7": Changed(LIGHTS["gamma 0.7"]),
+    "gamma_1.4": Changed(LIGHTS["gamma 1.4"]),
     "jpeg_50": Changed(jpeg),
-    "warmer": gains(0.85, 1.0, 1.15),
-    "colder": gains(1.15, 1.0, 0.85),
-    "exposure_0.7": gains(0.7, 0.7, 0.7),
-    "exposure_1.3": gains(1.3, 1.3, 1.3),
+    "warmer": Changed(LIGHTS["warmer light"]),
+    "colder": Changed(LIGHTS["colder light"]),
+    "exposure_0.7": Changed(LIGHTS["less light"]),
+    "exposure_1.3": Changed(LIGHTS["more light"]),
     "noise_4": Changed(noisy),
     "size_0.75": Changed(lambda image: cv2.resize(image, None, fx=SMALLER, fy=SMALLER, interpolation=3), smaller),
     **{f"drawn_{seed}": drawn(seed) for seed in range(1, 4)},

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.kernel.ranging.calibration import CameraFit
-from agent.perception.detection.colour import sampled
+from agent.perception.detection.colour import Sample, sampled
 from agent.perception.detection.detect import find_ball, find_balls
 from tests.perception.painted import CAMERA, ball_frame, ball_light, defocus, expose, grain
 
@@ -205,6 +205,6 @@ def test_a_black_hole_has_no_colour():
 def test_any_colour_by_sample():
     light = ball_light((0.0, 0.0, 0.8))
     blue, red = expose(light[..., ::-1], 4), expose(light, 4)
-    model = sampled(blue[220:260, 300:340].reshape(-1, 3), blue[0])
+    model = sampled(Sample(blue[220:260, 300:340].reshape(-1, 3), blue[0]))
     assert find_ball(blue, CAMERA, colour=model) is not None and find_ball(red, CAMERA, colour=model) is None
-    assert sampled(blue[0], blue[-1]) is None
+    assert sampled(Sample(blue[0], blue[-1])) is None
