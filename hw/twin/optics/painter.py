@@ -19,6 +19,7 @@ from hw.twin.optics.defocus import blur, circles, margin
 from hw.twin.optics.exposure import expose, gamma_curve, noise_key, normal_quantiles
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.motion import During, parts_of
+from hw.twin.optics.outline import Outline, outlines
 from hw.twin.optics.raycast import Floats, Identities, View, trace
 from hw.twin.optics.shade import PER_M, ShadingTables, shade
 from hw.twin.optics.tags import make_decals, paint
@@ -64,7 +65,7 @@ class Painter:
         steps_m = np.arange(int(np.linalg.norm(self._box_m) * PER_M) + 2) / PER_M
         through, veil = transmission_and_veil(water, steps_m)
         self._tables = ShadingTables(
-            atlas=texture.atlas(self._seed),
+            atlas=texture.atlas(self._seed, bool(self._scene.creature)),
             layer=np.array([m.layer for m in MATERIALS]),
             texels_per_m=np.array([1 / m.texel_m for m in MATERIALS], np.float32),
             dark=np.array([m.dark for m in MATERIALS], np.float32),
@@ -150,6 +151,11 @@ class Painter:
     ) -> Floats:
         """Truth (h, w): z-depth in metres from the optical centre, along the refracted rays that are rendered."""
         return _trace(self._view(self._moment(eye, hulls, chessboard), image_distance_m), self._part(roi))[0]
+
+    def outlines(self, moment: Moment, image_distance_m: float) -> list[Outline]:
+        """Truth: where in the frame each creature is, and how much of it shows; refracted as the picture is."""
+        view = self._view(moment, image_distance_m)
+        return outlines(view, moment, (self._lens.width, self._lens.height))
 
     def _moment(self, eye: Eye, hulls: Sequence[Hull], chessboard: Chessboard | None) -> Moment:
         """The scene as it stands at the start."""
