@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,19 @@ def outlines(view: View, moment: Moment, size: tuple[int, int]) -> list[Outline]
                 found.append(Outline(creature.name, box, int(shape.sum()), int(shows.sum())))
         first = mine.stop
     return found
+
+
+def swum_over(views: Sequence[View], moment: Moment, part: Box) -> Box | None:
+    """The part of `part` (both x, y, width, height) that creatures may cover in any of these views; None: none."""
+    first = len(moment.solids) + len(moment.hulls)
+    bounds = np.concatenate([view.bounds[first:] for view in views])
+    bounds = bounds[(bounds[:, 2] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 1])]
+    if not len(bounds):
+        return None
+    x0, y0 = (max(low, int(least)) for low, least in zip(part[:2], bounds[:, :2].min(0), strict=True))
+    x1 = min(part[0] + part[2], int(bounds[:, 2].max()))
+    y1 = min(part[1] + part[3], int(bounds[:, 3].max()))
+    return (x0, y0, x1 - x0, y1 - y0) if x1 > x0 and y1 > y0 else None
 
 
 PER_SOLID = ("solids", "bounds", "radii", "up", "pattern")
