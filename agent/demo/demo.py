@@ -47,7 +47,7 @@ READY_S = 300.0  # of the wall; the first start compiles the twin's kernels
 SETTLE_ITERATIONS = 30  # after the last robot's first view
 SETTLE_WINDOW = 10
 SETTLE_M = 0.0015
-TRUE_WAYS = ("paths.csv", "separation.json")  # of robots that swim, as the twin leaves them
+TRUE_WAYS = ("paths.csv", "separation.json", "creatures.csv", "boxes.csv")  # of all that swims, as the twin leaves them
 
 
 def demo(

@@ -97,12 +97,12 @@ def twin_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
 
     def read() -> str:
         scene = scene_of(fleet)
-        lacking = set(fleet.target) - set(target_solids(fleet, scene, path))
+        lacking = set(fleet.target) - set(target_solids(fleet, scene, path)) - {fish.name for fish in scene.creature}
         if lacking:
             name = min(lacking)
             raise ConfigError(
                 f"nothing in scene '{scene.name}' is called {name}, so that a demo could not judge it; write "
-                f'name = "{name}" under a [[solid]] of the scene'
+                f'name = "{name}" under a [[solid]] or [[creature]] of the scene'
             )
         return f"scene '{scene.name}', in which all targets are"
 

@@ -48,6 +48,9 @@ class Target(Struct, frozen=True, kw_only=True):
     colour: Colour | None = None  # red if not given
     radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
+    # of what swims by itself; both or neither
+    speed_m_s: Annotated[float, Meta(gt=0, le=1)] | None = None
+    turn_s: Annotated[float, Meta(ge=0.2, le=60)] | None = None  # how long it keeps a course, about
     # of a box, or of a ball whose colour is sampled instead of named; files are looked for beside the fleet file
     picture: str | None = None  # taken by a camera of the fleet
     # around the thing in it, or on a part of the ball: x, y, width, height in pixels

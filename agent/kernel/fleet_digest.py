@@ -35,10 +35,11 @@ def common(fleet: Fleet) -> str:
 
 def _target(target: Target) -> dict[str, Any]:
     """What it is. Pictures, the boxes in them and models are files, and each robot may have its own."""
+    swims = {} if target.speed_m_s is None else {"speed_m_s": target.speed_m_s, "turn_s": target.turn_s}
     if target.detector != "ball":
-        return {"detector": target.detector}
+        return {"detector": target.detector, **swims}
     size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
-    return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size}
+    return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
 
 
 def _landmarks(landmarks: Landmarks) -> dict[str, Any]:

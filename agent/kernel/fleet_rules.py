@@ -113,6 +113,9 @@ def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
             yield key, f"required key `{one}` is missing; add it"
     if target.radius_m is not None and 2.0 * target.radius_m > min(fleet.tank.size_m):
         yield f"{key}.radius_m", f"{target.radius_m} m does not fit into the tank; correct the value"
+    if (target.speed_m_s is None) != (target.turn_s is None):
+        lacking = "turn_s" if target.turn_s is None else "speed_m_s"
+        yield f"{key}", f"required key `{lacking}` is missing: what swims has `speed_m_s` and `turn_s`; add it"
     if target.box is not None:
         x, y, width, height = target.box
         if not (min(x, y) >= 0 and min(width, height) > 0):

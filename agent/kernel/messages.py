@@ -82,7 +82,7 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
     incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
     number: Annotated[int, Meta(ge=1), means("counts the samples of this origin and incarnation")]
     age_ns: Annotated[Count, means("ns since the exposure, by the clocks of those that carried it")]
-    information: Annotated[Symmetric, means("R^-1, 1/m^2, world frame: xx xy xz yy yz zz")]
+    information: Annotated[Symmetric, means("R^-1, 1/m^2, world frame: xx xy xz yy yz zz; rank 2 for a bearing")]
     vector: Annotated[Vector, means("R^-1 times the measured place, 1/m, world frame")]
     t_ns: Annotated[
         Count, means("of the exposure, on the clock of its origin; relays may write the age, but not this")
@@ -178,9 +178,9 @@ class Explain(Message, frozen=True, kw_only=True):
     ] = {}
     ages_s: Annotated[dict[str, float], means("s, of the newest word of each neighbour when the iteration ran")] = {}
     epoch: Annotated[Epoch, means("which history the evidence is of")] = Epoch()
-    nis: Annotated[float | None, means("normalised innovation squared of the own prior; mean 3 when all is well")] = (
-        None
-    )
+    nis: Annotated[
+        float | None, means("normalised innovation squared of the own prior; mean 3 when all is well, 2 of a bearing")
+    ] = None
     speed_m_s: Annotated[float | None, means("m/s, of a target that moves")] = None
     sway_m: Annotated[
         dict[str, float],

@@ -23,6 +23,7 @@ from hw.camera.camera import CameraError
 from hw.camera.frame_server import FrameServer
 from hw.twin.bench import Bench
 from hw.twin.bench_socket import serve
+from hw.twin.creatures.lookout import Lookout
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
 from hw.twin.devices.twin_folder import clock_path, locked, twin_dir
@@ -100,13 +101,18 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         Board(name, folder, tare_pa, interpreter=runs) for name, tare_pa in zip(robots, dive.tare_pa, strict=True)
     ]
     keeper = start_clock(clock_path(fleet), robots, dive.now_ns, speed, TICK_NS)
+    if scene.creature:
+        dive.lookout = Lookout([creature.name for creature in scene.creature], folder)
+        stack.callback(dive.lookout.close)
     servers: list[FrameServer] = []
     for i, (name, (lens, vcm, painter)) in enumerate(zip(robots, optics, strict=True)):
         shutter = FrameClock(dive.now_ns + int(generator(fleet.twin.seed, name, "shutter").integers(FRAME_NS)))
         rendering = partial(keeper.frame, name)
         at_m = fleet.body.camera_m
         seen = (dive.history, lens, vcm, painter, at_m, dive.stage)
-        camera = DiveCamera(i, *seen, shutter, keeper.now_ns, rendering, scene.motion_blur)
+        witness = partial(dive.lookout.frame, name) if dive.lookout is not None else None
+        swims = (scene.creature, fleet.twin.seed, witness)
+        camera = DiveCamera(i, *seen, shutter, keeper.now_ns, rendering, scene.motion_blur, *swims)
         servers.append(FrameServer(folder / f"{name}.camera", camera))
     devices: list[Board | FrameServer] = [*dive.boards, *servers]
     stack.callback(_close_together, devices)
@@ -125,7 +131,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
-    empty = msgspec.structs.replace(scene_of(fleet), solid=())  # nothing but the chessboard
+    empty = msgspec.structs.replace(scene_of(fleet), solid=(), creature=())  # nothing but the chessboard
     bench = Bench(fleet, robot, *_optics(fleet, empty, robot), RunClock(clock_path(fleet)).now_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)
@@ -165,8 +171,13 @@ def _write_truth(path: Path, fleet: Fleet, solids: dict[str, Solid], dive: Dive)
         }
         for name, state in zip(dive.robots, dive.states, strict=True)
     }
+    creatures = {
+        who.name: {"position_m": at[:3], "length_m": who.length_m}
+        for who, at in zip(dive.school.creatures, dive.school.attitudes, strict=True)
+    }
+    swim = {"creature": creatures} if creatures else {}
     tags = {"tag": tags_as_json(true_tags(fleet.landmarks, fleet.twin.seed))} if fleet.landmarks else {}
-    path.write_text(json.dumps({"seed": fleet.twin.seed, **targets, "robot": robots, **tags}, indent=1) + "\n")
+    path.write_text(json.dumps({"seed": fleet.twin.seed, **targets, "robot": robots, **swim, **tags}, indent=1) + "\n")
 
 
 def _be_ready(folder: Path, stop: threading.Event) -> None:

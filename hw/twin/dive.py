@@ -14,21 +14,23 @@ from agent.clock import machine
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Vector
 from hw.twin import faults
+from hw.twin.creatures.lookout import Lookout
+from hw.twin.creatures.school import School
 from hw.twin.devices.board import Board
 from hw.twin.devices.boot import Act
 from hw.twin.devices.sensor_faults import SensorFaults
 from hw.twin.history import History
 from hw.twin.landmarks import true_tags
+from hw.twin.launch import launch
 from hw.twin.physics.battery import OPEN_V, current_a, supply_v, thrust_loss
-from hw.twin.physics.body import BODY, cast_off, draw_body
+from hw.twin.physics.body import cast_off
 from hw.twin.physics.flow import Flow
 from hw.twin.physics.gyro import Gyros
-from hw.twin.physics.plant import Plant, set_body
-from hw.twin.physics.rotation import quaternion
+from hw.twin.physics.plant import Plant
 from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
-from hw.twin.physics.tank import STATE, STEP_S, TICK_NS, advance, push
+from hw.twin.physics.tank import STEP_S, TICK_NS, advance, push
 from hw.twin.physics.waves import add_waves
-from hw.twin.scene import Pull, Scene, put_off
+from hw.twin.scene import Pull, Scene
 from hw.twin.stage import Stage
 from hw.twin.targets import movable
 from hw.twin.truth import WATCH_TICKS, Watch
@@ -55,20 +57,9 @@ class Dive:
     ) -> None:
         seed, surface_m = fleet.twin.seed, fleet.tank.surface_m
         self.robots = list(robots)
-        self.bodies = np.zeros(len(robots), BODY)
-        self.states = np.zeros(len(robots), STATE)
         rows = [(plants or {}).get(name, Plant()) for name in robots]
-        for i, name in enumerate(robots):
-            pose, depth_m = fleet.robot[name].pose, fleet.robot[name].depth_m
-            x_m, y_m, yaw_deg = put_off(scene.start_sigma, (pose.x_m, pose.y_m, pose.yaw_deg), seed, name)
-            start = (x_m, y_m, surface_m - depth_m, yaw_deg)
-            self.bodies[i] = draw_body(seed, name, start, fleet.tank, fleet.body)
-            set_body(self.bodies[i], rows[i])
+        self.bodies, self.states = launch(fleet, robots, rows, scene.start_sigma)
         self._tank, self._waves = fleet.tank, scene.waves
-        self.states["held"] = 1
-        self.states["position_m"] = self.bodies["home_m"]
-        self.states["quaternion"] = [quaternion(0.0, 0.0, yaw) for yaw in self.bodies["home_yaw_rad"]]
-        self.states["motor_deg"] = self.states["shaft_deg"] = self.bodies["servo_zero_deg"]
 
         self.sensors = PressureSensors(seed, self.robots, [p.noise_m for p in rows], [p.late_samples for p in rows])
         self.tare_pa = self.sensors.tare_pa()
@@ -77,9 +68,11 @@ class Dive:
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
         self.boards: list[Board] = []
         self.answered_s = [0.0] * len(robots)  # how long, on the wall, the last tick waited for each firmware
-        self.history = History(len(robots), start_ns)
+        self.history = History(len(robots), start_ns, len(scene.creature))
         self.stage = Stage(scene.solid, true_tags(fleet.landmarks, seed))
+        self.school = School(scene.creature, seed, (*fleet.tank.size_m[:2], surface_m), scene.solid)
         self.watch: Watch | None = None  # of robots that swim, where somebody wants to know
+        self.lookout: Lookout | None = None  # the same of creatures
         self.ticks = 0
         self._start_ns = start_ns
         self._mounting = fleet.body
@@ -93,7 +86,7 @@ class Dive:
         tags = [tag.id for tag in fleet.landmarks.tag] if fleet.landmarks else []
         for name in () if scene.moored else robots:
             self.cast_off(name)
-        faults.check(scene.event, self.robots, movable(fleet, scene), tags)
+        faults.check(scene.event, self.robots, movable(fleet, scene), tags, [c.name for c in scene.creature])
         self._measure()
 
     @property
@@ -141,6 +134,8 @@ class Dive:
             self._to_show.remove(row)
         self._advance(now_us, until_us)
         self.ticks += 1
+        if self.school:
+            self.school.tick(self.states["position_m"], self.stage.solids(self.now_ns))
         self._measure()
 
     def _advance(self, now_us: int, until_us: int) -> int:
@@ -154,9 +149,12 @@ class Dive:
 
     def _measure(self) -> None:
         t_s = self.ticks * TICK_NS * 1e-9
-        self.history.append(self.states)
-        if self.watch is not None and self.ticks % WATCH_TICKS == 0:
-            self.watch.see(self.states, self.now_ns)
+        self.history.append(self.states, self.school.attitudes)
+        if self.ticks % WATCH_TICKS == 0:
+            if self.watch is not None:
+                self.watch.see(self.states, self.now_ns)
+            if self.lookout is not None:
+                self.lookout.see(self.school.attitudes, self.now_ns)
         water_pressure_pa(self.bodies, self.states, self._surface_m, self._water_pa)
         if self._waves.amplitude_m:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)
@@ -296,5 +294,7 @@ def apply(event: faults.AnyEvent, dive: Dive) -> None:
             dive.move_solid(event.solid, event.to_m, event.over_s)
         case faults.TagLost():
             dive.lose_tag(event.id)
+        case faults.Startle():
+            dive.school.startle(event.creature, event.speed_m_s, event.for_s)
         case _:
             assert_never(event)

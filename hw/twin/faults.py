@@ -138,6 +138,14 @@ class TagLost(Event, frozen=True, kw_only=True, tag="tag_lost"):
     id: Annotated[int, Meta(ge=0)]
 
 
+class Startle(Event, frozen=True, kw_only=True, tag="startle"):
+    """Something frightens a creature, which flees, from the nearest robot if there is one."""
+
+    creature: Name
+    speed_m_s: Annotated[float, Meta(gt=0, le=1)]
+    for_s: Positive
+
+
 AnyEvent = (
     Push
     | SensorDead
@@ -159,11 +167,18 @@ AnyEvent = (
     | CurrentSet
     | Occlude
     | TagLost
+    | Startle
 )
 KINDS = tuple(str(event.__struct_config__.tag) for event in get_args(AnyEvent))
 
 
-def check(events: Sequence[AnyEvent], robots: Sequence[str], movable: Sequence[int], tags: Sequence[int]) -> None:
+def check(
+    events: Sequence[AnyEvent],
+    robots: Sequence[str],
+    movable: Sequence[int],
+    tags: Sequence[int],
+    creatures: Sequence[str] = (),
+) -> None:
     """Raise ConfigError for an event that nothing in this dive can meet.
 
     movable: numbers of the solids that are stones and no targets; tags: ids of those in the tank.
@@ -177,6 +192,8 @@ def check(events: Sequence[AnyEvent], robots: Sequence[str], movable: Sequence[i
                 what, there = f"solid {event.solid} of the scene is no stone that may be moved", tuple(movable)
             case TagLost() if event.id not in tags:
                 what, there = f"the fleet file has no tag {event.id}", tuple(tags)
+            case Startle() if event.creature not in creatures:
+                what, there = f"the scene has no creature '{event.creature}'", tuple(creatures)
         if what is not None:
             remedy = f"name one of {', '.join(map(str, there))}" if there else "take the event out"
             raise ConfigError(f"event at {event.at_s} s: {what}; {remedy}")

@@ -1,14 +1,16 @@
-"""Where every robot was during the last two seconds, for cameras that expose at a time of their own."""
+"""Where robots and creatures were during the last two seconds, for cameras that expose at a time of their own."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hw.camera.camera import CameraGone
+from hw.twin.creatures.swimmer import Attitude
 from hw.twin.physics.rotation import matrix
 from hw.twin.physics.tank import TICK_NS
 
@@ -25,20 +27,23 @@ class RobotPose(NamedTuple):
 class History:
     """A ring of the states at each tick. One thread appends; any number of threads wait and look."""
 
-    def __init__(self, robots: int, start_ns: int) -> None:
+    def __init__(self, robots: int, start_ns: int, creatures: int = 0) -> None:
         self._rows = np.zeros((SPAN, robots, 9))  # position, quaternion, camera pan and tilt
+        self._swum = np.zeros((SPAN, creatures, len(Attitude._fields)))
         self._start_ns = start_ns
         self._newest = -1
         self._closed = False
         self._changed = threading.Condition()
         self._awaited_ns: float = np.inf  # waking nobody costs nothing: notify only when somebody's time has come
 
-    def append(self, states: NDArray[np.void]) -> None:
+    def append(self, states: NDArray[np.void], creatures: Sequence[Attitude] = ()) -> None:
         """The states one tick after those appended before."""
         with self._changed:
             self._newest += 1
             row = self._rows[self._newest % SPAN]
             row[:, :3], row[:, 3:7], row[:, 7:] = states["position_m"], states["quaternion"], states["shaft_deg"][:, :2]
+            if creatures:
+                self._swum[self._newest % SPAN] = creatures
             if self.newest_ns >= self._awaited_ns:
                 self._awaited_ns = np.inf
                 self._changed.notify_all()
@@ -61,15 +66,22 @@ class History:
 
         Raises CameraGone for a time that is not, or no longer, kept: the reader was stopped for too long.
         """
+        # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
+        rows = self._between(self._rows, t_ns)
+        return [RobotPose(row[:3], matrix(row[3:7]), float(row[7]), float(row[8])) for row in rows]
+
+    def creatures_at(self, t_ns: int) -> list[Attitude]:
+        """The attitude of each creature, as `at`."""
+        return [Attitude(*row) for row in self._between(self._swum, t_ns).tolist()]
+
+    def _between(self, kept: NDArray[np.float64], t_ns: int) -> NDArray[np.float64]:
         with self._changed:
             k, rest_ns = divmod(t_ns - self._start_ns, TICK_NS)
             oldest = max(self._newest - SPAN + 1, 0)
             if not oldest <= k < self._newest + (rest_ns == 0):
                 raise CameraGone(f"no pose is kept of {t_ns} ns; ask again")
-            before, after = self._rows[k % SPAN], self._rows[(k + (rest_ns > 0)) % SPAN]
-            # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
-            rows = before + (rest_ns / TICK_NS) * (after - before)
-        return [RobotPose(row[:3], matrix(row[3:7]), float(row[7]), float(row[8])) for row in rows]
+            before, after = kept[k % SPAN], kept[(k + (rest_ns > 0)) % SPAN]
+            return np.asarray(before + (rest_ns / TICK_NS) * (after - before))
 
     def close(self) -> None:
         """Send everybody who waits home."""

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from agent.kernel.config import Colour, ConfigError, Fleet, Positive, Struct, WaterKind
+from agent.kernel.config import Colour, ConfigError, Fleet, Name, Positive, Struct, WaterKind
 from agent.kernel.messages import Vector
 from agent.kernel.toml_files import convert, read_toml
 from hw.twin.faults import KINDS, AnyEvent
@@ -32,6 +32,18 @@ class Solid(Struct, frozen=True, kw_only=True):
     colour: Colour = "red"  # of a ball; stones are grey
     position_m: tuple[float, float, float]
     radii_m: tuple[Positive, Positive, Positive]
+
+
+class Creature(Struct, frozen=True, kw_only=True):
+    """A fish. Two of one colour look alike, but for their blotches."""
+
+    name: Name
+    colour: Literal["orange", "silver", "brown"] = "orange"
+    like: Name | None = None  # a creature whose very blotches it has too: to tell them apart, one must have followed
+    length_m: Annotated[float, Meta(ge=0.05, le=0.4)] = 0.15
+    speed_m_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.15  # while it cruises
+    path: Literal["wander"] | Annotated[tuple[Vector, ...], Meta(min_length=2)] = "wander"  # or round and round
+    position_m: Vector | None = None  # where it starts; None: at the first point of its path, or anywhere
 
 
 class Waves(Struct, frozen=True, kw_only=True):
@@ -69,6 +81,7 @@ class Scene(Struct, frozen=True, kw_only=True):
     white_card: Literal["upright", "lying"] = "upright"  # what the exposure is set by; upright, lying paper burns out
     camera: str = "imx519_640"  # preset of hw.twin.optics.lens
     solid: tuple[Solid, ...] = ()
+    creature: tuple[Creature, ...] = ()
     waves: Waves = Waves()
     moored: bool = True  # False: a robot swims freely from when it is armed on
     start_sigma: StartSigma = StartSigma()

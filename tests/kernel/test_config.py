@@ -120,6 +120,13 @@ MISTAKES = {
         "target.ball.colour",
         "only a ball has one",
     ),
+    "a fish that never turns": (
+        ("radius_m = 0.07", "radius_m = 0.07\nspeed_m_s = 0.2"),
+        "target.ball",
+        "`turn_s`",
+        "add",
+    ),
+    "a fish that flies": (("radius_m = 0.07", "radius_m = 0.07\nspeed_m_s = 20.0\nturn_s = 2.0"), "speed_m_s", "<= 1"),
     "no box": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 0, 40]'), "target.ball.box", "[x, y, width"),
     "three numbers": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 3]'), "box", "length 4"),
     "size of a box": (

@@ -33,6 +33,7 @@ def test_sixteen_digits_the_same_from_every_start_of_python() -> None:
         {"target": {"ball": Target(radius_m=0.07, colour="green")}},
         {"target": {"buoy": Target(radius_m=0.07)}},
         {"target": {"ball": Target(radius_m=0.07), "buoy": Target(radius_m=0.07)}},
+        {"target": {"ball": Target(radius_m=0.07, speed_m_s=0.2, turn_s=2.0)}},
         {"target": {"ball": Target(detector="box", picture="ball.png", box=(1.0, 2.0, 30.0, 40.0))}},
     ],
 )

@@ -29,11 +29,11 @@ from agent.experiments.localization.lie_search import Lies, best_lies
 from agent.experiments.localization.lockstep import prior, symmetric
 from agent.experiments.localization.world import Array, circle_m, draw_dive, draw_world
 from agent.kernel.estimation.evidence_checks import R_FLOOR_M
-from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.fuse import Opinion, doubts, mixture, vote
 from agent.kernel.estimation.matrix import apply, inverse, invert, times, trace
-from agent.kernel.estimation.track import Track, begin, correct, predict
-from agent.kernel.estimation.track_distance import distances2
+from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.tracks.track import Track, begin, correct, predict
+from agent.kernel.estimation.tracks.track_distance import distances2
 from agent.kernel.estimation.window import WINDOW
 from agent.kernel.messages import Estimate, Sample, Symmetric, Vector, upper
 

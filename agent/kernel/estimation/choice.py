@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from agent.kernel.config import Fleet
+from agent.kernel.config import Fleet, Target
 from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Estimator
 from agent.kernel.estimation.metropolis import Metropolis
 from agent.kernel.estimation.paper import Paper
+from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics, swimming
 from agent.kernel.trust.authority import Verify
 from agent.kernel.trust.signed import verify
 
@@ -27,7 +28,21 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
             return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
         case "evidence":
             bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, round(fleet.estimation.iteration_s * 1e9))
-            subject, liars = (fleet.fleet, target), fleet.estimation.liars
             return Evidence(
-                me, incarnation, neighbours, validity_ns, bounds, liars=liars, subject=subject, verify=verify
+                me,
+                incarnation,
+                neighbours,
+                validity_ns,
+                bounds,
+                liars=fleet.estimation.liars,
+                subject=(fleet.fleet, target),
+                verify=verify,
+                dynamics=dynamics(fleet.target[target]),
             )
+
+
+def dynamics(target: Target) -> Dynamics:
+    """How the fleet file says that a target moves; not at all is: like a ball."""
+    if target.speed_m_s is None or target.turn_s is None:
+        return ROLLING
+    return swimming(target.speed_m_s, target.turn_s)

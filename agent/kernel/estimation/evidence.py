@@ -19,6 +19,7 @@ incarnation of its entry, which owes nothing to the one before.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from functools import partial
@@ -26,16 +27,17 @@ from functools import partial
 from msgspec.structs import replace
 
 from agent.kernel.estimation.evidence_checks import Bounds
-from agent.kernel.estimation.interface import NOTHING, Posterior, Prior, Update, Word
+from agent.kernel.estimation.interface import NOTHING, Bearing, Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.estimation.mode import Me, Mode
 from agent.kernel.estimation.motion import Motion
 from agent.kernel.estimation.moving_target import MovingTarget
 from agent.kernel.estimation.static_target import StaticTarget
+from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics
 from agent.kernel.estimation.window import WINDOW
 from agent.kernel.messages import Epoch, Estimate, Gossip, Proposal, Symmetric
 from agent.kernel.trust.authority import HEARSAY, Authority, Verify
-from agent.kernel.trust.epoch_vote import EpochVote
+from agent.kernel.trust.epoch_vote import EpochVote, epoch_of
 from agent.kernel.trust.letters import Letter
 from agent.kernel.trust.signed import proposal_bytes, verify
 
@@ -48,7 +50,8 @@ ANEW_NS = 10_000_000_000  # and not again before this
 class Evidence:
     """State of one robot for one target. `incarnation` must differ from that of every earlier start.
 
-    subject: fleet and target, as they are signed. verify: how signatures are checked.
+    subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; where it
+    swims, which a fleet file says, it moves from the first epoch on, and nobody asks whether it rests.
     """
 
     def __init__(
@@ -63,9 +66,11 @@ class Evidence:
         liars: int = 1,
         subject: tuple[str, str] = ("", ""),
         verify: Verify = verify,
+        dynamics: Dynamics = ROLLING,
     ) -> None:
         self._authority = Authority(neighbours, verify)
-        self._me = Me((me, incarnation), neighbours, bounds, max_entries, common_m2, self._authority, subject, liars)
+        key = (me, incarnation)
+        self._me = Me(key, neighbours, bounds, max_entries, common_m2, self._authority, subject, liars, dynamics)
         self._validity_ns = validity_ns
         self.t = 0
         self.valid = False
@@ -73,14 +78,15 @@ class Evidence:
         self._now_ns = 0  # the latest moment that we were told of
         self._stale = False  # something came in since `_believed` was concluded
         self._measured = 0  # own samples of this incarnation
-        self._recent: deque[tuple[int, Prior]] = deque(maxlen=CARRIED)
+        self._recent: deque[tuple[int, Prior | Bearing]] = deque(maxlen=CARRIED)
         self._starts: dict[str, int] = {}  # the incarnation of each neighbour
-        self.epoch = Epoch()
+        self._swims = math.isfinite(dynamics.turn_s)
+        self.epoch = epoch_of(1) if self._swims else Epoch()
         self._vote = EpochVote(me)
         self._motion = Motion()
         self._doubted = 0  # iterations in a row
         self._anew_ns = 0  # when we last began anew
-        self._mode: Mode = StaticTarget(self._me, self.epoch)
+        self._mode: Mode = self._mode_of(self.epoch)
 
     @property
     def posterior(self) -> Posterior | None:
@@ -141,7 +147,7 @@ class Evidence:
         says = partial(proposal_bytes, *self._me.subject, proposal)
         return self._authority.fault(src, proposal.proposer, proposal.signature, says, now_ns)
 
-    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+    def tick(self, prior: Prior | Bearing | None, mailbox: Mailbox, now_ns: int) -> Update:
         self.valid = prior is not None
         self._pass(now_ns)
         self._outlive(now_ns)
@@ -155,7 +161,7 @@ class Evidence:
                 self._vote.propose(self.epoch, now_ns)
         concluded = self._mode.conclude(self.valid, self._believed, now_ns)
         self._believed, self._stale = concluded.posterior, False
-        if self.epoch.moving and self._believed is not None:
+        if self.epoch.moving and not self._swims and self._believed is not None:
             self._motion.place(now_ns, self._believed.x_m)
             if self._motion.rests(now_ns):
                 self._vote.propose(self.epoch, now_ns)
@@ -210,8 +216,11 @@ class Evidence:
         """A new epoch begins, with the newest own samples."""
         self.epoch, self._motion, self._stale = epoch, Motion(), True
         self._vote.begin(epoch, now_ns)
-        self._mode = MovingTarget(self._me, epoch) if epoch.moving else StaticTarget(self._me, epoch)
+        self._mode = self._mode_of(epoch)
         oldest_ns = now_ns - WINDOW * self._me.bounds.iteration_ns
         for number, prior in self._recent:
             if prior.t_ns > oldest_ns:
                 self._mode.add(number, prior, now_ns)
+
+    def _mode_of(self, epoch: Epoch) -> Mode:
+        return MovingTarget(self._me, epoch) if epoch.moving else StaticTarget(self._me, epoch)

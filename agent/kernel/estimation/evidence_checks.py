@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 from agent.kernel.estimation.matrix import apply, inverse, minus, semidefinite, times, trace
+from agent.kernel.estimation.tracks.line import chord, line
 from agent.kernel.messages import Entry, Sample, Symmetric, Vector
 from agent.kernel.trust.transit import CLOCKS_NS
 
@@ -39,10 +40,10 @@ def entry_fault(entry: Entry, bounds: Bounds, now_ns: int) -> str | None:
 
 
 def sample_fault(sample: Sample, bounds: Bounds, now_ns: int) -> str | None:
-    """Why a sample is not believed; None when it is."""
+    """Why a sample is not believed; None when it is. One that knows but a line, a bearing, must pass the tank."""
     return (
         _sums_fault(sample.origin, 1, sample.information, sample.vector, bounds)
-        or (None if inverse(sample.information) is not None else "not a covariance")
+        or (None if inverse(sample.information) is not None else _line_fault(sample, bounds.tank_m))
         or _time_fault(sample.incarnation, sample.number, bounds, now_ns)
     )
 
@@ -97,6 +98,14 @@ def _sums_fault(origin: str, count: int, information: Symmetric, vector: Vector,
     if covariance is None:
         return None  # a direction not yet seen: nothing to place
     return None if inside(apply(covariance, vector), bounds.tank_m) else "outside the tank"
+
+
+def _line_fault(sample: Sample, tank_m: Vector) -> str | None:
+    of = line(sample.information, sample.vector)
+    if of is None:
+        return "not a covariance"
+    low, high = (-MARGIN_M,) * 3, (tank_m[0] + MARGIN_M, tank_m[1] + MARGIN_M, tank_m[2] + MARGIN_M)
+    return None if chord(of, low, high) else "outside the tank"
 
 
 def _time_fault(incarnation: int, count: int, bounds: Bounds, now_ns: int) -> str | None:

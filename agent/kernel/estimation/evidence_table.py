@@ -15,7 +15,7 @@ from zlib import crc32
 
 from agent.kernel.estimation.evidence_checks import floored
 from agent.kernel.estimation.fuse import AGREE, Opinion
-from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.interface import NOTHING, Bearing, Prior
 from agent.kernel.estimation.matrix import (
     ZERO,
     apply,
@@ -46,22 +46,26 @@ class Table:
         self._own: Key | None = None  # the one that we add to
         self._opinions: dict[str, Opinion | None] = {}  # None: to be made again, or not yet possible
 
-    def measure(self, key: Key, prior: Prior) -> Symmetric:
+    def measure(self, key: Key, prior: Prior | Bearing) -> Symmetric:
         """Add a sample of our own; returns its information R^-1 in 1/m^2.
 
         Raises ValueError where the covariance of the prior has no inverse.
         """
-        information = inverse(floored(prior.random_m2))
-        if information is None:
-            raise ValueError(f"covariance of the prior {prior.random_m2} is singular")
+        if isinstance(prior, Bearing):
+            information, fixed_m2 = prior.information, NOTHING
+        else:
+            found, fixed_m2 = inverse(floored(prior.random_m2)), prior.systematic_m2
+            if found is None:
+                raise ValueError(f"covariance of the prior {prior.random_m2} is singular")
+            information = found
         x, y, z = apply(information, prior.x_m)
         old = self.entries.get(key)
         if old is None:
-            entry = Entry(*key, 1, information, (x, y, z), prior.systematic_m2)
+            entry = Entry(*key, 1, information, (x, y, z), fixed_m2)
         else:
             count, (ox, oy, oz) = old.count + 1, old.vector
             drift = times((count - 1) / count, old.systematic_m2)
-            systematic = plus(drift, times(1.0 / count, prior.systematic_m2))
+            systematic = plus(drift, times(1.0 / count, fixed_m2))
             entry = Entry(*key, count, plus(old.information, information), (ox + x, oy + y, oz + z), systematic)
         self._own = key
         self._put(entry)

@@ -30,6 +30,14 @@ class Prior(NamedTuple):
         return xx, xy, xz, yy, yz, zz
 
 
+class Bearing(NamedTuple):
+    """What a frame says of a target that is not swept: a line that it is on (bearing.py), world frame."""
+
+    x_m: Vector  # on the line, at the range that is believed
+    information: Symmetric  # 1/m^2, of rank 2; 3 where a range was measured too
+    t_ns: int  # when the frame was exposed
+
+
 class Posterior(NamedTuple):
     """x: what this robot believes after the update, world frame."""
 

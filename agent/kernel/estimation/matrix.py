@@ -12,6 +12,9 @@ IDENTITY: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 SINGULAR = 1e-14  # determinant over (trace / 3)^3, the largest it can be: below this an inverse is not to be trusted
 
 
+WELL = 1e-6  # the same measure: from here on, an inverse is as good as the matrix to ten digits
+
+
 def plus(a: Symmetric, b: Symmetric) -> Symmetric:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 
@@ -64,6 +67,12 @@ def inverse(a: Symmetric) -> Symmetric | None:
     if not (third > 0.0 and det > SINGULAR * third * third * third):
         return None
     return times(1.0 / det, adj)
+
+
+def well_conditioned(a: Symmetric) -> bool:
+    """Whether a positive matrix knows all its directions well enough to be inverted without a thought."""
+    third = trace(a) / 3.0
+    return adjugate(a)[1] > WELL * third * third * third
 
 
 def invert(a: Symmetric) -> Symmetric:

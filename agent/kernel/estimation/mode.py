@@ -6,7 +6,8 @@ from collections.abc import Collection
 from typing import NamedTuple, Protocol
 
 from agent.kernel.estimation.evidence_checks import Bounds
-from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.estimation.interface import Bearing, Posterior, Prior
+from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics
 from agent.kernel.messages import Explain, Gossip, Symmetric
 from agent.kernel.trust.authority import Authority
 from agent.kernel.trust.transit import CLOCKS_NS
@@ -25,6 +26,7 @@ class Me(NamedTuple):
     authority: Authority
     subject: tuple[str, str]  # fleet and target, as they are signed
     liars: int = 1  # robots that may be wrong at once
+    dynamics: Dynamics = ROLLING  # of a target that moves
 
 
 class Conclusion(NamedTuple):
@@ -42,7 +44,7 @@ class Mode(Protocol):
 
     outlived: int | None  # an incarnation of ours that is newer than the one we write under
 
-    def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> float | None:
         """Take in an own sample; returns its normalised innovation squared, None where nothing was expected."""
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:

@@ -9,20 +9,20 @@ their covariances say, and vote and doubt are rather too patient than too strict
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import partial
 
 from agent.kernel.estimation.delivery_ledger import DeliveryLedger
 from agent.kernel.estimation.evidence_checks import floored, inside
-from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture, vote
-from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.estimation.interface import Bearing, Posterior, Prior
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
-from agent.kernel.estimation.track import Track, nis, predict
-from agent.kernel.estimation.track_distance import distances2
+from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.tracks.track import Track, nis, nis_of_bearing, predict
+from agent.kernel.estimation.tracks.track_distance import distances2
 from agent.kernel.estimation.window import MASK, Key, Window
-from agent.kernel.messages import Epoch, Explain, Gossip, Sample
+from agent.kernel.messages import Epoch, Explain, Gossip, Sample, Symmetric, Vector
 from agent.kernel.trust.authority import HEARSAY
 from agent.kernel.trust.signed import sample_bytes
 
@@ -35,10 +35,11 @@ class MovingTarget:
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
+        self._filter = partial(FixedLagFilter, me.dynamics, me.bounds.tank_m)
         self._window = Window(me.bounds)
         self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
-        self._agreed = FixedLagFilter()
+        self._agreed = self._filter()
         self._makers: frozenset[str] = frozenset()  # whose samples the agreed track was made of
         self._own: dict[str, FixedLagFilter] = {}
         self._mine: Track | None = None  # through our own samples alone
@@ -46,24 +47,38 @@ class MovingTarget:
         self._newest: Held | None = None
         self.outlived: int | None = None
 
-    def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> float | None:
         """Take in an own sample. Returns its normalised innovation squared against the own track so far.
 
         A track remembers one or two samples of each robot at a sample a second, so what does not average out has no
         time to seem to: random and systematic covariance count together. (Normalised error squared on the experiment's
         circle, with systematic errors: 2.7 for ten robots, 2.95 for three.)
         """
+        if isinstance(prior, Bearing):
+            self._add_bearing(number, prior)
+            return None
         covariance = plus(floored(prior.random_m2), prior.systematic_m2)
         information = inverse(covariance)
         if information is None:
             raise ValueError(f"covariance of the prior {covariance} is singular")
         self._nis = None
         if self._mine is not None:
-            self._nis = nis(predict(self._mine, prior.t_ns), prior.x_m, covariance)
-        self._newest = Held(prior.t_ns, information, apply(information, prior.x_m), prior.t_ns)
+            self._nis = nis(predict(self._mine, prior.t_ns, self._me.dynamics), prior.x_m, covariance)
+        self._measure(number, prior.x_m, information, prior.t_ns)
+        return self._nis
+
+    def _add_bearing(self, number: int, bearing: Bearing) -> None:
+        """Nothing to ask for rest and motion: its innovation has fewer degrees of freedom."""
+        self._nis = None
+        if self._mine is not None:
+            mine = predict(self._mine, bearing.t_ns, self._me.dynamics)
+            self._nis = nis_of_bearing(mine, bearing.x_m, bearing.information)
+        self._measure(number, bearing.x_m, bearing.information, bearing.t_ns)
+
+    def _measure(self, number: int, x_m: Vector, information: Symmetric, t_ns: int) -> None:
+        self._newest = Held(t_ns, information, apply(information, x_m), t_ns)
         self._window.measure((*self._me.key, number), self._newest)
         self._change += 1
-        return self._nis
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
         faults, ledger, samples = [], self._ledgers[src], self._window.samples
@@ -105,7 +120,7 @@ class MovingTarget:
         self._window.drop(frozenset(origins) - {self._me.key[0]})
         for origin in origins:
             self._own.pop(origin, None)
-        self._makers, self._agreed = frozenset(), FixedLagFilter()  # what they said is in the agreed track
+        self._makers, self._agreed = frozenset(), self._filter()  # what they said is in the agreed track
         self._change += 1
 
     def seeing(self, now_ns: int) -> int:
@@ -137,7 +152,7 @@ class MovingTarget:
             apart2 = distances2({name: track for name, track in tracks.items() if name in ballot.group})
             doubt = doubts([o for o in opinions if o.origin in ballot.group], self._me.liars, apart2)
         if track is not None and ballot is not None:
-            posterior = _doubted(track, doubt, {n: fresh[n] for n in fresh if n in ballot.group}, now_ns)
+            posterior = _doubted(track, doubt, {n: fresh[n] for n in fresh if n in ballot.group}, self._filter, now_ns)
         self._window.freeze(horizon_ns)
         believable = posterior is not None and inside(posterior.x_m, self._me.bounds.tank_m)
         if track is None or ballot is None or posterior is None or not believable:
@@ -165,7 +180,7 @@ class MovingTarget:
 
     def _tracks(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> dict[str, Track]:
         """Of each origin by its own samples alone, as of now."""
-        self._own = {origin: self._own.get(origin, FixedLagFilter()) for origin in fresh}
+        self._own = {origin: self._own.get(origin, self._filter()) for origin in fresh}
         tracks = {origin: self._own[origin].run(held, horizon_ns, now_ns) for origin, held in fresh.items()}
         self._mine = tracks.get(self._me.key[0])
         return {name: track for name, track in tracks.items() if track is not None}
@@ -173,7 +188,7 @@ class MovingTarget:
     def _agree(self, ballot: Ballot, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> Track | None:
         """The track through the samples of those that agree. One made by others alone is not continued."""
         if not self._makers & ballot.group:
-            self._agreed = FixedLagFilter()
+            self._agreed = self._filter()
         self._makers = ballot.group
         return self._agreed.run([h for name in fresh if name in ballot.group for h in fresh[name]], horizon_ns, now_ns)
 
@@ -188,7 +203,9 @@ def _posterior(track: Track) -> Posterior:
     return Posterior(track.x_m, track.A)
 
 
-def _doubted(track: Track, doubt: Doubt, fresh: dict[str, list[Held]], now_ns: int) -> Posterior:
+def _doubted(
+    track: Track, doubt: Doubt, fresh: dict[str, list[Held]], new_filter: Callable[[], FixedLagFilter], now_ns: int
+) -> Posterior:
     """The agreed track, and where somebody stands out the tracks without it, through what the window still holds.
 
     What is older than the window has faded, and a track of others cannot be taken out of it any more.
@@ -197,7 +214,7 @@ def _doubted(track: Track, doubt: Doubt, fresh: dict[str, list[Held]], now_ns: i
     for p, way in doubt.ways:
         weight = doubt.strength * p
         kept = [held for name in fresh if name not in way.out for held in fresh[name]] if weight > MATTERS else []
-        other = FixedLagFilter().run(kept, now_ns, now_ns)
+        other = new_filter().run(kept, now_ns, now_ns)
         if other is not None:
             certain -= weight
             places.append((weight, other.x_m, other.A))

@@ -9,7 +9,7 @@ from agent.kernel.estimation.delivery_ledger import DeliveryLedger
 from agent.kernel.estimation.evidence_checks import entry_fault, floored
 from agent.kernel.estimation.evidence_table import Key, Table, mark
 from agent.kernel.estimation.fuse import Fused, fuse
-from agent.kernel.estimation.interface import Posterior, Prior
+from agent.kernel.estimation.interface import Bearing, Posterior, Prior
 from agent.kernel.estimation.matrix import apply, distance2, inverse, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
 from agent.kernel.messages import Entry, Epoch, Explain, Gossip, Holding
@@ -34,7 +34,7 @@ class StaticTarget:
         self._gain = 0.0  # share of the newest own sample in the own sum
         self._nis: float | None = None
 
-    def add(self, number: int, prior: Prior, now_ns: int) -> float | None:
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> float | None:
         """Take in an own sample. Returns its normalised innovation squared against the own samples before it."""
         before = self._table.entries.get(self._me.key)
         information = self._table.measure(self._me.key, prior)
@@ -43,7 +43,7 @@ class StaticTarget:
         self._news_ns[self._me.key[0]] = now_ns
         random = None if before is None else inverse(before.information)
         self._nis = None
-        if before is not None and random is not None:
+        if before is not None and random is not None and isinstance(prior, Prior):
             x, y, z = apply(random, before.vector)
             step = (prior.x_m[0] - x, prior.x_m[1] - y, prior.x_m[2] - z)
             self._nis = distance2(plus(random, floored(prior.random_m2)), step)

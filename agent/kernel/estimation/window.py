@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from agent.kernel.estimation.evidence_checks import Bounds, sample_fault
-from agent.kernel.estimation.fixed_lag_filter import Held
+from agent.kernel.estimation.tracks.fixed_lag_filter import Held
 from agent.kernel.messages import Holding, Sample
 from agent.kernel.trust.origin_clocks import OriginClocks
 

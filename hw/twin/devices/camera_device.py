@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,14 +11,19 @@ import numpy as np
 
 from agent.kernel.messages import Vector
 from hw.camera.camera import FocusRange, Frame, Roi
+from hw.twin.creatures.shape import swimming
 from hw.twin.history import History, RobotPose
 from hw.twin.optics.view import Eye, Hull, Moment
 from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal
+from hw.twin.scene import Creature
 from hw.twin.stage import Stage
 
 if TYPE_CHECKING:
     from hw.twin.optics.lens import Lens, Vcm
+    from hw.twin.optics.outline import Outline
     from hw.twin.optics.painter import Painter
+
+Witness = Callable[[int, int, "list[Outline]"], None]  # middle of the exposure, number of the frame, what it shows
 
 FRAME_NS = 1_000_000_000 // 30
 EXPOSURE_NS = 10_000_000
@@ -74,15 +79,20 @@ class DiveCamera:
         now_ns: Callable[[], int],
         rendering: Callable[[int, int], AbstractContextManager[None]] = unhurried,
         blurs: bool = False,
+        creatures: Sequence[Creature] = (),
+        seed: int = 0,
+        witness: Witness | None = None,
     ) -> None:
         """`now_ns`: the dive's clock. `rendering(delivered_ns, latest_ns)` is around the making of a frame: it ends
-        when it is delivered_ns, and it may keep time from going beyond latest_ns before that."""
+        when it is delivered_ns, and it may keep time from going beyond latest_ns before that. `creatures` as the
+        history has them, of which `witness` is told what each frame shows."""
         self.size = (lens.width, lens.height)
         self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
         self._me, self._history, self._camera_m = me, history, camera_m
         self._vcm, self._painter, self._clock = vcm, painter, clock
         self._now_ns, self._rendering = now_ns, rendering
         self._stage, self._blurs = stage, blurs
+        self._creatures, self._seed, self._witness = tuple(creatures), seed, witness
         self._focused_ns = 0
 
     def set_focus(self, lens_position: int) -> int:
@@ -105,6 +115,8 @@ class DiveCamera:
             return self._moment(middle_ns + round(share * EXPOSURE_NS))[0]
 
         image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None)
+        if self._witness is not None and middle.creatures:
+            self._witness(middle_ns, seq, self._painter.outlines(middle, distance_m))
         return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
 
     def _moment(self, t_ns: int) -> tuple[Moment, float]:
@@ -112,4 +124,8 @@ class DiveCamera:
         poses = self._history.at(t_ns)
         eye, elevation_rad = look(poses[self._me], self._camera_m)
         hulls = tuple(Hull(p.position_m, p.rotation) for i, p in enumerate(poses) if i != self._me)
-        return Moment(eye, self._stage.solids(t_ns), hulls, self._stage.tags(t_ns)), elevation_rad
+        moment = Moment(eye, self._stage.solids(t_ns), hulls, self._stage.tags(t_ns))
+        if self._creatures:
+            attitudes = zip(self._creatures, self._history.creatures_at(t_ns), strict=True)
+            moment = moment._replace(creatures=tuple(swimming(who, how, self._seed) for who, how in attitudes))
+        return moment, elevation_rad

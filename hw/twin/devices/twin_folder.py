@@ -14,7 +14,7 @@ from agent.kernel.config import ConfigError, Fleet
 # sockaddr_un holds 108 bytes including the final zero (Linux unix(7)); the longest name is a robot's plus ".camera".
 LONGEST_FOLDER = 107 - len("/") - 16 - len(".camera")
 
-RESULTS = ("paths.csv", "separation.json")  # stay for who judges the dive, until the next one
+RESULTS = ("paths.csv", "separation.json", "creatures.csv", "boxes.csv")  # stay for who judges, until the next dive
 RUN_FILES = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log", "truth.json", "ready")
 
 

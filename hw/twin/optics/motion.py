@@ -36,4 +36,6 @@ def parts_of(during: During, focal_px: float, nearest_m: float) -> int:
 
 def _places_m(moment: Moment) -> list[NDArray[np.float64]]:
     solids = [np.asarray(solid.position_m, float) for solid in moment.solids]
-    return solids + [np.asarray(hull.position_m, float) for hull in moment.hulls]
+    hulls = [np.asarray(hull.position_m, float) for hull in moment.hulls]
+    parts = [np.asarray(part.position_m, float) for creature in moment.creatures for part in creature.parts]
+    return solids + hulls + parts

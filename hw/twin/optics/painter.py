@@ -19,6 +19,7 @@ from hw.twin.optics.defocus import blur, circles, margin
 from hw.twin.optics.exposure import expose, gamma_curve, noise_key, normal_quantiles
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.motion import During, parts_of
+from hw.twin.optics.outline import Outline, outlines, swum_over
 from hw.twin.optics.raycast import Floats, Identities, View, trace
 from hw.twin.optics.shade import PER_M, ShadingTables, shade
 from hw.twin.optics.tags import make_decals, paint
@@ -64,7 +65,7 @@ class Painter:
         steps_m = np.arange(int(np.linalg.norm(self._box_m) * PER_M) + 2) / PER_M
         through, veil = transmission_and_veil(water, steps_m)
         self._tables = ShadingTables(
-            atlas=texture.atlas(self._seed),
+            atlas=texture.atlas(self._seed, bool(self._scene.creature)),
             layer=np.array([m.layer for m in MATERIALS]),
             texels_per_m=np.array([1 / m.texel_m for m in MATERIALS], np.float32),
             dark=np.array([m.dark for m in MATERIALS], np.float32),
@@ -120,19 +121,9 @@ class Painter:
         needed = np.s_[y1 - y0 : y1 - y0 + h1, x1 - x0 : x1 - x0 + w1]
         radius = np.ascontiguousarray(radius[needed])
 
-        parts = 1
+        picture = self._lit(middle, view, image_distance_m, around, depth[needed], identity[needed])
         if during is not None:
-            focal_px = self._index * image_distance_m / self._lens.pixel_m
-            parts = parts_of(during, focal_px, float(depth[inside].min()))
-        if parts == 1 or during is None:
-            picture = self._lit(middle, view, image_distance_m, around, depth[needed], identity[needed])
-        else:
-            picture = np.zeros((h1, w1, 3), np.float32)
-            for share in (np.arange(parts) + 0.5) / parts - 0.5:
-                moment = during(float(share))
-                view = self._view(moment, image_distance_m)
-                picture += self._lit(moment, view, image_distance_m, around, *_trace(view, around))
-            picture /= np.float32(parts)
+            self._smear(picture, during, image_distance_m, around, float(depth[inside].min()))
 
         left, top, right, bottom = x - x1, y - y1, x - x1 + width, y - y1 + height
         picture = np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
@@ -140,6 +131,30 @@ class Painter:
         key = noise_key(self._seed, self._robot, tick)
         expose(picture, self._gain, key, x, y, self._lens.width, normal_quantiles(), gamma_curve(), image)
         return image
+
+    def _smear(self, picture: Floats, during: During, image_distance_m: float, around: Part, nearest_m: float) -> None:
+        """Draw anew what moves: everything, as the camera does, and what creatures swim over as finely as they do."""
+        focal_px = self._index * image_distance_m / self._lens.pixel_m
+        parts = parts_of(lambda share: during(share)._replace(creatures=()), focal_px, nearest_m)
+        if parts > 1:
+            picture[:] = self._mean(during, parts, image_distance_m, around)
+        moments = [during(share) for share in (-0.5, 0.0, 0.5)]
+        if not moments[0].creatures:
+            return
+        patch = swum_over([self._view(moment, image_distance_m) for moment in moments], moments[0], around)
+        if patch is not None and (finer := parts_of(during, focal_px, nearest_m)) > parts:
+            x, y, w, h = patch[0] - around[0], patch[1] - around[1], patch[2], patch[3]
+            picture[y : y + h, x : x + w] = self._mean(during, finer, image_distance_m, patch)
+
+    def _mean(self, during: During, parts: int, image_distance_m: float, part: Part) -> Floats:
+        """Linear radiance (h, w, 3) of a part of the frame, mean over so many parts of the exposure."""
+        picture = np.zeros((part[3], part[2], 3), np.float32)
+        for share in (np.arange(parts) + 0.5) / parts - 0.5:
+            moment = during(float(share))
+            view = self._view(moment, image_distance_m)
+            picture += self._lit(moment, view, image_distance_m, part, *_trace(view, part))
+        picture /= np.float32(parts)
+        return picture
 
     def depth(
         self,
@@ -151,6 +166,11 @@ class Painter:
     ) -> Floats:
         """Truth (h, w): z-depth in metres from the optical centre, along the refracted rays that are rendered."""
         return _trace(self._view(self._moment(eye, hulls, chessboard), image_distance_m), self._part(roi))[0]
+
+    def outlines(self, moment: Moment, image_distance_m: float) -> list[Outline]:
+        """Truth: where in the frame each creature is, and how much of it shows; refracted as the picture is."""
+        view = self._view(moment, image_distance_m)
+        return outlines(view, moment, (self._lens.width, self._lens.height))
 
     def _moment(self, eye: Eye, hulls: Sequence[Hull], chessboard: Chessboard | None) -> Moment:
         """The scene as it stands at the start."""

@@ -59,6 +59,7 @@ class View(NamedTuple):
     bounds: NDArray[np.int64]  # (E, 4) no pixel of the ellipsoid lies outside x0 <= x < x1, y0 <= y < y1
     radii: Floats  # (E, 3) semi-axes
     up: Floats  # (E, 3) the world's z in the ellipsoid's axes
+    pattern: Floats  # (E, 2) where on its texture an ellipsoid has its middle, m
     material: NDArray[np.int64]  # (SOLID_ID + E,) row of texture.MATERIALS for each identity
 
 

@@ -152,4 +152,4 @@ def _on_solid(view: View, e: int, px: F, py: F, u: F) -> tuple[F, F, F]:
         s, t = y, z
     elif abs(ky) > abs(kz):
         s, t = x + SECOND_FACE_M, z
-    return s, t, facing
+    return s + view.pattern[e, 0], t + view.pattern[e, 1], facing

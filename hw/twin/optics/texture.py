@@ -12,7 +12,7 @@ from hw.twin.scene import generator
 
 SIZE = 1024  # texels a side, a power of two
 LEVELS = 7  # the coarsest texel is 64 fine ones wide
-TILED, MOTTLED, GRAINED = range(3)  # layers of the atlas
+TILED, MOTTLED, GRAINED, BLOTCHED = range(4)  # layers of the atlas; the last for scenes with creatures alone
 
 
 class Material(NamedTuple):
@@ -34,12 +34,19 @@ YELLOW_BALL = Material(MOTTLED, 0.35e-3, (0.02, 0.17, 0.20), (0.10, 0.66, 0.78))
 GREEN_BALL = Material(MOTTLED, 0.35e-3, (0.03, 0.18, 0.03), (0.15, 0.70, 0.13))
 STONE = Material(MOTTLED, 0.5e-3, (0.10, 0.11, 0.12), (0.46, 0.48, 0.50))
 HULL = Material(GRAINED, 1e-3, (0.03, 0.30, 0.34), (0.05, 0.46, 0.52))  # yellow
-MATERIALS = (WALL, FLOOR, SURFACE, CHESSBOARD, RED_BALL, YELLOW_BALL, GREEN_BALL, STONE, HULL, ORANGE_BALL)
+ORANGE_FISH = Material(BLOTCHED, 0.3e-3, (0.02, 0.09, 0.42), (0.62, 0.74, 0.80))  # a koi: orange and cream
+SILVER_FISH = Material(BLOTCHED, 0.3e-3, (0.14, 0.13, 0.11), (0.66, 0.64, 0.60))
+BROWN_FISH = Material(BLOTCHED, 0.3e-3, (0.03, 0.06, 0.08), (0.22, 0.36, 0.44))
+FISH = (ORANGE_FISH, SILVER_FISH, BROWN_FISH)
+MATERIALS = (WALL, FLOOR, SURFACE, CHESSBOARD, RED_BALL, YELLOW_BALL, GREEN_BALL, STONE, HULL, ORANGE_BALL, *FISH)
 
 
 @lru_cache(maxsize=2)  # all cameras of a tank see the same surfaces
-def atlas(seed: int) -> NDArray[np.uint8]:
-    """(layers, texels): for each layer its mip levels one after the other, each row by row; 255 is all light."""
+def atlas(seed: int, blotched: bool = False) -> NDArray[np.uint8]:
+    """(layers, texels): for each layer its mip levels one after the other, each row by row; 255 is all light.
+
+    blotched: with that layer, which takes its time to make.
+    """
     tiled = 0.5 + 0.10 * _noise(generator(seed, "tiled"), slope=0.9)
     texel = np.arange(SIZE)
     joint = (texel % (SIZE // 8)) < 4
@@ -47,7 +54,11 @@ def atlas(seed: int) -> NDArray[np.uint8]:
     tiled[:, joint] *= 0.55
     mottled = 0.5 + 0.16 * _noise(generator(seed, "mottled"), slope=1.0) + 0.12 * _grain(generator(seed, "grain"))
     grained = 0.5 + 0.25 * _grain(generator(seed, "board"))
-    return np.stack([_mips(layer) for layer in (tiled, mottled, grained)])
+    layers = [tiled, mottled, grained]
+    if blotched:
+        blotches = np.tanh(2.0 * _noise(generator(seed, "blotches"), slope=2.0))
+        layers.append(0.5 + 0.30 * blotches + 0.10 * _grain(generator(seed, "scales")))
+    return np.stack([_mips(layer) for layer in layers])
 
 
 def _noise(rng: np.random.Generator, slope: float) -> NDArray[np.float64]:

@@ -26,6 +26,11 @@ BALLS = {
     "yellow": MATERIALS.index(texture.YELLOW_BALL),
     "green": MATERIALS.index(texture.GREEN_BALL),
 }
+FISH = {
+    "orange": MATERIALS.index(texture.ORANGE_FISH),
+    "silver": MATERIALS.index(texture.SILVER_FISH),
+    "brown": MATERIALS.index(texture.BROWN_FISH),
+}
 
 EVERYWHERE, NOWHERE = (-100_000, -100_000, 100_000, 100_000), (0, 0, 0, 0)
 STRAIGHT = 1.3  # rad off the axis; what lies beyond is never in the picture
@@ -54,6 +59,21 @@ class Chessboard(NamedTuple):
     size_m: tuple[float, float] = (0.30, 0.20)
 
 
+class Ellipsoid(NamedTuple):
+    position_m: ArrayLike
+    rotation: ArrayLike
+    radii_m: tuple[float, float, float]
+    material: int
+    pattern_m: tuple[float, float] = (0.0, 0.0)  # where on its texture its middle is
+
+
+class Swimming(NamedTuple):
+    """A creature as it is bent at one instant."""
+
+    name: str
+    parts: tuple[Ellipsoid, ...]
+
+
 class Moment(NamedTuple):
     """What is around a camera at one instant, its own robot left out."""
 
@@ -62,13 +82,7 @@ class Moment(NamedTuple):
     hulls: Sequence[Hull] = ()
     tags: Sequence[PaintedTag] = ()
     chessboard: Chessboard | None = None
-
-
-class Ellipsoid(NamedTuple):
-    position_m: ArrayLike
-    rotation: ArrayLike
-    radii_m: tuple[float, float, float]
-    material: int
+    creatures: Sequence[Swimming] = ()
 
 
 def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float, box_m: ArrayLike) -> View:
@@ -84,6 +98,7 @@ def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float,
         for s in moment.solids
     ]
     bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in moment.hulls]
+    bodies += [part for creature in moment.creatures for part in creature.parts]
     to_unit = [relative(b.rotation, b.position_m, camera) / np.array(b.radii_m)[:, None] for b in bodies]
     optics = (slope, *lens.centre_px, lens.k1, lens.k2, index**2, lens.port_gap_m)
     return View(
@@ -96,6 +111,7 @@ def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float,
         bounds=np.array([pixel_bounds(b, camera, lens, index / slope) for b in bodies], np.int64).reshape(-1, 4),
         radii=np.array([b.radii_m for b in bodies], np.float32).reshape(-1, 3),
         up=np.array([np.asarray(b.rotation)[2] for b in bodies], np.float32).reshape(-1, 3),
+        pattern=np.array([b.pattern_m for b in bodies], np.float32).reshape(-1, 2),
         material=np.array(FACES + [b.material for b in bodies]),
     )
 

@@ -46,13 +46,14 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         "current": "velocity_m_s = [0.0, 0.05, 0.0]",
         "occlude": "solid = 1\nto_m = [0.8, 0.7, 0.1]\nover_s = 4.0",
         "tag_lost": "id = 12",
+        "startle": 'creature = "fish"\nspeed_m_s = 0.4\nfor_s = 1.0',
     }
-    everybodys = ("current", "occlude", "tag_lost")
+    everybodys = ("current", "occlude", "tag_lost", "startle")
     kinds = faults.KINDS
     whose = {kind: "" if kind in everybodys else 'robot = "r1"\n' for kind in kinds}
     tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\n{whose[k]}{more.get(k, "")}\n' for i, k in enumerate(kinds)]
     scene = scene_with(tmp_path, "".join(tables))
-    assert len(scene.event) == len(kinds) == 20
+    assert len(scene.event) == len(kinds) == 21
     assert scene.event[0] == faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
 
 
@@ -126,13 +127,14 @@ DONE = {
     faults.CurrentSet(at_s=0, velocity_m_s=(0.1, 0.0, 0.0)): call.set_current((0.1, 0.0, 0.0)),
     faults.Occlude(at_s=0, solid=1, to_m=(0.8, 0.7, 0.1), over_s=4.0): call.move_solid(1, (0.8, 0.7, 0.1), 4.0),
     faults.TagLost(at_s=0, id=12): call.lose_tag(12),
+    faults.Startle(at_s=0, creature="fish", speed_m_s=0.4, for_s=1.0): call.school.startle("fish", 0.4, 1.0),
 }
 
 
 def test_each_kind_of_fault_does_one_thing_to_the_dive():
     assert {type(fault).__struct_config__.tag for fault in DONE} == set(faults.KINDS)
     for fault, done in DONE.items():
-        dive = Mock(spec=[*dir(Dive), "gyros"])
+        dive = Mock(spec=[*dir(Dive), "gyros", "school"])
         apply(fault, dive)
         assert dive.mock_calls == [done]
 

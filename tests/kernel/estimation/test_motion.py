@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.kernel.estimation.evidence_checks import Bounds
-from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.matrix import apply, inverse
 from agent.kernel.estimation.motion import BATCH, Motion
-from agent.kernel.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, nis, predict
+from agent.kernel.estimation.tracks.dynamics import ROLLING
+from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.tracks.track import begin, correct, nis, predict
 from agent.kernel.estimation.window import WINDOW, Window
 from agent.kernel.messages import MAX_PAYLOAD, Epoch, Sample, upper
 from tests.kernel.estimation.linked_robots import NAMES, Net, line
@@ -41,12 +42,12 @@ def kalman(samples):
     R, H = full(COV), np.hstack([np.eye(3), np.zeros((3, 3))])
     (t, z), *rest = samples
     x, P = np.r_[z, np.zeros(3)], np.zeros((6, 6))
-    P[:3, :3], P[3:, 3:] = R, FIRST_SPEED_M_S**2 * np.eye(3)
+    P[:3, :3], P[3:, 3:] = R, ROLLING.first_speed_m_s**2 * np.eye(3)
     for then, z in rest:
         dt, t = then - t, then
         F = np.eye(6)
         F[:3, 3:] = dt * np.eye(3)
-        Q = ACCELERATION_PSD * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
+        Q = ROLLING.psd_m2_s3 * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
         x, P = F @ x, F @ P @ F.T + Q
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         x, P = x + K @ (z - H @ x), (np.eye(6) - K @ H) @ P

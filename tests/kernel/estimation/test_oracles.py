@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import InformationFilter, KalmanFilter
 
-from agent.kernel.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.fuse import Opinion, fuse
 from agent.kernel.estimation.matrix import apply, inverse, invert, plus, times
-from agent.kernel.estimation.track import ACCELERATION_PSD, FIRST_SPEED_M_S, begin, correct, nis, predict
+from agent.kernel.estimation.tracks.dynamics import ROLLING
+from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
+from agent.kernel.estimation.tracks.track import begin, correct, nis, predict
 from agent.kernel.messages import upper
 
 SECOND_NS = 1_000_000_000
@@ -40,7 +41,7 @@ def opinions(places):
 
 def constant_velocity(dt):
     """F (6, 6) and Q (6, 6) of places, then velocities."""
-    q = ACCELERATION_PSD * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
+    q = ROLLING.psd_m2_s3 * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
     return np.kron([[1.0, dt], [0.0, 1.0]], np.eye(3)), q
 
 
@@ -63,7 +64,7 @@ def filterpy_track(samples):
     oracle = KalmanFilter(dim_x=6, dim_z=3)
     oracle.H, oracle.x = np.eye(3, 6), np.r_[z, np.zeros(3)][:, None]
     oracle.P = np.zeros((6, 6))
-    oracle.P[:3, :3], oracle.P[3:, 3:] = R, FIRST_SPEED_M_S**2 * np.eye(3)
+    oracle.P[:3, :3], oracle.P[3:, 3:] = R, ROLLING.first_speed_m_s**2 * np.eye(3)
     for then, z, R in rest:
         F, Q = constant_velocity(then - t)
         oracle.predict(F=F, Q=Q)

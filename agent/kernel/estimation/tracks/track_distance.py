@@ -15,7 +15,16 @@ from typing import NamedTuple
 
 from agent.kernel.estimation.fuse import DOUBTED, LOW
 from agent.kernel.estimation.matrix import ZERO, apply, difference, invert, minus, plus, quadratic
-from agent.kernel.estimation.track import Square, Track, add_times, image, product, square, symmetric_part, transpose
+from agent.kernel.estimation.tracks.track import (
+    Square,
+    Track,
+    add_times,
+    image,
+    product,
+    square,
+    symmetric_part,
+    transpose,
+)
 from agent.kernel.messages import Symmetric, Vector
 
 BOTH_LOW = 3.26  # sigma; honest tracks stand farther off in six dimensions as seldom as farther than LOW in three

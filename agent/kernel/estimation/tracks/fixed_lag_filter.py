@@ -9,24 +9,33 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.kernel.estimation.track import Track, begin, correct, predict, summed
+from agent.kernel.estimation.matrix import well_conditioned
+from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics
+from agent.kernel.estimation.tracks.line import placed
+from agent.kernel.estimation.tracks.track import Track, begin, correct, predict, summed
 from agent.kernel.messages import Symmetric, Vector
+
+ANYWHERE_M = (10.0, 10.0, 10.0)  # where nobody says how large the tank is
 
 
 class Held(NamedTuple):
     """One sample as this robot keeps it."""
 
     t_ns: int  # of exposure, on this robot's clock
-    information: Symmetric  # R^-1, 1/m^2
+    information: Symmetric  # R^-1, 1/m^2; of rank 2 at least
     vector: Vector  # R^-1 x̂, 1/m
     exposed_ns: int = 0  # of exposure, on the clock of its origin; 0: not told
     signature: bytes = b""
 
 
 class FixedLagFilter:
-    """A track over the samples that it is shown; those up to the horizon it remembers, the others it must see again."""
+    """A track over the samples that it is shown; those up to the horizon it remembers, the others it must see again.
 
-    def __init__(self) -> None:
+    tank_m: where the target is for certain, which is all that a first bearing knows of the way along it.
+    """
+
+    def __init__(self, dynamics: Dynamics = ROLLING, tank_m: Vector = ANYWHERE_M) -> None:
+        self._dynamics, self._tank_m = dynamics, tank_m
         self._frozen: Track | None = None
 
     def run(self, samples: Iterable[Held], horizon_ns: int, now_ns: int) -> Track | None:
@@ -41,9 +50,11 @@ class FixedLagFilter:
         for t_ns in sorted(moments):
             information, vector = summed(moments[t_ns])
             if track is None:
-                track = begin(t_ns, information, vector)
+                if not well_conditioned(information):
+                    information, vector = placed(information, vector, self._tank_m)
+                track = begin(t_ns, information, vector, self._dynamics)
             else:
-                track = correct(predict(track, t_ns), information, vector)
+                track = correct(predict(track, t_ns, self._dynamics), information, vector)
             if t_ns <= horizon_ns:
                 self._frozen = track
-        return None if track is None else predict(track, now_ns)
+        return None if track is None else predict(track, now_ns, self._dynamics)

@@ -1,0 +1,75 @@
+"""A frame that shows the target gives a bearing: across the ray it is placed as well as the box, along it not at all.
+
+E: two unit vectors across the ray; V = sigma^2 u^2 I + E' P E, with u the range that is believed, which sets the
+weight alone, and P what the robot's own pose adds. Then Lam = E V^-1 E' is of rank 2, and Lam (o + s n) the same for
+any s.
+"""
+
+from __future__ import annotations
+
+import math
+
+from agent.kernel.estimation.evidence_checks import R_FLOOR_M
+from agent.kernel.estimation.interface import NOTHING, Bearing
+from agent.kernel.estimation.matrix import apply, plus, times
+from agent.kernel.estimation.tracks.line import outer
+from agent.kernel.messages import Symmetric, Vector
+
+
+def bearing(
+    origin_m: Vector,
+    direction: Vector,
+    range_m: float,
+    sigma_rad: float,
+    t_ns: int,
+    pose_m2: Symmetric = NOTHING,
+    range_sigma_m: float | None = None,
+) -> Bearing:
+    """The bearing of a camera at origin_m along `direction`, world frame; its length does not matter.
+
+    pose_m2: covariance of the place at that range by errors of the robot's own pose, with what their memory makes of
+    them. range_sigma_m: of a range by size or focus; None: there is none. Raises ValueError without a direction or a
+    range.
+    """
+    length = math.sqrt(sum(c * c for c in direction))
+    if not (length > 0.0 and range_m > 0.0):
+        raise ValueError(f"a bearing needs a direction and a range, not {direction} and {range_m} m")
+    n = direction[0] / length, direction[1] / length, direction[2] / length
+    x_m = origin_m[0] + range_m * n[0], origin_m[1] + range_m * n[1], origin_m[2] + range_m * n[2]
+    e, f = _across(n)
+    own = max(sigma_rad * range_m, R_FLOOR_M) ** 2
+    pe, pf = apply(pose_m2, e), apply(pose_m2, f)
+    a, b, d = own + _dot(e, pe), _dot(e, pf), own + _dot(f, pf)
+    det = a * d - b * b
+    information = plus(plus(times(d / det, outer(e)), times(a / det, outer(f))), times(-b / det, _both(e, f)))
+    if range_sigma_m is not None:
+        information = plus(information, times(1.0 / max(range_sigma_m, R_FLOOR_M) ** 2, outer(n)))
+    return Bearing(x_m, information, t_ns)
+
+
+def _across(n: Vector) -> tuple[Vector, Vector]:
+    """Two unit vectors, at right angles to n and to each other."""
+    x, y, z = n
+    if abs(z) < 0.9:  # the first one is level
+        level = math.sqrt(x * x + y * y)
+        e = -y / level, x / level, 0.0
+    else:
+        upright = math.sqrt(y * y + z * z)
+        e = 0.0, -z / upright, y / upright
+    return e, (y * e[2] - z * e[1], z * e[0] - x * e[2], x * e[1] - y * e[0])
+
+
+def _both(e: Vector, f: Vector) -> Symmetric:
+    """e f' + f e'"""
+    return (
+        2.0 * e[0] * f[0],
+        e[0] * f[1] + e[1] * f[0],
+        e[0] * f[2] + e[2] * f[0],
+        2.0 * e[1] * f[1],
+        e[1] * f[2] + e[2] * f[1],
+        2.0 * e[2] * f[2],
+    )
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
