@@ -159,6 +159,9 @@ class Agent:
             self.scheduler.next({name: target.estimator.t for name, target in self.targets.items()})
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
+        if self.swimmer is not None:
+            about = self.targets.get(self.swimmer.about or "")
+            self.swimmer.heed(about.estimate(now_ns) if about else None, self.seek, now_ns)
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
         believed = self.current.estimator.posterior

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import Pointing, Search, off_centre_px
+from agent.kernel.control.roam import LOOK_NS, Roam
 from agent.kernel.control.sweep import Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
@@ -37,6 +38,8 @@ class Seek:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
         self.pose = robot.pose  # of a robot that swims, by whoever knows it
+        self.roam: Roam | None = None  # of one that searches, likewise
+        self._roamed_us: tuple[int, int] | None = None  # where the newest of its looks is
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
@@ -46,6 +49,10 @@ class Seek:
     def measuring(self) -> bool:
         """A sweep is under way."""
         return self._memory[self._target].sweep.running
+
+    def sees(self, target: str, now_ns: int) -> bool:
+        """Whether it is in view, where the gimbal looks."""
+        return target == self._target and self._memory[target].in_view(now_ns)
 
     def add_sighting(self, sighting: Sighting) -> None:
         """Take note of one frame."""
@@ -95,12 +102,15 @@ class Seek:
             self._look_around(memory.search, attitude, told_m, now_ns)
         elif self._lost(memory, now_ns):
             memory.sweep.forget()
+            if self.roam is not None and self.roam.target == target:
+                self.roam.advance()
             self._look_around(memory.search, attitude, told_m, now_ns)
         return None
 
     def _lost(self, memory: TargetMemory, now_ns: int) -> bool:
         since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
-        return now_ns - since_ns > LOST_NS
+        roams = self.roam is not None and self.pointing.goal_us == self._roamed_us
+        return now_ns - since_ns > (LOOK_NS if roams else LOST_NS)
 
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
@@ -122,12 +132,22 @@ class Seek:
         self._turn_to_point(point, level, (0.0, 0.0), now_ns)
 
     def _look_around(self, search: Search, attitude: Attitude | None, told_m: Vector | None, now_ns: int) -> None:
-        if told_m is None:
+        level = attitude or Attitude(self._robot.depth_m, 0.0, 0.0)
+        if self.roam is not None and self.roam.target == self._target:
+            self._look_on(self.roam, level, told_m, now_ns)
+        elif told_m is None:
             self._aim(self._look_us, now_ns)
         else:
-            level = attitude or Attitude(self._robot.depth_m, 0.0, 0.0)
             offset = search.offset_deg(self.pointing.steady(now_ns), now_ns)
             self._turn_to_point(told_m, level, offset, now_ns)
+
+    def _look_on(self, roam: Roam, level: Attitude, told_m: Vector | None, now_ns: int) -> None:
+        offset = roam.offset_deg
+        if offset is not None and told_m is not None:
+            self._turn_to_point(told_m, level, offset, now_ns)
+        else:
+            self._aim(servos_us(self._camera, self._fleet.body, *roam.way_deg), now_ns)
+        self._roamed_us = self.pointing.goal_us
 
     def _turn_to_point(self, point: Vector, level: Attitude, offset_deg: tuple[float, float], now_ns: int) -> None:
         pan, tilt = look_at(point, self.pose, self._fleet.body, *level, self._fleet.tank.surface_m)
