@@ -168,7 +168,7 @@ class Search(Struct, frozen=True, kw_only=True, tag_field="kind", tag="search"):
 
     target: Name
     lane_m: Annotated[float, Meta(ge=0.2)] = 0.8  # from one lane to the next; where the water is murky less
-    speed_m_s: Positive = 0.05  # a look all around takes a quarter of a minute
+    speed_m_s: Positive = 0.06  # in a quarter of a minute, when the gaze has gone round, a lane's width
 
 
 Behaviour = Hold | Goto | Turn | Orbit | Trial | Follow | Search

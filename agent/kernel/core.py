@@ -204,7 +204,10 @@ class Agent:
         state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
         mode: Mode = "running" if self.net.fault(now_ns) is None else "degraded"
         where = UNSET if self.swimmer is None else self.swimmer.localizer.shown(now_ns)
-        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed, whereabouts=where)
+        does = UNSET if self.swimmer is None else self.swimmer.does
+        target.last_state = msgspec.structs.replace(
+            state, mode=mode, signed=self._signed, whereabouts=where, behaviour=does
+        )
         return target.last_state
 
     def _last_state(self, now_ns: int) -> State | None:

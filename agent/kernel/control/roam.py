@@ -13,8 +13,8 @@ from agent.kernel.ranging.calibration import CameraFit
 
 Ways = tuple[tuple[float, float], ...]  # pan and tilt, degrees
 
-LOOK_NS = 500_000_000  # in one direction, gimbal at rest: two frames, and what it takes to search them
-OVERLAP_DEG = (8.0, 2.0)  # of looks beside and above each other; a ball of 14 cm is 8 degrees wide at 1 m
+FRAMES = 2  # without the target, and the next look is due
+OVERLAP_DEG = 8.0  # of neighbouring looks: as wide as a ball of 14 cm is at 1 m
 NEAR_M = 0.8  # floor and surface are searched from there on; what is nearer was farther away before
 PITCH = 0.8  # of the spiral, in views: from one turn to the next, and from look to look
 WIDEST_DEG = 90.0  # of the spiral
@@ -27,15 +27,24 @@ class Roam:
         """spiral: offsets from where the target was last; around: by the gimbal's own angles."""
         self.target = target
         self._spiral, self._around = spiral, around
-        self._step = -1
+        self._step, self._empty = -1, FRAMES
 
     @property
     def spirals(self) -> bool:
         """It has not looked everywhere around the last place yet."""
         return self._step < len(self._spiral)
 
+    @property
+    def over(self) -> bool:
+        """Whether the newest look has shown that there is nothing."""
+        return self._empty >= FRAMES
+
+    def add_frame(self, found: bool) -> None:
+        """One of the newest look."""
+        self._empty = 0 if found else self._empty + 1
+
     def advance(self) -> None:
-        self._step += 1
+        self._step, self._empty = self._step + 1, 0
 
     @property
     def offset_deg(self) -> tuple[float, float] | None:
@@ -61,7 +70,7 @@ def spiral(camera: CameraFit, reach_deg: float) -> Ways:
 
 def all_around(camera: CameraFit, body: Body, depth_m: float, surface_m: float) -> Ways:
     """The gimbal's whole pan, at as many tilts as it takes to see floor and surface; every other row backwards."""
-    steps = [view - overlap for view, overlap in zip(view_deg(camera), OVERLAP_DEG, strict=True)]
+    steps = [max(view - OVERLAP_DEG, 0.5 * view) for view in view_deg(camera)]
     lowest = max(-math.degrees(math.atan2(surface_m - depth_m, NEAR_M)), body.tilt_limit_deg[0])
     highest = min(math.degrees(math.atan2(depth_m, NEAR_M)), body.tilt_limit_deg[1])
     pans = _middles(*body.pan_limit_deg, steps[0])

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import Pointing, Search, off_centre_px
-from agent.kernel.control.roam import LOOK_NS, Roam
+from agent.kernel.control.roam import Roam
 from agent.kernel.control.sweep import Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
@@ -39,7 +39,6 @@ class Seek:
         self.pointing = Pointing()
         self.pose = robot.pose  # of a robot that swims, by whoever knows it
         self.roam: Roam | None = None  # of one that searches, likewise
-        self._roamed_us: tuple[int, int] | None = None  # where the newest of its looks is
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
@@ -62,6 +61,12 @@ class Seek:
         memory.sweep.frame(sighting)
         if sighting.found and sighting.t_ns >= self.pointing.steady_from_ns:
             memory.seen = sighting
+        if (
+            self.roam is not None
+            and sighting.target == self.roam.target
+            and sighting.t_ns >= self.pointing.nearly_from_ns
+        ):
+            self.roam.add_frame(sighting.found)
 
     def add_telemetry(self, telemetry: Telemetry) -> None:
         """Take note of how still the robot is."""
@@ -87,7 +92,12 @@ class Seek:
         self._target, self._elsewhere = target, False
         if self.pointing.goal_us is None:
             self._aim(self._look_us, now_ns)
-        if memory.sweep.running or not (another or self.pointing.steady(now_ns)):
+        if memory.sweep.running:
+            return None
+        if self.roam is not None and self.roam.target == target and self.roam.over and not memory.in_view(now_ns):
+            self.roam.advance()
+            another = True
+        if not (another or self.pointing.steady(now_ns)):
             return None
         if memory.seen is not None and memory.seen.centre_px is not None and memory.in_view(now_ns):
             memory.search.reset()
@@ -102,15 +112,12 @@ class Seek:
             self._look_around(memory.search, attitude, told_m, now_ns)
         elif self._lost(memory, now_ns):
             memory.sweep.forget()
-            if self.roam is not None and self.roam.target == target:
-                self.roam.advance()
             self._look_around(memory.search, attitude, told_m, now_ns)
         return None
 
     def _lost(self, memory: TargetMemory, now_ns: int) -> bool:
         since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
-        roams = self.roam is not None and self.pointing.goal_us == self._roamed_us
-        return now_ns - since_ns > (LOOK_NS if roams else LOST_NS)
+        return now_ns - since_ns > LOST_NS
 
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
@@ -147,7 +154,6 @@ class Seek:
             self._turn_to_point(told_m, level, offset, now_ns)
         else:
             self._aim(servos_us(self._camera, self._fleet.body, *roam.way_deg), now_ns)
-        self._roamed_us = self.pointing.goal_us
 
     def _turn_to_point(self, point: Vector, level: Attitude, offset_deg: tuple[float, float], now_ns: int) -> None:
         pan, tilt = look_at(point, self.pose, self._fleet.body, *level, self._fleet.tank.surface_m)
