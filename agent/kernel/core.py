@@ -161,7 +161,10 @@ class Agent:
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
         if self.swimmer is not None:
             about = self.targets.get(self.swimmer.about or "")
+            did = self.swimmer.does
             self.swimmer.heed(about.estimate(now_ns) if about else None, self.seek, now_ns)
+            if self.swimmer.does != did:
+                self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
         believed = self.current.estimator.posterior

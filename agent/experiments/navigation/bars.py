@@ -41,6 +41,13 @@ BARS = (
     Bar("separation", "least_m", "m", 0.34, None, PLANAR, "robots cross, least distance"),
     Bar("target", "ratio_to_bound", "", None, 1.2, TWIN, "the ball's place, three robots, to the bound"),
     Bar("target", "nees", "", 0.7, 1.3, TWIN, "its error as they say, NEES/3"),
+    Bar("follow", "rms_mm", "mm", None, None, TWIN, "three follow a target, its distance less 0.7 m"),
+    Bar("follow", "gap_deg", "deg", None, None, TWIN, "their angle to each other around it, less 120 deg"),
+    Bar("follow", "least_m", "m", 0.34, None, TWIN, "the same, least distance of two robots"),
+    Bar("follow", "known_by_sweeps", "", None, None, TWIN, "share of the time in which sweeps alone say where it is"),
+    Bar("search", "s", "s", None, None, PLANAR, "a ball nobody sees at first is measured, three robots, 95 %"),
+    Bar("search", "alone_s", "s", None, None, PLANAR, "the same, one robot"),
+    Bar("search", "least_m", "m", 0.34, None, PLANAR, "three search, least distance of two"),
 )
 
 

@@ -25,6 +25,10 @@ SPREAD = (  # of draws: name, key, heading
     ("turn", "s", "turn, s"),
     ("orbit", "rms_mm", "orbit, rms mm"),
     ("orbit with gaps", "rms_mm", "orbit with gaps, rms mm"),
+    ("follow", "off_mm", "follow, off its distance, rms mm"),
+    ("follow", "gap_deg", "follow, off an even angle, rms deg"),
+    ("search", "s", "search, three robots, s"),
+    ("search alone", "s", "search, one robot, s"),
 )
 
 
@@ -36,6 +40,7 @@ def table(result: Result) -> Group:
     parts += [spread_table(draws)] if any(name in draws for name, *_ in SPREAD) else []
     parts += [crossing_line(draws["separation"])] if draws.get("separation") else []
     parts += [target_line(draws["target"])] if draws.get("target") else []
+    parts += [follow_line(draws)] if draws.get("follow") else []
     parts += [f"missed: {', '.join(result.missed)}"] if result.missed else []
     parts += [f"no verdict: the bars are for {ENOUGH} seeds"] if result.missed is None else []
     return Group(*parts)
@@ -98,6 +103,17 @@ def target_line(rows: Sequence[Row]) -> str:
     bound_mm, nees = np.sqrt(np.mean([r["bound_mm"] ** 2 for r in rows])), np.mean([r["bound_nees"] for r in rows])
     samples = np.mean([row["samples"] for row in rows])
     return f"target: {samples:.1f} samples a run; the bound is off by {bound_mm:.1f} mm rms, its NEES/3 is {nees:.2f}"
+
+
+def follow_line(draws: dict[str, list[Row]]) -> str:
+    """How much the cameras see of what they follow."""
+    seen = (
+        f"at {speed:g} m/s {np.mean([r['one_sees'] for r in rows]):.0%} of the frames show it to one or more, "
+        f"{np.mean([r['each_sees'] for r in rows]):.0%} to each"
+        for speed in sorted({row["speed_m_s"] for row in draws["follow"]})
+        for rows in ([row for row in draws["follow"] if row["speed_m_s"] == speed],)
+    )
+    return f"follow: {'; '.join(seen)}"
 
 
 def _blurred(blur_px: float | None, band: tuple[float, float] | None) -> bool:

@@ -28,6 +28,7 @@ class Roam:
         self.target = target
         self._spiral, self._around = spiral, around
         self._step, self._empty = -1, FRAMES
+        self.found = False  # in the newest frame of the newest look
 
     @property
     def spirals(self) -> bool:
@@ -41,10 +42,10 @@ class Roam:
 
     def add_frame(self, found: bool) -> None:
         """One of the newest look."""
-        self._empty = 0 if found else self._empty + 1
+        self.found, self._empty = found, 0 if found else self._empty + 1
 
     def advance(self) -> None:
-        self._step, self._empty = self._step + 1, 0
+        self._step, self._empty, self.found = self._step + 1, 0, False
 
     @property
     def offset_deg(self) -> tuple[float, float] | None:

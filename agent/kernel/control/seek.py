@@ -50,8 +50,9 @@ class Seek:
         return self._memory[self._target].sweep.running
 
     def sees(self, target: str, now_ns: int) -> bool:
-        """Whether it is in view, where the gimbal looks."""
-        return target == self._target and self._memory[target].in_view(now_ns)
+        """Whether it is in view where the gimbal looks, or was as the gimbal came to rest there."""
+        found = self.roam is not None and self.roam.target == target and self.roam.found
+        return found or (target == self._target and self._memory[target].in_view(now_ns))
 
     def add_sighting(self, sighting: Sighting) -> None:
         """Take note of one frame."""

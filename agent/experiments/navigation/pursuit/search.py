@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
-from agent.experiments.navigation.bodies import twin_bodies
+from agent.experiments.navigation.bodies import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
 from agent.kernel.config import Look, Pose, Search
@@ -37,24 +37,24 @@ def search(seed: int, robots: int = ROBOTS, search_s: float = SEARCH_S) -> Row:
         },
         seed,
     )
-    with twin_bodies(fleet) as bodies:
-        swimmers = Swimmers(fleet, bodies, ball_m)
-        for _ in range(round(FIND_S * 20.0)):
-            swimmers.step()
-            if any(swimmers.swims(name) for name in names):
-                break
-        began_ns, found_ns, least_m, path = bodies.now_ns, None, math.inf, []
-        while bodies.now_ns - began_ns < search_s * 1e9:
-            swimmers.step()
-            here = np.array([swimmers.place(name)[:2] for name in names])
-            path.append(here)
-            apart = np.linalg.norm(here[:, None] - here[None], axis=2)[np.triu_indices(robots, 1)]
-            least_m = min([least_m, *apart.tolist()])
-            knows = [agent.current.estimator.posterior is not None for agent in swimmers.agents.values()]
-            if found_ns is None and any(knows):
-                found_ns = bodies.now_ns
-            if found_ns is not None and bodies.now_ns - found_ns >= 5e9:
-                break
+    bodies = PlanarBodies(fleet)
+    swimmers = Swimmers(fleet, bodies, ball_m)
+    for _ in range(round(FIND_S * 20.0)):
+        swimmers.step()
+        if any(swimmers.swims(name) for name in names):
+            break
+    began_ns, found_ns, least_m, path = bodies.now_ns, None, math.inf, []
+    while bodies.now_ns - began_ns < search_s * 1e9:
+        swimmers.step()
+        here = np.array([swimmers.place(name)[:2] for name in names])
+        path.append(here)
+        apart = np.linalg.norm(here[:, None] - here[None], axis=2)[np.triu_indices(robots, 1)]
+        least_m = min([least_m, *apart.tolist()])
+        knows = [agent.current.estimator.posterior is not None for agent in swimmers.agents.values()]
+        if found_ns is None and any(knows):
+            found_ns = bodies.now_ns
+        if found_ns is not None and bodies.now_ns - found_ns >= 5e9:
+            break
     seconds = None if found_ns is None else (found_ns - began_ns) * 1e-9
     return {"s": seconds, "least_m": least_m, "told": float(np.mean(knows)), "path": np.array(path), "ball_m": ball_m}
 

@@ -4,7 +4,7 @@ Each robot decides for itself. With th the bearing from the target to the robot,
 follow it, and g = wrap(th - th_j):
 
     push = sum_j sgn(g) max(0, 0.9 * 2 pi / n - |g|)
-    goal = target + standoff (cos, sin)(th + push / 2 + d),  d of DETOURS with the least  |d| + 2 hidden + 2 reach / m
+    goal = target + standoff (cos, sin)(th + push / 2 + d),  d of DETOURS with the least  |d| + 2 hidden + 4 reach / m
 
 drawn inside the walls; reach is what the wall takes from the distance, hidden whether another robot is in between. So
 robots part until they look from all sides, as agents in cyclic pursuit do (Marshall, Broucke and Francis, Formations
@@ -29,7 +29,7 @@ from agent.kernel.target_state import TargetEstimate
 
 SHARE = 0.9  # of an even spread: robots that want all of it push each other round for ever
 DETOURS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.6, -1.6)  # rad, the first of equals is taken
-HIDDEN, REACH_1_M = 2.0, 2.0  # what a detour may cost, rad
+HIDDEN, REACH_1_M = 2.0, 4.0  # what a detour may cost, rad; the first detour pays from 0.1 m of reach on
 RING_M = 0.17  # of a robot, which hides what is behind it
 ALONG = 0.7  # of the target's speed is swum ahead: it is known late, and turns
 SURE_1_S = 0.5  # of the distance that is left where the target may be, swum in a second at most

@@ -47,7 +47,8 @@ def search(
     if around.sees:
         hunt = hunt._replace(seen_ns=now_ns)
     if around.looks or (hunt.seen_ns is not None and now_ns - hunt.seen_ns < WAITS_NS):
-        hunt = hunt._replace(waits_m=hunt.waits_m or within_walls(here, around.tank_m))
+        if hunt.waits_m is None:
+            hunt, yaw = hunt._replace(waits_m=within_walls(here, around.tank_m)), pose[2]
         if around.looks and around.target is not None:
             x, y = around.target.x_m[0] - here[0], around.target.x_m[1] - here[1]
             yaw = facing(yaw, math.atan2(y, x))
