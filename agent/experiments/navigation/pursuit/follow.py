@@ -34,7 +34,7 @@ def follow(seed: int, speed_m_s: float | None = None, told: bool = True, watch_s
     rng = generator(seed, "follow")
     speed_m_s = SPEEDS_M_S[seed % 2] if speed_m_s is None else speed_m_s
     names = [f"r{i + 1}" for i in range(ROBOTS)]
-    what = Follow(target="ball", standoff_m=STANDOFF_M)
+    what = Follow(target="ball", standoff_m=STANDOFF_M, search=not told)
     first, robots = float(rng.uniform(-math.pi, math.pi)), {}
     for k, name in enumerate(names):  # all on one side, half a metre apart
         x, y = (0.6 + 0.55 * k, 0.45) if first > 0.0 else (2.4 - 0.55 * k, 1.55)
