@@ -14,6 +14,7 @@ from agent.kernel.ranging.calibration import CameraFit
 Ways = tuple[tuple[float, float], ...]  # pan and tilt, degrees
 
 FRAMES = 2  # without the target, and the next look is due
+BACK = 2  # looks, so that the next is the one before
 OVERLAP_DEG = 8.0  # of neighbouring looks: as wide as a ball of 14 cm is at 1 m
 NEAR_M = 0.8  # floor and surface are searched from there on; what is nearer was farther away before
 PITCH = 0.8  # of the spiral, in views: from one turn to the next, and from look to look
@@ -29,6 +30,8 @@ class Roam:
         self._spiral, self._around = spiral, around
         self._step, self._empty = -1, FRAMES
         self.found = False  # in the newest frame of the newest look
+        self._glimpse = False  # in any frame of it
+        self._glimpsed = -1  # the last look for which it went back
 
     @property
     def spirals(self) -> bool:
@@ -43,9 +46,14 @@ class Roam:
     def add_frame(self, found: bool) -> None:
         """One of the newest look."""
         self.found, self._empty = found, 0 if found else self._empty + 1
+        self._glimpse |= found
 
     def advance(self) -> None:
-        self._step, self._empty, self.found = self._step + 1, 0, False
+        """On to the next look. After one that showed something and then no more, once back to the one before: the
+        robot was turning, and has stopped."""
+        back = BACK if self._glimpse and self._step > self._glimpsed else 0
+        self._glimpsed = max(self._glimpsed, self._step) if self._glimpse else self._glimpsed
+        self._step, self._empty, self.found, self._glimpse = max(self._step - back, -1) + 1, 0, False, False
 
     @property
     def offset_deg(self) -> tuple[float, float] | None:

@@ -42,6 +42,7 @@ class Reference(NamedTuple):
     speed_m_s: float = SPEED_M_S  # at most, beside that of the reference
     most_m_s: float = math.inf  # what the behaviour asks to stay below, whatever the robot may
     turn_rad_s: float = TURN_RAD_S
+    most_rad_s: float = math.inf  # likewise
     done: bool = False
     coast: bool = False  # without any force
 

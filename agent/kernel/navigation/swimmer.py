@@ -174,7 +174,7 @@ class Swimmer:
             return STILL
         share, turn_rad_s = pace(here), math.radians(self._limits.turn_deg_s)
         most_m_s = min(self._limits.speed_m_s, to.most_m_s)
-        to = to._replace(speed_m_s=share * most_m_s, turn_rad_s=share * turn_rad_s)
+        to = to._replace(speed_m_s=share * most_m_s, turn_rad_s=share * min(turn_rad_s, to.most_rad_s))
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)

@@ -69,6 +69,17 @@ def test_where_there_is_something_it_stays_and_measures(seek) -> None:
     assert look(seek, True, seek.pointing.steady_from_ns) is not None, "a sweep"
 
 
+def test_after_a_glimpse_it_looks_to_both_sides_once() -> None:
+    roam, order = Roam("ball", (), tuple((float(k), 0.0) for k in range(6))), []
+    for _ in range(9):
+        roam.advance()
+        order.append(round(roam.way_deg[0]))
+        roam.add_frame(order[-1] == 2)
+        for _ in range(FRAMES):
+            roam.add_frame(False)
+    assert order == [0, 1, 2, 1, 2, 3, 4, 5, 0]
+
+
 def test_to_look_at_landmarks_meanwhile_loses_no_look(seek) -> None:
     seek.act(START_NS, "ball", LEVEL, None, True)
     at_us, now_ns = seek.pointing.goal_us, START_NS + STEP_NS

@@ -21,6 +21,7 @@ from agent.kernel.navigation.behaviours.surroundings import Surroundings, facing
 from agent.kernel.navigation.pilot import Reference
 
 REACHED_M = 0.06  # of an end of a lane: nobody has to be there exactly
+TURNS_RAD_S = 0.3  # what a frame showed 0.2 s ago is still in view when that is known
 WAITS_NS = 2_500_000_000  # after the target was in view: for so long the gimbal turns to it, and looks
 
 
@@ -57,7 +58,7 @@ def search(
     goal = hunt.way[hunt.next]
     x, y = goal[0] - here[0], goal[1] - here[1]
     yaw = math.atan2(y, x) if math.hypot(x, y) > REACHED_M else yaw
-    return Reference(goal, yaw, most_m_s=what.speed_m_s), hunt
+    return Reference(goal, yaw, most_m_s=what.speed_m_s, most_rad_s=TURNS_RAD_S), hunt
 
 
 def _next(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:
