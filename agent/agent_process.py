@@ -17,7 +17,7 @@ from agent.console_log import ConsoleLog
 from agent.fleet_clock import fleet_clock
 from agent.kernel.config import ConfigError, Fleet, Robot
 from agent.kernel.core import Agent
-from agent.kernel.fleet_reader import load_fleet, load_robot
+from agent.kernel.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
 from agent.kernel.ranging.calibration import Calibration, load_calibration
 from agent.kernel.step_io import Sighting
@@ -56,15 +56,23 @@ class Setup(NamedTuple):
 
 
 def run(
-    fleet_path: Path, name: str, out: Path | None, arm: bool, stop: Event, lossless: bool = False, views: bool = True
+    fleet_path: Path,
+    name: str,
+    out: Path | None,
+    arm: bool,
+    stop: Event,
+    lossless: bool = False,
+    views: bool = True,
+    behaviour: str | None = None,
 ) -> None:
     """One agent process, from its fleet file until `stop` is set. Raises ConfigError or CameraError before anything
     moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
-    `lossless` records frames bit by bit, `views` adds channels for viewers to the recording.
+    `lossless` records frames bit by bit, `views` adds channels for viewers to the recording. `behaviour`: what the
+    robot does in place of what the file says, as the file would say it.
     """
-    setup = load_setup(fleet_path, name)
+    setup = load_setup(fleet_path, name, behaviour)
     if stop.is_set():
         return
     with ExitStack() as stack:
@@ -80,10 +88,11 @@ def run(
     tell(f"{name}: stopped; {f'not recorded to the end: {failed}' if failed else f'recorded {process.log.path}'}\n")
 
 
-def load_setup(fleet_path: Path, name: str) -> Setup:
+def load_setup(fleet_path: Path, name: str, behaviour: str | None = None) -> Setup:
     """Read all files. Raises ConfigError or CameraError, one line, for what a person has to mend first."""
     fleet = load_fleet(fleet_path)
     robot = load_robot(fleet, name, fleet_path)
+    fleet = fleet if behaviour is None else with_behaviour(fleet, name, behaviour)
     known_scheme(robot.camera)
     calibration = own_calibration(fleet, name, fleet_path)
     keys = robot_keys(fleet, name, fleet_path)

@@ -64,12 +64,18 @@ def agent(
     arm: Annotated[bool, typer.Option("--arm", help="Start the motors; without it they stay off.")] = False,
     lossless: Annotated[bool, typer.Option("--lossless", help="Record camera frames bit by bit, not as JPEG.")] = False,
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
+    behaviour: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TABLE", help="""What it does in place of what the file says, as there: '{ kind = "hold" }'."""
+        ),
+    ] = None,
 ) -> None:
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
     with until_signal() as stop:
         from agent.agent_process import run
 
-        run(fleet, robot, out, arm, stop, lossless, view)
+        run(fleet, robot, out, arm, stop, lossless, view, behaviour)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")

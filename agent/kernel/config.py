@@ -159,7 +159,23 @@ class Trial(Struct, frozen=True, kw_only=True, tag_field="kind", tag="trial"):
     speed_m_s: Positive = 0.25  # of the faster legs
 
 
-Behaviour = Hold | Goto | Turn | Orbit | Trial
+class Follow(Struct, frozen=True, kw_only=True, tag_field="kind", tag="follow"):
+    """Keep a distance from a target that may move, on a side of its own, and face it."""
+
+    target: Name
+    standoff_m: Annotated[float, Meta(gt=0.35)]  # nearer than that no robot comes to a target
+    search: bool = False  # look for it while nobody knows where it is; else stay
+
+
+class Search(Struct, frozen=True, kw_only=True, tag_field="kind", tag="search"):
+    """Look for a target that nobody knows: around where it was last, then along lanes; once it is known, stay."""
+
+    target: Name
+    lane_m: Annotated[float, Meta(ge=0.2)] = 0.8  # from one lane to the next; where the water is murky less
+    speed_m_s: Positive = 0.06  # in a quarter of a minute, when the gaze has gone round, a lane's width
+
+
+Behaviour = Hold | Goto | Turn | Orbit | Trial | Follow | Search
 
 
 class Robot(Struct, frozen=True, kw_only=True):

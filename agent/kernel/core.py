@@ -188,6 +188,11 @@ class Agent:
         if self.swimmer is not None:
             by = self.swimmer.localizer.aid.target
             self.swimmer.steer(self.seek, None if by is None else self.targets[by].estimator.by_others(), now_ns)
+            about = self.targets.get(self.swimmer.about or "")
+            did = self.swimmer.does
+            self.swimmer.heed(about.estimate(now_ns) if about else None, self.seek, now_ns)
+            if self.swimmer.does != did:
+                self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
         believed = self.current.estimator.posterior
@@ -232,7 +237,10 @@ class Agent:
         state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
         mode: Mode = "running" if self.net.fault(now_ns) is None else "degraded"
         where = UNSET if self.swimmer is None else self.swimmer.localizer.shown(now_ns)
-        target.last_state = msgspec.structs.replace(state, mode=mode, signed=self._signed, whereabouts=where)
+        does = UNSET if self.swimmer is None else self.swimmer.does
+        target.last_state = msgspec.structs.replace(
+            state, mode=mode, signed=self._signed, whereabouts=where, behaviour=does
+        )
         return target.last_state
 
     def _last_state(self, now_ns: int) -> State | None:

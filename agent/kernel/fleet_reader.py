@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import msgspec
 
-from agent.kernel.config import ConfigError, Fleet, Robot, Target
+from agent.kernel.config import Behaviour, ConfigError, Fleet, Robot, Struct, Target
 from agent.kernel.fleet_rules import broken_rules
 from agent.kernel.navigation.tags.layout_files import landmarks_of
+from agent.kernel.toml_errors import explain
 from agent.kernel.toml_files import convert, read_toml
 
 
@@ -41,6 +43,29 @@ def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
     if name not in fleet.robot:
         raise ConfigError(f"{path}: no robot '{name}'; the file has {', '.join(fleet.robot)}")
     return fleet.robot[name]
+
+
+class _Told(Struct, frozen=True, kw_only=True):
+    behaviour: Behaviour
+
+
+def with_behaviour(fleet: Fleet, name: str, text: str) -> Fleet:
+    """The fleet, one of whose robots does something else: `text` is what stands behind `behaviour =` in a fleet file,
+    such as { kind = "hold" }. Raises ConfigError with one line."""
+    try:
+        data = tomllib.loads(f"behaviour = {text}")
+        told = msgspec.convert(data, _Told).behaviour
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(
+            f"""--behaviour {text}: not valid TOML: {error}; write it as in the fleet file: '{{ kind = "hold" }}'"""
+        ) from None
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"--behaviour: {explain(error, data, _Told)}") from None
+    told_so = msgspec.structs.replace(fleet.robot[name], behaviour=told)
+    fleet = msgspec.structs.replace(fleet, robot={**fleet.robot, name: told_so})
+    for key, remedy in broken_rules(fleet):
+        raise ConfigError(f"--behaviour: key '{key}': {remedy}")
+    return fleet
 
 
 def _check(fleet: Fleet, path: Path) -> None:

@@ -235,6 +235,9 @@ class State(Message, frozen=True, kw_only=True):
     whereabouts: Annotated[
         Whereabouts | UnsetType | None, means("of a robot that swims; null: it does not know; left out: it is moored")
     ] = UNSET
+    behaviour: Annotated[
+        str | UnsetType, means("what a robot that swims does now: the kind in the fleet file; left out: it is moored")
+    ] = UNSET
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
     faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from agent.kernel.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, Symmetric, means
 
@@ -38,7 +38,8 @@ class Presence(Message, frozen=True, kw_only=True):
     goal_x_m: Annotated[float, means("m, world frame: where it is told to be now")]
     goal_y_m: Annotated[float, means("m, world frame")]
     goal_yaw_rad: Annotated[float, means("rad: how it is told to look now")]
-    behaviour: Annotated[str, Meta(max_length=16), means("what it is told to do: its kind in the fleet file")]
+    behaviour: Annotated[str, Meta(max_length=16), means("what it does now: the kind in the fleet file")]
+    target: Annotated[Id | UnsetType, means("what it follows or searches for; left out: neither")] = UNSET
     glance_until_ns: Annotated[
         Count, means("its camera is at landmarks until then, by its clock, and others look at the target; 0: it is not")
     ] = 0

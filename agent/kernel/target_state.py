@@ -7,7 +7,8 @@ every protocol it looks as if there were no other.
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Literal, NamedTuple
 
 from agent.kernel.config import Fleet
 from agent.kernel.estimation.choice import estimator
@@ -19,6 +20,20 @@ from agent.kernel.messages import Estimate, State, Symmetric, Vector
 
 Knows = Literal["blind", "told", "sees"]
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
+
+
+class TargetEstimate(NamedTuple):
+    """What the fleet agrees on of one target, now."""
+
+    x_m: Vector
+    v_m_s: Vector
+    cov_m2: Symmetric
+    seen_ns: int  # when this robot or one that it hears last measured it
+
+    @property
+    def sigma_m(self) -> float:
+        """Root of the trace of the covariance of x and y."""
+        return math.sqrt(self.cov_m2[0] + self.cov_m2[3])
 
 
 class TargetState:
@@ -42,6 +57,7 @@ class TargetState:
         self.since_t = 0  # iteration from which on it is so
         self._held = HELD  # iterations for which it was so, at least
         self._news: Knows = "blind"  # what was told of it last
+        self._seen_ns: int | None = None  # when anybody was last known to measure it
         self.last_state: State | None = None
 
     def measure(self, prior: Prior) -> None:
@@ -52,6 +68,15 @@ class TargetState:
     def catch_up(self, now_ns: int) -> None:
         """Take over the iteration index of neighbours that are ahead."""
         self.estimator.adopt(self.mailbox.swarm_t(now_ns, self._validity_ns))
+
+    def estimate(self, now_ns: int) -> TargetEstimate | None:
+        """The posterior, for who swims by it; asked in each step, or it does not notice who sees the target."""
+        if self.estimator.valid or self.mailbox.usable(now_ns, self._validity_ns):
+            self._seen_ns = now_ns
+        believed = self.estimator.posterior
+        if believed is None or self._seen_ns is None:
+            return None
+        return TargetEstimate(believed.x_m, believed.v_m_s, believed.cov_m2, self._seen_ns)
 
     def iterate(self, now_ns: int) -> bool:
         """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it

@@ -171,6 +171,8 @@ def sentences(moment: Moment) -> list[str]:
     if why.epoch.counter:
         what = "moving" if why.epoch.moving else "at rest"
         lines.append(f"Epoch {why.epoch.counter}, opened by {why.epoch.proposer}: the target is {what}.")
+    if state.behaviour is not UNSET:
+        lines.append(f"What it does: {state.behaviour}.")
     lines += [f"Fault: {fault}." for fault in state.faults]
     lines += [f"Refused so far: {count} x {kind}." for kind, count in state.refused.items()]
     lines += [f"log, {line.level}: {line.text}" for line in moment.log]

@@ -207,6 +207,13 @@ DRAWS = {
         {"robots": 3, "told": 3, "error_mm": [1.1] * 3, "nees": [1.0] * 3, "samples": 9}
         | {"bound_mm": 1.0, "bound_nees": 1.0}
     ],
+    "follow": [
+        {"off_mm": 50.0, "gap_deg": 20.0, "least_m": 0.6, "known": 1.0, "speed_m_s": 0.1}
+        | {"one_sees": 1.0, "each_sees": 0.6}
+    ],
+    "follow by sweeps": [{"known": 0.2}],
+    "search": [{"s": 20.0, "least_m": 0.5}],
+    "search alone": [{"s": None, "least_m": math.inf}],
 }
 AID = {
     "own_mm": [1.0, 6.0],
@@ -239,6 +246,8 @@ def test_a_result_has_these_keys_and_no_others(tmp_path) -> None:
         "separation": {"least_m"},
         "target": {"ratio_to_bound", "nees"},
         "aid": {"own_mm", "aided_mm", "nees"},
+        "follow": {"rms_mm", "gap_deg", "least_m", "known_by_sweeps"},
+        "search": {"s", "alone_s", "least_m"},
     }
     assert told["aid"] == {"own_mm": 6.0, "aided_mm": 3.0, "nees": 1.0}, "of those whose tags are rare"
     assert {(bar.case, bar.key) for bar in BARS} == {(case, key) for case, keys in told.items() for key in keys}
@@ -258,7 +267,7 @@ def test_a_bar_is_missed_on_either_side_and_by_no_number() -> None:
 def test_tables_and_figures() -> None:
     result = result_of(DRAWS)
     assert bars_table(result).row_count == len(BARS)
-    assert fixes_table(DRAWS["fix"]).row_count == 2 and spread_table(DRAWS).row_count == 7
+    assert fixes_table(DRAWS["fix"]).row_count == 2 and spread_table(DRAWS).row_count == 11
     assert aid_table(DRAWS).row_count == 6
     said = [str(part) for part in table(result).renderables if isinstance(part, str)]
     assert said[-1] == "missed: turn s, separation least_m"

@@ -44,6 +44,13 @@ BARS = (
     Bar("aid", "own_mm", "mm", None, None, PLANAR, "robots that rarely see tags, own pose, rms"),
     Bar("aid", "aided_mm", "mm", None, None, PLANAR, "the same, aided by the ball"),
     Bar("aid", "nees", "", None, 1.3, PLANAR, "the aided pose's error as it says, NEES/3"),
+    Bar("follow", "rms_mm", "mm", None, None, TWIN, "three follow a target, its distance less 0.7 m"),
+    Bar("follow", "gap_deg", "deg", None, None, TWIN, "their angle to each other around it, less 120 deg"),
+    Bar("follow", "least_m", "m", 0.34, None, TWIN, "the same, least distance of two robots"),
+    Bar("follow", "known_by_sweeps", "", None, None, TWIN, "share of the time in which sweeps alone say where it is"),
+    Bar("search", "s", "s", None, None, PLANAR, "a ball nobody sees at first is measured, three robots, 95 %"),
+    Bar("search", "alone_s", "s", None, None, PLANAR, "the same, one robot"),
+    Bar("search", "least_m", "m", 0.34, None, PLANAR, "three search, least distance of two"),
 )
 
 

@@ -7,6 +7,7 @@ covariance and noise, drawn once, and for each sweep; so that a measurement is a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
@@ -40,14 +41,17 @@ RADIUS_SIGMA_PX = 0.2
 FARTHEST_M = 1.6
 
 
-class DrawnBall:
-    """One robot's view of one ball."""
+BallPath = Callable[[int], Vector]  # where it is at a time, ns
 
-    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, ball_m: Vector) -> None:
+
+class DrawnBall:
+    """One robot's view of one ball; ball_m: where it lies, or its path."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, ball_m: Vector | BallPath) -> None:
         (self._target, target), *_ = fleet.target.items()
         assert target.radius_m is not None  # a ball
         self._rng = generator(fleet.twin.seed, name, "drawn ball")
-        self._radius_m, self._ball_m = target.radius_m, np.array(ball_m)
+        self._radius_m, self._ball_m = target.radius_m, ball_m
         self._camera, self._camera_m = camera, fleet.body.camera_m
         xx, xy, xz, yy, yz, zz = FOCUS.covariance
         covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -62,7 +66,7 @@ class DrawnBall:
         sweep = 0 if plan is None else plan.sweep
         if sweep != self._sweep:
             self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
-        seen = self._outline(pose)
+        seen = self._outline(pose, self._ball_m(t_ns) if callable(self._ball_m) else self._ball_m)
         lens_position = None if plan is None else plan.focus[index]
         frame = Sighting(
             t_ns=t_ns,
@@ -86,10 +90,10 @@ class DrawnBall:
             radius_sigma_px=RADIUS_SIGMA_PX,
         )
 
-    def _outline(self, pose: RobotPose) -> tuple[tuple[float, float], float, float] | None:
+    def _outline(self, pose: RobotPose, ball_m: Vector) -> tuple[tuple[float, float], float, float] | None:
         """Centre and radius in the picture, px, and the lens position at which it is sharpest; None: not in sight."""
         eye, _ = look(pose, self._camera_m)
-        way: NDArray[np.float64] = (self._ball_m - np.asarray(eye.position_m)) @ np.asarray(eye.rotation)
+        way: NDArray[np.float64] = (np.array(ball_m) - np.asarray(eye.position_m)) @ np.asarray(eye.rotation)
         x, y, z = way.tolist()
         centre = pixel(self._camera, (x, y, z))
         distance_m = math.hypot(x, y, z - self._camera.ahead_m)

@@ -19,6 +19,8 @@ from agent.experiments.navigation.aid import aided
 from agent.experiments.navigation.bars import BARS, met
 from agent.experiments.navigation.fix import PLACES, fixes
 from agent.experiments.navigation.manoeuvres import goto, hold, orbit, turn
+from agent.experiments.navigation.pursuit.follow import WATCH_S, follow
+from agent.experiments.navigation.pursuit.search import SEARCH_S, search
 from agent.experiments.navigation.separation import ROBOTS, SECONDS, crossing
 from agent.experiments.navigation.summaries import SUMMARIES
 from agent.experiments.navigation.target import SECONDS as TARGET_S
@@ -55,6 +57,8 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     separation: Row
     target: Row
     aid: Row
+    follow: Row
+    search: Row
     shown: Shown
 
     @property
@@ -98,6 +102,7 @@ def run(settings: Settings, progress: Progress) -> Result:
 
 def all_cases(quick: bool) -> Sequence[Draws]:
     places, robots, seconds, aid_s = (3, 4, 10.0, 12.0) if quick else (PLACES, ROBOTS, SECONDS, AID_S)
+    watch_s, search_s = (10.0, 30.0) if quick else (WATCH_S, SEARCH_S)
     return (
         Draws("fix", "fix", partial(fixes, places=places), 8),
         Draws("hold", "hold", hold, 3),
@@ -109,6 +114,10 @@ def all_cases(quick: bool) -> Sequence[Draws]:
         Draws("target", "target", partial(ball, seconds=15.0 if quick else TARGET_S), 11),
         Draws("aid", "aid", partial(aided, seconds=aid_s), 3),
         Draws("aid with gyro", "aid", partial(aided, gyro=True, seconds=aid_s), 4),
+        Draws("follow", "follow", partial(follow, watch_s=watch_s), 14),
+        Draws("follow by sweeps", "follow", partial(follow, told=False, watch_s=watch_s), 14),
+        Draws("search", "search", partial(search, search_s=search_s), 8),
+        Draws("search alone", "search", partial(search, robots=1, search_s=search_s), 3),
     )
 
 

@@ -70,6 +70,26 @@ def aid(draws: Draws) -> Row:
     return {**found, "nees": float(np.mean(nees)) if nees else None}
 
 
+def follow(draws: Draws) -> Row:
+    """What is told is followed; of what robots find by sweeps there is the share of the time in which they know it."""
+    rows = draws["follow"]
+    return {
+        "rms_mm": pooled(rows, "off_mm"),
+        "gap_deg": pooled(rows, "gap_deg"),
+        "least_m": min(row["least_m"] for row in rows),
+        "known_by_sweeps": float(np.mean([row["known"] for row in draws["follow by sweeps"]])),
+    }
+
+
+def search(draws: Draws) -> Row:
+    rows = draws["search"]
+    return {
+        "s": p95([row["s"] for row in rows]),
+        "alone_s": p95([row["s"] for row in draws["search alone"]]),
+        "least_m": min(row["least_m"] for row in rows),
+    }
+
+
 def _sharp(row: Row) -> bool:
     return row["blur_px"] is not None and row["blur_px"] <= SHARP_PX
 
@@ -94,4 +114,6 @@ SUMMARIES: dict[NavigationCase, Callable[[Draws], Row]] = {
     "separation": separation,
     "target": target,
     "aid": aid,
+    "follow": follow,
+    "search": search,
 }

@@ -15,7 +15,7 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies
-from agent.experiments.navigation.drawn_ball import FOCUS, DrawnBall
+from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall
 from agent.experiments.navigation.drawn_camera import DrawnCamera
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
@@ -39,7 +39,7 @@ class Frame(NamedTuple):
 class Eyes:
     """One robot's camera, with a ball before it or without; knows which sweep it is at."""
 
-    def __init__(self, fleet: Fleet, name: str, bodies: Bodies, ball_m: Vector | None) -> None:
+    def __init__(self, fleet: Fleet, name: str, bodies: Bodies, ball_m: Vector | BallPath | None) -> None:
         self.tank = DrawnCamera(fleet, name, bodies.camera(name))
         self.ball = None if ball_m is None else DrawnBall(fleet, name, bodies.camera(name), ball_m)
         self._plan: SweepPlan | None = None
@@ -73,7 +73,7 @@ class Eyes:
 class Swimmers:
     """All robots of a fleet. `inputs` and `outputs` are those of the newest step."""
 
-    def __init__(self, fleet: Fleet, bodies: Bodies, ball_m: Vector | None = None) -> None:
+    def __init__(self, fleet: Fleet, bodies: Bodies, ball_m: Vector | BallPath | None = None) -> None:
         self.fleet, self.bodies, self.steps = fleet, bodies, 0
         self.calibrations = {
             name: Calibration(robot=name, made="2026-01-01", source="drawn", focus=FOCUS, camera=bodies.camera(name))

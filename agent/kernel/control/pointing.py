@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 PLAY_US = 25  # how far below the goal an approach starts: more than any servo's play
+LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
 APPROACH_NS = 300_000_000  # time for that first leg
 SETTLE_NS = 450_000_000  # after the final command: lag, slew of small moves, and the body's own reaction
 SLEW_US_PER_S = 2000.0  # a servo's slowest full-speed turn, to wait for long moves
@@ -49,6 +50,11 @@ class Pointing:
         self.last_leg_ns = now_ns + travel_ns + APPROACH_NS
         self.steady_from_ns = self.last_leg_ns + SETTLE_NS
         self.goal_us = goal_us
+
+    @property
+    def nearly_from_ns(self) -> int:
+        """Frames exposed later show what is at goal_us, PLAY_US aside: enough to see that there is nothing."""
+        return self.last_leg_ns - APPROACH_NS + LAG_NS
 
     def servos_us(self, now_ns: int) -> tuple[int, int]:
         """What to command now. There must have been a goal."""

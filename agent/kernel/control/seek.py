@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import Pointing, Search, off_centre_px
+from agent.kernel.control.roam import Roam
 from agent.kernel.control.sweep import Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
@@ -37,6 +38,7 @@ class Seek:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
         self.pose = robot.pose  # of a robot that swims, by whoever knows it
+        self.roam: Roam | None = None  # of one that searches, likewise
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
@@ -47,6 +49,11 @@ class Seek:
         """A sweep is under way."""
         return self._memory[self._target].sweep.running
 
+    def sees(self, target: str, now_ns: int) -> bool:
+        """Whether it is in view where the gimbal looks, or was as the gimbal came to rest there."""
+        found = self.roam is not None and self.roam.target == target and self.roam.found
+        return found or (target == self._target and self._memory[target].in_view(now_ns))
+
     def add_sighting(self, sighting: Sighting) -> None:
         """Take note of one frame."""
         memory = self._memory.get(sighting.target)
@@ -55,6 +62,12 @@ class Seek:
         memory.sweep.frame(sighting)
         if sighting.found and sighting.t_ns >= self.pointing.steady_from_ns:
             memory.seen = sighting
+        if (
+            self.roam is not None
+            and sighting.target == self.roam.target
+            and sighting.t_ns >= self.pointing.nearly_from_ns
+        ):
+            self.roam.add_frame(sighting.found)
 
     def add_telemetry(self, telemetry: Telemetry) -> None:
         """Take note of how still the robot is."""
@@ -80,7 +93,12 @@ class Seek:
         self._target, self._elsewhere = target, False
         if self.pointing.goal_us is None:
             self._aim(self._look_us, now_ns)
-        if memory.sweep.running or not (another or self.pointing.steady(now_ns)):
+        if memory.sweep.running:
+            return None
+        if self.roam is not None and self.roam.target == target and self.roam.over and not memory.in_view(now_ns):
+            self.roam.advance()
+            another = True
+        if not (another or self.pointing.steady(now_ns)):
             return None
         if memory.seen is not None and memory.seen.centre_px is not None and memory.in_view(now_ns):
             memory.search.reset()
@@ -122,12 +140,21 @@ class Seek:
         self._turn_to_point(point, level, (0.0, 0.0), now_ns)
 
     def _look_around(self, search: Search, attitude: Attitude | None, told_m: Vector | None, now_ns: int) -> None:
-        if told_m is None:
+        level = attitude or Attitude(self._robot.depth_m, 0.0, 0.0)
+        if self.roam is not None and self.roam.target == self._target:
+            self._look_on(self.roam, level, told_m, now_ns)
+        elif told_m is None:
             self._aim(self._look_us, now_ns)
         else:
-            level = attitude or Attitude(self._robot.depth_m, 0.0, 0.0)
             offset = search.offset_deg(self.pointing.steady(now_ns), now_ns)
             self._turn_to_point(told_m, level, offset, now_ns)
+
+    def _look_on(self, roam: Roam, level: Attitude, told_m: Vector | None, now_ns: int) -> None:
+        offset = roam.offset_deg
+        if offset is not None and told_m is not None:
+            self._turn_to_point(told_m, level, offset, now_ns)
+        else:
+            self._aim(servos_us(self._camera, self._fleet.body, *roam.way_deg), now_ns)
 
     def _turn_to_point(self, point: Vector, level: Attitude, offset_deg: tuple[float, float], now_ns: int) -> None:
         pan, tilt = look_at(point, self.pose, self._fleet.body, *level, self._fleet.tank.surface_m)

@@ -174,7 +174,7 @@ class Evidence:
 
     def say(self, to: str, now_ns: int) -> Word:
         self._pass(now_ns)
-        x_m, cov_m2 = self.posterior or (None, None)
+        x_m, cov_m2 = self.posterior[:2] if self.posterior else (None, None)
         gossip = replace(self._mode.say(to, now_ns), proposals=self._vote.shown(now_ns))
         return Word(x_m, cov_m2, gossip=gossip)
 

@@ -43,6 +43,7 @@ class Posterior(NamedTuple):
 
     x_m: Vector
     cov_m2: Symmetric
+    v_m_s: Vector = (0.0, 0.0, 0.0)  # where the protocol tells motion from rest; never said to anybody
 
 
 class Update(NamedTuple):

@@ -55,7 +55,7 @@ class Metropolis:
         return ()
 
     def say(self, to: str, now_ns: int) -> Word:
-        x_m, cov_m2 = self.posterior or (None, None)
+        x_m, cov_m2 = self.posterior[:2] if self.posterior else (None, None)
         return Word(x_m, cov_m2, degree=self._degree)
 
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:

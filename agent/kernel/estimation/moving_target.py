@@ -200,7 +200,7 @@ class MovingTarget:
 
 
 def _posterior(track: Track) -> Posterior:
-    return Posterior(track.x_m, track.A)
+    return Posterior(track.x_m, track.A, track.v_m_s)
 
 
 def _doubted(
@@ -218,7 +218,9 @@ def _doubted(
         if other is not None:
             certain -= weight
             places.append((weight, other.x_m, other.A))
-    return Posterior(*mixture([(certain, track.x_m, track.A), *places])) if places else _posterior(track)
+    if not places:
+        return _posterior(track)
+    return Posterior(*mixture([(certain, track.x_m, track.A), *places]), track.v_m_s)
 
 
 def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str, float]:

@@ -47,7 +47,7 @@ class Paper:
         return ()  # only the newest word counts, and the mailbox has it
 
     def say(self, to: str, now_ns: int) -> Word:
-        return Word(*self.posterior) if self.posterior else Word(None, None)
+        return Word(*self.posterior[:2]) if self.posterior else Word(None, None)
 
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
         usable = mailbox.usable(now_ns, self._validity_ns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.kernel.config import Fleet
@@ -54,9 +55,10 @@ class Company:
         return now_ns - since_ns < YIELD_NS and first >= self._at_once
 
     def say(
-        self, here: Belief, behaviour: str, looks: bool, depth_m: float, seq: int, now_ns: int
+        self, here: Belief, behaviour: str, about: str | None, looks: bool, depth_m: float, seq: int, now_ns: int
     ) -> tuple[Presence, ...]:
-        """Where it is and where it goes, to each neighbour; looks: its camera is at landmarks."""
+        """Where it is and where it goes, to each neighbour; about: the target of its behaviour; looks: its camera is at
+        landmarks."""
         to = self._goal or Reference(here.pose[:2], here.pose[2])
         said = Presence(
             fleet=self._fleet,
@@ -78,6 +80,7 @@ class Company:
             goal_y_m=to.place_m[1],
             goal_yaw_rad=to.yaw,
             behaviour=behaviour,
+            target=UNSET if about is None else about,
             glance_until_ns=now_ns + CLAIM_NS if looks else 0,
         )
         if content_fault(said, self._tank_m) is not None:  # nobody would believe it

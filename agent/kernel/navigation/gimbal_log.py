@@ -11,12 +11,11 @@ from collections import deque
 from typing import NamedTuple
 
 from agent.kernel.config import Body
-from agent.kernel.control.pointing import APPROACH_NS, PLAY_US, Pointing
+from agent.kernel.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.camera_model import gimbal_deg
 
 TURNS = 16  # that are remembered: more than a key frame's four seconds hold
-LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
 REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)
 
 

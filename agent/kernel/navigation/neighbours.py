@@ -12,7 +12,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.estimation.evidence_checks import MARGIN_M, SLACK, finite, inside, widest_m2
 from agent.kernel.estimation.matrix import semidefinite, trace
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.barrier import Disc, robot
+from agent.kernel.navigation.barrier import Disc, Planar, robot
 from agent.kernel.presence import Presence
 from agent.kernel.trust.letters import Letter, Letters
 
@@ -48,6 +48,15 @@ class Neighbours:
             )
             for letter in self._heard()
             for said in (letter.message,)
+        )
+
+    def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
+        """Where those are that do the same about the same target, in the order of their names; silent ones left out."""
+        letters = [e for e in self._heard() if now_ns - said_ns(e) <= SILENT_NS]
+        return tuple(
+            (said.x_m, said.y_m)
+            for said in (letter.message for letter in letters)
+            if said.behaviour == behaviour and said.target == target
         )
 
     def glancing(self, now_ns: int) -> tuple[str, ...]:

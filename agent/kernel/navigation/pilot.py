@@ -40,7 +40,9 @@ class Reference(NamedTuple):
     rate_rad_s: float = 0.0
     depth_m: float | None = None  # None: as before
     speed_m_s: float = SPEED_M_S  # at most, beside that of the reference
+    most_m_s: float = math.inf  # what the behaviour asks to stay below, whatever the robot may
     turn_rad_s: float = TURN_RAD_S
+    most_rad_s: float = math.inf  # likewise
     done: bool = False
     coast: bool = False  # without any force
 

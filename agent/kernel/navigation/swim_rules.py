@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 
-from agent.kernel.config import Behaviour, Fleet, Goto, Orbit, Robot, Trial
+from agent.kernel.config import Behaviour, Fleet, Follow, Goto, Orbit, Robot, Search, Trial
 from agent.kernel.navigation.barrier import MARGIN_M, WALL_M
 
 ROUNDING_M = 1e-9  # what a centre less its radius may lack
@@ -46,7 +46,11 @@ def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
         if what.depth_m is not None and what.depth_m > fleet.tank.surface_m:
             return f"{what.depth_m} m is below the floor; the water is {fleet.tank.surface_m} m deep"
         return _outside(fleet, what.x_m, what.y_m)
-    if isinstance(what, Orbit | Trial):
+    if isinstance(what, Follow | Search) and what.target not in fleet.target:
+        return f"no target '{what.target}'; the file has {', '.join(fleet.target)}"
+    if isinstance(what, Follow) and (wrong := _too_far(fleet, what)) is not None:
+        return wrong
+    if isinstance(what, Orbit | Trial | Search):
         assert fleet.navigation is not None
         if abs(what.speed_m_s) > (most := fleet.navigation.limits.speed_m_s):
             return f"{abs(what.speed_m_s)} m/s is faster than navigation.limits.speed_m_s, {most}; swim slower"
@@ -58,6 +62,14 @@ def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
         (x, y), r = (what.x_m, what.y_m), what.radius_m
         return _outside(fleet, x - r, y - r) or _outside(fleet, x + r, y + r)
     return None
+
+
+def _too_far(fleet: Fleet, what: Follow) -> str | None:
+    """Why nobody can keep that distance from a target in the middle of the tank, on any side of it."""
+    most_m = 0.5 * max(fleet.tank.size_m[:2]) - WALL_M
+    if what.standoff_m <= most_m:
+        return None
+    return f"a standoff of {what.standoff_m} m does not fit into the tank; write {most_m:.2f} or less"
 
 
 def _outside(fleet: Fleet, x_m: float, y_m: float) -> str | None:

@@ -12,9 +12,10 @@ from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
-from agent.kernel.navigation.behaviour import Progress, reference, start
+from agent.kernel.navigation.behaviours.behaviour import Progress, reference, start
 from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.company import Company, direly_unsure, pace
+from agent.kernel.navigation.errand import Errand, about, kind
 from agent.kernel.navigation.gimbal_log import GimbalLog
 from agent.kernel.navigation.glance import Glance, Sure
 from agent.kernel.navigation.gyro import Gyro
@@ -40,6 +41,7 @@ from agent.kernel.net import SURFACE_M
 from agent.kernel.presence import Presence
 from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.step_io import Flow, SeenTags, Telemetry
+from agent.kernel.target_state import TargetEstimate
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
@@ -58,6 +60,7 @@ class Swimmer:
         pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
         self._home = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m = robot.depth_m
+        self._errand = Errand(fleet, calibration)
         self.localizer = Localizer(fleet, calibration)
         self._gyro = Gyro() if fleet.navigation.gyro else None
         half_deg = half_picture_deg(calibration.camera)
@@ -89,6 +92,21 @@ class Swimmer:
         here = self.localizer.at(now_ns)
         if here is not None and self._progress is not None:
             self._progress = start(here.pose, self._progress.turned, now_ns)
+
+    @property
+    def about(self) -> str | None:
+        """The name of the target that its behaviour is about."""
+        return about(self._behaviour)
+
+    @property
+    def does(self) -> str:
+        """Its behaviour in effect, as the fleet file calls it."""
+        return kind(self._errand.does or self._behaviour)
+
+    def heed(self, target: TargetEstimate | None, seek: Seek, now_ns: int) -> None:
+        """What the fleet knows of that target; `seek` is told whether to look everywhere for it."""
+        neighbours = self.company.neighbours
+        self._errand.heed(self._behaviour, self._progress, target, neighbours, seek, self._depth_m, now_ns)
 
     def see(
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
@@ -183,22 +201,28 @@ class Swimmer:
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
         before = self._progress or start(own.pose, 0.0, now_ns, self._home)
-        to, self._progress = reference(self._behaviour, before, own.pose, now_ns, watched_m)
+        around = self._errand.around and self._errand.around._replace(velocity_m_s=(own.x[3], own.x[4]))
+        to, self._progress = reference(self._behaviour, before, own.pose, now_ns, watched_m, around)
         if to.coast:
             return STILL
-        share, turn_rad_s = pace(by), math.radians(self._limits.turn_deg_s)
+        share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)
         turns = 0.0 if self._glancing else share  # the gimbal would look past the landmarks
-        to = to._replace(speed_m_s=share * self._limits.speed_m_s, turn_rad_s=turns * turn_rad_s)
+        most_m_s = min(self._limits.speed_m_s, to.most_m_s)
+        to = to._replace(speed_m_s=share * most_m_s, turn_rad_s=turns * turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
+        if (followed := self._errand.disc(now_ns)) is not None:
+            things = (followed,)
         velocity = self.company.velocity(wanted_velocity(by, to), by, to, things, now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
 
     def say(self, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
         """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""
-        here, kind = self.localizer.at(now_ns), str(self._behaviour.__struct_config__.tag)
-        return () if here is None else self.company.say(here, kind, self._glancing, depth_m, seq, now_ns)
+        here = self.localizer.at(now_ns)
+        if here is None:
+            return ()
+        return self.company.say(here, self.does, self.about, self._glancing, depth_m, seq, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""

@@ -9,7 +9,7 @@ import pytest
 
 from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Turn
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.behaviour import MOST_TURNED_RAD, reference, start
+from agent.kernel.navigation.behaviours.behaviour import MOST_TURNED_RAD, reference, start
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.pilot import (
     FORCE_N,

@@ -7,7 +7,7 @@ import numpy as np
 from agent.kernel.config import Goto
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.behaviour import reference, start
+from agent.kernel.navigation.behaviours.behaviour import reference, start
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.event_ring import EventRing, asked, fix
 from agent.kernel.navigation.pilot import wanted_velocity, wrench

@@ -3,7 +3,7 @@
 import pytest
 
 from agent.kernel.config import ConfigError
-from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.fleet_reader import load_fleet, with_behaviour
 from agent.kernel.toml_files import dump
 from tests.places import ROOT
 
@@ -28,6 +28,8 @@ def behaviour(what):
         'kind = "turn", yaw_deg = 400.0',
         'kind = "goto", x_m = 0.20, y_m = 1.80, depth_m = 0.5',
         'kind = "orbit", x_m = 1.5, y_m = 1.0, radius_m = 0.8, speed_m_s = -0.1',
+        'kind = "follow", target = "ball", standoff_m = 0.7, search = true',
+        'kind = "search", target = "ball", lane_m = 0.5',
     ],
 )
 def test_a_behaviour_survives_a_round_trip(tmp_path, what) -> None:
@@ -74,6 +76,26 @@ MISTAKES = {
         behaviour('kind = "orbit", x_m = 1.5, y_m = 1.0, radius_m = 0.5, speed_m_s = -0.3'),
         ("'robot.r1.behaviour'", "0.3 m/s", "limits.speed_m_s, 0.25", "slower"),
     ),
+    "nobody to follow": (
+        SWIM,
+        behaviour('kind = "follow", target = "fish", standoff_m = 0.7'),
+        ("'robot.r1.behaviour'", "no target 'fish'", "the file has ball"),
+    ),
+    "nearer than anybody comes": (
+        SWIM,
+        behaviour('kind = "follow", target = "ball", standoff_m = 0.35'),
+        ("'robot.r1.behaviour.standoff_m'", "> 0.35", "correct"),
+    ),
+    "farther than the tank is long": (
+        SWIM,
+        behaviour('kind = "follow", target = "ball", standoff_m = 1.4'),
+        ("'robot.r1.behaviour'", "1.4 m does not fit", "1.30 or less"),
+    ),
+    "a search faster than it may swim": (
+        SWIM,
+        behaviour('kind = "search", target = "ball", speed_m_s = 0.3'),
+        ("'robot.r1.behaviour'", "0.3 m/s", "slower"),
+    ),
     "two goals in one place": (
         SWIM,
         (
@@ -110,6 +132,25 @@ def test_mistake(tmp_path, mistake) -> None:
     assert "\n" not in message and message.startswith(str(tmp_path / "fleet.toml"))
     for part in expected:
         assert part in message, message
+
+
+TOLD = {
+    '{ kind = "follow", target = "fish", standoff_m = 0.7 }': "key 'robot.r1.behaviour': no target 'fish'",
+    "{ kind = follow }": "not valid TOML",
+    '{ kind = "hold" }\nfleet = "other"': "unknown key `fleet`",
+    '{ kind = "goto", x_m = 1.0 }': "key 'behaviour': required key `y_m` is missing; add it",
+}
+
+
+def test_a_behaviour_of_the_command_line_is_checked_as_that_of_a_file(tmp_path) -> None:
+    fleet = load(tmp_path, SWIM)
+    told = with_behaviour(fleet, "r1", '{ kind = "search", target = "ball" }')
+    assert told == load(tmp_path, SWIM.replace(*behaviour('kind = "search", target = "ball"')))
+    for text, expected in TOLD.items():
+        with pytest.raises(ConfigError) as caught:
+            with_behaviour(fleet, "r1", text)
+        message = str(caught.value)
+        assert message.startswith("--behaviour") and expected in message
 
 
 def test_moored_robots_may_stand_at_a_wall_and_close_together(tmp_path) -> None:

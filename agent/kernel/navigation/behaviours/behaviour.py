@@ -9,18 +9,20 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Trial, Turn
+from agent.kernel.config import Behaviour, Follow, Goto, Hold, Orbit, Search, Trial, Turn
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
+from agent.kernel.navigation.behaviours.follow import Pursuit, follow, knows
+from agent.kernel.navigation.behaviours.search import Hunt, search
+from agent.kernel.navigation.behaviours.surroundings import Surroundings, facing
+from agent.kernel.navigation.behaviours.trial import Stage, trial
 from agent.kernel.navigation.pilot import Reference
-from agent.kernel.navigation.trial import Stage, trial
 
 THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived: so near, for so long
 NEAR_M = 0.10  # to the goal: the way has no direction any more
 MOST_TURNED_RAD = 2.0 * math.pi  # either way
 SLACK_RAD = math.radians(10.0)  # an orbit turns round so far before that, for the body lags and swings
-GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
 STRIDE_RAD = math.radians(90.0)  # of a reference ahead of the body: which way round stays clear
 
 
@@ -35,6 +37,8 @@ class Progress(NamedTuple):
     turned_first: float  # `turned` at the start
     there_ns: int | None = None  # since when it is where it shall be
     stage: Stage = Stage()  # of a trial
+    pursuit: Pursuit | None = None  # of a target that is followed
+    hunt: Hunt = Hunt()  # for one that nobody knows
 
 
 def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) -> Progress:
@@ -45,10 +49,16 @@ def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) ->
 
 
 def reference(
-    what: Behaviour, progress: Progress, pose: Vector, now_ns: int, watched_m: Planar | None = None
+    what: Behaviour,
+    progress: Progress,
+    pose: Vector,
+    now_ns: int,
+    watched_m: Planar | None = None,
+    around: Surroundings | None = None,
 ) -> tuple[Reference, Progress]:
     """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off
-    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body.
+    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body. around: what
+    Follow and Search go by.
     """
     turned = progress.turned + wrap(pose[2] - progress.heading)
     progress = progress._replace(turned=turned, heading=pose[2])
@@ -65,9 +75,39 @@ def reference(
         case Trial():
             to, stage = trial(what, progress.stage, pose, now_ns)
             progress = progress._replace(stage=stage)
+        case Follow() | Search():
+            assert around is not None
+            to, progress = _about_a_target(what, progress, pose, around, now_ns)
     there_ns = _there_since(to, progress, pose, now_ns) if isinstance(what, Goto | Turn) else None
     done = to.done or (there_ns is not None and now_ns - there_ns >= THERE_NS)
     return to._replace(yaw=unwound(to.yaw, pose[2], turned), done=done), progress._replace(there_ns=there_ns)
+
+
+def effective(what: Behaviour, hunt: Hunt, around: Surroundings | None, now_ns: int) -> Behaviour:
+    """What is done: Follow searches for a target that nobody knows, where it is told to, and else holds; Search holds
+    once it is done."""
+    if isinstance(what, Follow) and around is not None and not knows(what, around, now_ns):
+        what = Search(target=what.target) if what.search else Hold()
+    if isinstance(what, Search) and around is not None and hunt.over(around, now_ns):
+        return Hold()
+    return what
+
+
+def _about_a_target(
+    what: Follow | Search, progress: Progress, pose: Vector, around: Surroundings, now_ns: int
+) -> tuple[Reference, Progress]:
+    match effective(what, progress.hunt, around, now_ns):
+        case Follow() as told if around.target is not None:
+            target = around.target
+            to, pursuit = follow(told, target, progress.pursuit, progress.yaw, pose, around, now_ns)
+            return to, progress._replace(from_m=pose[:2], yaw=to.yaw, pursuit=pursuit, hunt=Hunt())
+        case Search() as told:
+            to, hunt = search(told, progress.hunt, progress.yaw, pose, around, now_ns)
+            return to, progress._replace(from_m=pose[:2], yaw=to.yaw, pursuit=None, hunt=hunt)
+    hunt = progress.hunt._replace(done=isinstance(what, Search))
+    at_m = None if around.target is None else around.target.x_m[:2]
+    to = Reference(progress.from_m, in_sight(progress.yaw, pose, at_m), done=hunt.done)
+    return to, progress._replace(pursuit=None, hunt=hunt)
 
 
 def unwound(wanted: float, yaw: float, turned: float) -> float:
@@ -82,9 +122,7 @@ def in_sight(yaw: float, pose: Vector, watched_m: Planar | None) -> float:
     """The yaw nearest to the wanted one from which the gimbal reaches the target."""
     if watched_m is None:
         return yaw
-    bearing = math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0])
-    off = wrap(bearing - yaw)
-    return yaw if abs(off) <= GIMBAL_RAD else wrap(bearing - math.copysign(GIMBAL_RAD, off))
+    return facing(yaw, math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0]))
 
 
 def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar | None) -> float:

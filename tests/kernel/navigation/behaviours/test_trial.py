@@ -8,8 +8,8 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Navigation, Trial
 from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.behaviours.trial import COAST_NS, LEGS, Spin, Stage, trial
 from agent.kernel.navigation.swim_rules import broken_swim_rules
-from agent.kernel.navigation.trial import COAST_NS, LEGS, Spin, Stage, trial
 from tests.kernel.navigation.swimming_agent import CALIBRATION, InTank, fleet
 from tests.known_body import LIGHT
 

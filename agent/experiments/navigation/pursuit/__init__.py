@@ -1,0 +1,1 @@
+"""Robots that follow a target, or look for one."""

@@ -1,0 +1,98 @@
+"""A target that wanders about the basin at one speed, as a fish does, and what a fleet would know of it.
+
+Its turning is an Ornstein-Uhlenbeck process; near a wall it turns towards the middle. It does not shy away from robots.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from agent.experiments.navigation.basin import TANK
+from agent.experiments.navigation.bodies import START_NS
+from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
+from agent.kernel.estimation.mailbox import Mailbox
+from agent.kernel.messages import Estimate, Vector
+from agent.kernel.navigation.angle import wrap
+from agent.kernel.trust.letters import Letter
+
+TURNS_S, TURNS_RAD_S = 1.5, 1.2  # how long its turning is alike, and how fast it is (rms over a root second)
+SHY_M, AWAY_RAD_S = 0.45, 1.5  # from a wall, and how fast it turns away there
+CLEAR_M = 0.25  # it comes no nearer to one
+HEIGHT_M = 0.25  # above the floor
+STEP_S = 0.05
+NOISE_M, NOISE_M_S, NEWS_S, LATE_S = 0.015, 0.03, 0.2, 0.15  # a track by bearings of three robots in this basin
+
+
+class Wanderer:
+    """Its path, drawn once; `at` is where it is, x, y and z (m), and holds still outside the time that was drawn."""
+
+    def __init__(self, rng: np.random.Generator, speed_m_s: float, seconds: float) -> None:
+        x, y = (float(rng.uniform(0.8, side - 0.8)) for side in TANK.size_m[:2])
+        heading, rate, rows = float(rng.uniform(-math.pi, math.pi)), 0.0, []
+        keeps = math.exp(-STEP_S / TURNS_S)
+        for _ in range(round(seconds / STEP_S) + 1):
+            rows.append((x, y, speed_m_s * math.cos(heading), speed_m_s * math.sin(heading)))
+            rate = keeps * rate + TURNS_RAD_S * math.sqrt(STEP_S) * float(rng.normal())
+            inwards = wrap(math.atan2(0.5 * TANK.size_m[1] - y, 0.5 * TANK.size_m[0] - x) - heading)
+            near = min(x, y, TANK.size_m[0] - x, TANK.size_m[1] - y) < SHY_M
+            heading += STEP_S * (math.copysign(AWAY_RAD_S, inwards) if near and abs(inwards) > 0.5 else rate)
+            x, y = (
+                min(max(at + STEP_S * speed_m_s * way, CLEAR_M), side - CLEAR_M)
+                for at, way, side in zip((x, y), (math.cos(heading), math.sin(heading)), TANK.size_m, strict=False)
+            )
+        self._rows = np.array(rows)
+
+    def at(self, now_ns: int) -> Vector:
+        x, y, _, _ = self._row(now_ns)
+        return float(x), float(y), HEIGHT_M
+
+    def speed(self, now_ns: int) -> Vector:
+        """Its velocity, m/s."""
+        _, _, vx, vy = self._row(now_ns)
+        return float(vx), float(vy), 0.0
+
+    def _row(self, now_ns: int) -> np.ndarray:
+        k = round((now_ns - START_NS) * 1e-9 / STEP_S)
+        row: np.ndarray = self._rows[min(max(k, 0), len(self._rows) - 1)]
+        return row
+
+
+class ToldEstimator:
+    """An agreed track as bearings at frame rate would make it, in place of one by sweeps: late, noisy, the same for all
+    robots."""
+
+    def __init__(self, wanderer: Wanderer, now_ns: Callable[[], int], seed: int) -> None:
+        self.t, self.valid = 0, True
+        self._wanderer, self._now_ns, self._seed = wanderer, now_ns, seed
+
+    @property
+    def posterior(self) -> Posterior:
+        """Where it is by what was seen LATE_S ago, carried on by its speed."""
+        block = round((self._now_ns() - START_NS) * 1e-9 / NEWS_S - 0.5)
+        seen_ns = START_NS + round((block * NEWS_S - LATE_S) * 1e9)
+        rng = np.random.default_rng((self._seed, max(block, 0)))
+        (x, y, z), (vx, vy, _) = self._wanderer.at(seen_ns), self._wanderer.speed(seen_ns)
+        vx, vy = (v + float(rng.normal(0.0, NOISE_M_S)) for v in (vx, vy))
+        x, y = (at + float(rng.normal(0.0, NOISE_M)) for at in (x, y))
+        since_s = (self._now_ns() - seen_ns) * 1e-9
+        m2 = NOISE_M * NOISE_M + (NOISE_M_S * since_s) ** 2
+        return Posterior((x + since_s * vx, y + since_s * vy, z), (m2, 0.0, 0.0, m2, 0.0, m2), (vx, vy, 0.0))
+
+    def trust(self, keys: Mapping[str, bytes]) -> None: ...
+    def adopt(self, t: int) -> None: ...
+
+    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+        return ()
+
+    def by_others(self) -> None:
+        return None
+
+    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+        self.t += 1
+        return Update(self.t, "told", 0.0, ())
+
+    def say(self, to: str, now_ns: int) -> Word:
+        return Word(None, None)

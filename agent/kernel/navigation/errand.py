@@ -1,0 +1,91 @@
+"""What a robot does about a target by name: what it needs to know for that, and where its camera looks meanwhile."""
+
+from __future__ import annotations
+
+import math
+
+from agent.kernel.config import Behaviour, Fleet, Follow, Pose, Search
+from agent.kernel.control.roam import Roam, all_around, spiral
+from agent.kernel.control.seek import Seek
+from agent.kernel.estimation.tracks.track import FIRST_SPEED_M_S
+from agent.kernel.navigation.barrier import SIGMAS, TARGET_M, Disc
+from agent.kernel.navigation.behaviours.behaviour import Progress, effective
+from agent.kernel.navigation.behaviours.search import Hunt
+from agent.kernel.navigation.behaviours.surroundings import Surroundings, velocity_m_s
+from agent.kernel.navigation.neighbours import Neighbours
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.target_state import TargetEstimate
+
+
+class Errand:
+    """Of one robot, between steps; of a behaviour that is about no target it knows nothing."""
+
+    def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
+        assert fleet.navigation is not None
+        self._fleet, self._camera = fleet, calibration.camera
+        self._speed_m_s = fleet.navigation.limits.speed_m_s
+        self.around: Surroundings | None = None
+        self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
+
+    def heed(
+        self,
+        what: Behaviour,
+        progress: Progress | None,
+        target: TargetEstimate | None,
+        neighbours: Neighbours,
+        seek: Seek,
+        depth_m: float,
+        now_ns: int,
+    ) -> None:
+        """Once a step, before the camera is told where to look; depth_m: where the robot hovers."""
+        self.does = what
+        if not isinstance(what, Follow | Search):
+            self.around, seek.roam = None, None
+            return
+        around = Surroundings(
+            self._fleet.tank.size_m[:2],
+            self._speed_m_s,
+            target=target,
+            sees=seek.sees(what.target, now_ns),
+            robots_m=tuple(disc.at_m for disc in neighbours.discs(now_ns)),
+        )
+        does = self.does = effective(what, Hunt() if progress is None else progress.hunt, around, now_ns)
+        if not isinstance(does, Search):
+            seek.roam = None
+        elif seek.roam is None:
+            seek.roam = self._roam(does, target, seek.pose, depth_m, now_ns)
+        self.around = around._replace(
+            looks=seek.roam is not None and target is not None and seek.roam.spirals,
+            fellows_m=neighbours.doing(kind(does), what.target, now_ns),
+        )
+
+    def _roam(self, what: Search, target: TargetEstimate | None, pose: Pose, depth_m: float, now_ns: int) -> Roam:
+        surface_m = self._fleet.tank.surface_m
+        around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
+        if target is None:
+            return Roam(what.target, (), around)
+        return Roam(what.target, spiral(self._camera, _reach_deg(target, pose, now_ns)), around)
+
+    def disc(self, now_ns: int) -> Disc | None:
+        """The target, to keep clear of. Nobody flees from where it only may be."""
+        if self.around is None or (target := self.around.target) is None:
+            return None
+        at_m, velocity = target.x_m[:2], velocity_m_s(target, now_ns)
+        return Disc(at_m, TARGET_M, velocity, strays_m=SIGMAS * target.sigma_m)
+
+
+def about(what: Behaviour) -> str | None:
+    """The name of the target that it is about."""
+    return what.target if isinstance(what, Follow | Search) else None
+
+
+def kind(what: Behaviour) -> str:
+    """As the fleet file calls it."""
+    return str(what.__struct_config__.tag)
+
+
+def _reach_deg(target: TargetEstimate, pose: Pose, now_ns: int) -> float:
+    """How far beside its last place a target may be seen by now: two sigma, and what it may have gone meanwhile."""
+    gone_m = FIRST_SPEED_M_S * (now_ns - target.seen_ns) * 1e-9
+    distance_m = math.hypot(target.x_m[0] - pose.x_m, target.x_m[1] - pose.y_m)
+    return math.degrees(math.atan2(2.0 * target.sigma_m + gone_m, distance_m))
