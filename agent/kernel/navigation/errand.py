@@ -7,7 +7,7 @@ import math
 from agent.kernel.config import Behaviour, Fleet, Follow, Pose, Search
 from agent.kernel.control.roam import Roam, all_around, spiral
 from agent.kernel.control.seek import Seek
-from agent.kernel.estimation.tracks.track import FIRST_SPEED_M_S
+from agent.kernel.estimation.choice import dynamics
 from agent.kernel.navigation.barrier import SIGMAS, TARGET_M, Disc
 from agent.kernel.navigation.behaviours.behaviour import Progress, effective
 from agent.kernel.navigation.behaviours.search import Hunt
@@ -64,7 +64,8 @@ class Errand:
         around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
         if target is None:
             return Roam(what.target, (), around)
-        return Roam(what.target, spiral(self._camera, _reach_deg(target, pose, now_ns)), around)
+        speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
+        return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around)
 
     def disc(self, now_ns: int) -> Disc | None:
         """The target, to keep clear of. Nobody flees from where it only may be."""
@@ -84,8 +85,8 @@ def kind(what: Behaviour) -> str:
     return str(what.__struct_config__.tag)
 
 
-def _reach_deg(target: TargetEstimate, pose: Pose, now_ns: int) -> float:
+def _reach_deg(target: TargetEstimate, speed_m_s: float, pose: Pose, now_ns: int) -> float:
     """How far beside its last place a target may be seen by now: two sigma, and what it may have gone meanwhile."""
-    gone_m = FIRST_SPEED_M_S * (now_ns - target.seen_ns) * 1e-9
+    gone_m = speed_m_s * (now_ns - target.seen_ns) * 1e-9
     distance_m = math.hypot(target.x_m[0] - pose.x_m, target.x_m[1] - pose.y_m)
     return math.degrees(math.atan2(2.0 * target.sigma_m + gone_m, distance_m))
