@@ -46,6 +46,9 @@ from agent.kernel.target_state import TargetEstimate
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
 BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilot's damping takes
+# Of a camera that rests where it is to stay: then there is a key frame, and flow. Who begins to swim as it turns back
+# from landmarks has no odometry, and is lost again.
+KEY_NS = 250_000_000
 NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
@@ -72,6 +75,7 @@ class Swimmer:
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
         self._found = False  # it has known well enough how it moves, and was not lost since
+        self._off = False  # and its camera has come to rest since
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -132,8 +136,11 @@ class Swimmer:
             self._lost_since_ns = now_ns
         if here is None or self.lost:
             self._found = False
-        elif foresees(here) and seek.pointing.steady(now_ns):  # not as the camera turns back from where it found itself
+        elif foresees(here) and seek.pointing.steady(now_ns):
             self._found = True
+        rests = seek.roam is not None or seek.pointing.steady(now_ns - KEY_NS)  # the gaze of a search never does
+        ready = rests and not self._glancing
+        self._off = self._found and (self._off or ready)
 
     def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
         """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
@@ -189,7 +196,7 @@ class Swimmer:
         by, since_ns = self.here or here, self._lost_since_ns
         if here is None or by is None or not allowed or adrift(here):
             asked = STILL
-        elif self._found:
+        elif self._found and self._off:
             asked = self._towards(here, by, watched_m, now_ns)
         elif since_ns is not None and now_ns - since_ns < BRAKES_NS:
             asked = wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST)
