@@ -21,6 +21,7 @@ Spread = tuple[float, float, float]  # covariance of x and y: xx xy yy, m^2
 
 RINGS_M = 0.34  # between the centres of two robots whose thruster rings touch
 MARGIN_M = 0.02  # for what no covariance knows of
+SWIMS_M = 0.03  # the same of what swims or is swum to: braking is not as believed either
 SIGMAS = 3.0
 FLEES_M = 0.20  # at most, from what is not known; beyond that, one that is lost would push all others into walls
 WALL_M = 0.20  # from a wall, and from the skin of a thing: a ring of 0.17 m and its margin
@@ -147,7 +148,7 @@ def clear_of(at_m: Planar, spread_m2: Spread, disc: Disc) -> HalfPlane:
     ux, uy = (x / distance_m, y / distance_m) if distance_m > 0.0 else (1.0, 0.0)
     xx, xy, yy = (p + q for p, q in zip(spread_m2, disc.spread_m2, strict=True))
     sigma_m = math.sqrt(max(0.0, ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy))
-    free_m, unknown_m = distance_m - disc.clear_m - MARGIN_M, SIGMAS * sigma_m
+    free_m, unknown_m = distance_m - disc.clear_m - SWIMS_M, SIGMAS * sigma_m
     too_near_m = min(free_m - min(unknown_m, FLEES_M), 0.0)
     spare_m = max(free_m - unknown_m - disc.strays_m, too_near_m)  # nobody flees from where it only may be
     recedes = ux * disc.velocity_m_s[0] + uy * disc.velocity_m_s[1]

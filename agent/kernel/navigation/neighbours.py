@@ -12,7 +12,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.estimation.evidence_checks import MARGIN_M, SLACK, finite, inside, widest_m2
 from agent.kernel.estimation.matrix import semidefinite, trace
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.barrier import Disc, Planar, robot
+from agent.kernel.navigation.barrier import RINGS_M, Disc, Planar, robot
 from agent.kernel.presence import Presence
 from agent.kernel.trust.letters import Letter, Letters
 
@@ -40,7 +40,7 @@ class Neighbours:
         """All that ever said where they are, in the order of their names, where they should be by now."""
         return tuple(
             robot(
-                (said.x_m, said.y_m),
+                self._in_tank((said.x_m, said.y_m)),
                 (said.v_x_m_s, said.v_y_m_s),
                 (said.cov[0], said.cov[1], said.cov[3]),
                 (now_ns - said_ns(letter)) * 1e-9,
@@ -49,6 +49,12 @@ class Neighbours:
             for letter in self._heard()
             for said in (letter.message,)
         )
+
+    def _in_tank(self, at_m: Planar) -> Planar:
+        """The nearest place where its ring touches no wall: who does not know where he is may believe to be in one."""
+        ring_m, (length_m, breadth_m, _) = 0.5 * RINGS_M, self._tank_m
+        x, y = (min(max(at, ring_m), side - ring_m) for at, side in zip(at_m, (length_m, breadth_m), strict=True))
+        return x, y
 
     def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
         """Where those are that do the same about the same target, in the order of their names; silent ones left out."""

@@ -76,6 +76,7 @@ class Swimmer:
         self.here: Belief | None = None  # what it steers by
         self._found = False  # it has known well enough how it moves, and was not lost since
         self._off = False  # and its camera has come to rest since
+        self._holds = False  # it has seen landmarks, and was not lost since
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -141,6 +142,7 @@ class Swimmer:
         rests = seek.roam is not None or seek.pointing.steady(now_ns - KEY_NS)  # the gaze of a search never does
         ready = rests and not self._glancing
         self._off = self._found and (self._off or ready)
+        self._holds = not self.lost and (self._holds or now_ns - self.localizer.fixed_ns < ARRIVED_NS)
 
     def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
         """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
@@ -198,12 +200,19 @@ class Swimmer:
             asked = STILL
         elif self._found and self._off:
             asked = self._towards(here, by, watched_m, now_ns)
+        elif self._holds:
+            asked = self._stays(by, now_ns)
         elif since_ns is not None and now_ns - since_ns < BRAKES_NS:
             asked = wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST)
         else:  # what it leans against may be drag that it believed wrong, and gone with its speed
             asked = STILL
         self.localizer.sent(asked, now_ns)
         return asked
+
+    def _stays(self, by: Belief, now_ns: int) -> Wrench:
+        """Where it is, but out of the way of others: whoever lets himself drift is pulled into them."""
+        to = Reference(by.pose[:2], by.pose[2])
+        return wrench(by, self.localizer.hull, to, self.company.velocity(AT_REST, by, to, (), now_ns))
 
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""

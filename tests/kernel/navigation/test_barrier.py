@@ -12,11 +12,11 @@ from agent.kernel.navigation.barrier import (
     BRAKE_M_S2,
     DELAY_S,
     FLEES_M,
-    MARGIN_M,
     NEAR_1_S,
     RINGS_M,
     SIGMAS,
     STILL,
+    SWIMS_M,
     TARGET_M,
     WALL_M,
     Disc,
@@ -58,7 +58,7 @@ def test_what_is_kept_clear_of_grows_with_what_is_not_known() -> None:
     plane = clear_of((1.0, 1.0), ours, Disc((1.6, 1.8), RINGS_M, spread_m2=theirs))
     u = np.array([-0.6, -0.8])
     spread = np.array([[5e-4, 1e-4], [1e-4, 10e-4]])
-    spare = 1.0 - RINGS_M - MARGIN_M - SIGMAS * np.sqrt(u @ spread @ u)
+    spare = 1.0 - RINGS_M - SWIMS_M - SIGMAS * np.sqrt(u @ spread @ u)
     np.testing.assert_allclose(plane.normal, u)
     assert plane.least == pytest.approx(-approach_m_s(spare))
 
@@ -80,12 +80,12 @@ def test_an_old_word_of_a_neighbour_is_worth_less() -> None:
 
 def test_one_that_is_silent_is_not_approached_and_nobody_flees_from_it() -> None:
     """Half a metre to spare by its last word, 0.12 m too little by its age: no nearer, and no further."""
-    here, there = (1.0, 1.0), (1.0, 1.0 + RINGS_M + MARGIN_M + 0.5)
+    here, there = (1.0, 1.0), (1.0, 1.0 + RINGS_M + SWIMS_M + 0.5)
     for age_s, least in ((0.0, -approach_m_s(0.5)), (1.0, -approach_m_s(0.25)), (1.6, 0.0), (600.0, 0.0)):
         plane = clear_of(here, KNOWN, robot(there, STILL, KNOWN, age_s))
         assert plane.least == pytest.approx(least) and plane.normal == pytest.approx((0.0, -1.0))
     near = (1.0, 1.0 + RINGS_M)  # by its last word
-    assert clear_of(here, KNOWN, robot(near, STILL, KNOWN, 600.0)).least == pytest.approx(APART_1_S * MARGIN_M)
+    assert clear_of(here, KNOWN, robot(near, STILL, KNOWN, 600.0)).least == pytest.approx(APART_1_S * SWIMS_M)
     assert robot(near, (0.1, 0.0), KNOWN, 600.0).at_m == pytest.approx((1.1, near[1]))  # it does not swim to the moon
 
 
@@ -93,7 +93,7 @@ def test_one_that_may_be_anywhere_is_fled_from_so_far_and_not_approached_beyond(
     """Three sigma are 0.9 m: of these FLEES_M count for who has to leave, all for who may come."""
     lost = (0.09, 0.0, 0.09)
     for spare_m, least in ((FLEES_M - 0.1, -0.1 * APART_1_S), (FLEES_M + 0.1, 0.0), (0.8, 0.0), (0.95, 0.05)):
-        there = (1.0 + RINGS_M + MARGIN_M + spare_m, 1.0)
+        there = (1.0 + RINGS_M + SWIMS_M + spare_m, 1.0)
         for ours, theirs in ((KNOWN, lost), (lost, KNOWN)):
             plane = clear_of((1.0, 1.0), ours, robot(there, STILL, theirs))
             assert plane.least == pytest.approx(-approach_m_s(least) if least > 0.0 else -least)

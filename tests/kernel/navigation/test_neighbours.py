@@ -50,6 +50,12 @@ def test_a_neighbour_is_where_it_should_be_by_now_whatever_its_clock() -> None:
     assert one.spread_m2 == (4e-4, 1e-4, 1e-4) and one.strays_m > other.strays_m > 0.0 and one.yields
 
 
+def test_nobody_is_in_a_wall() -> None:
+    """One that nearly does not know where it is may say so; there its ring would be in the wall."""
+    (one,) = heard(presence(x_m=1.0, y_m=1.98, v_x_m_s=0.0, v_y_m_s=0.0)).discs(2 * S)
+    assert one.at_m == pytest.approx((1.0, 2.0 - 0.17))
+
+
 def test_a_word_that_was_queued_is_older_than_it_looks() -> None:
     found = heard(presence())
     found.hear("r02", presence(seq=2, sent_ns=S + S // 10), 2 * S + S // 2)  # 0.4 s later than it should

@@ -72,7 +72,7 @@ def test_numbers_that_cannot_be_are_refused(swum, known, number) -> None:
     one, told = swum
     agent = Agent(one.fleet, "r1", CALIBRATION, incarnation=7)
     whole = [k for k, (_, inputs, *_) in enumerate(told) if inputs.landmarks and len(inputs.landmarks[0].tags) == 3]
-    k = next(k for k in whole if k >= (60 if known else 28))  # by then the gimbal is at rest, and not yet on its way
+    k = next(k for k in whole if k >= (70 if known else 28))  # by then the gimbal is at rest, and not yet on its way
     for now_ns, inputs, *_ in told[:k]:
         agent.step(inputs if known else replace(inputs, landmarks=()), now_ns)
     place = agent.swimmer.localizer
@@ -139,6 +139,6 @@ def test_frames_come_late_twice_or_in_another_order(swum) -> None:
     # Each fix begins where it was believed to be and knows how fast it was, so this is not to the bit; sigma is 3 mm.
     assert after((newest, before, last))[0].pose == pytest.approx(in_order.pose, abs=1e-4)
     # Without a frame, other forces are asked for than those that moved the body. While it turns that matters:
-    # without one of 7 to 9 its yaw is still 2 to 6 degrees off here.
-    _, ring = after((frames[6],), (before, last, newest))
+    # without most of 5 to 12 its yaw is still 2 to 6 degrees off here.
+    _, ring = after((frames[8],), (before, last, newest))
     assert ring.dropped == 1 and ring.at(told[63][0]).pose == pytest.approx(in_order.pose, abs=0.01)

@@ -130,9 +130,9 @@ def test_three_of_them_surround_a_target_that_wanders() -> None:
     for agent in swimmers.agents.values():
         agent.targets["ball"].estimator = ToldEstimator(fish, lambda: bodies.now_ns, 5)
     off, apart, gaps = [], [], []
-    for step in range(13 * 20):
+    for step in range(14 * 20):
         swimmers.step()
-        if step < 9 * 20:
+        if step < 10 * 20:
             continue
         arms = np.array([swimmers.place(name)[:2] for name in names]) - fish.at(bodies.now_ns)[:2]
         ways = np.arctan2(arms[:, 1], arms[:, 0])
