@@ -128,9 +128,9 @@ class Swimmers:
                     self._post[letter.dst].append(Heard(**heard))
 
     def swims(self, name: str) -> bool:
-        """Whether it asks for any force now."""
-        to = self.outputs[name].set_point
-        return any((*to.force_n, to.yaw_moment_nm))
+        """Whether it is armed, and does what it is told."""
+        swimmer = self.agents[name].swimmer
+        return swimmer is not None and swimmer.under_way
 
     def place(self, name: str) -> tuple[float, float, float]:
         """Where it truly is: x and y (m), yaw (rad)."""
@@ -147,7 +147,7 @@ class Swimmers:
         return np.array(rows)
 
     def until_swims(self, name: str, at_most_s: float) -> bool:
-        """Step on until it asks for force: it is armed, and has found itself."""
+        """Step on until it is armed, and has found itself."""
         for _ in range(round(at_most_s * 1e9 / STEP_NS)):
             self.step()
             if self.swims(name):

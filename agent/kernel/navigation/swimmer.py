@@ -157,6 +157,11 @@ class Swimmer:
         return None if level is None or gimbal is None else Carriage(level, gimbal)
 
     @property
+    def under_way(self) -> bool:
+        """It does what it is told: it knows where it is and how it moves, and its camera is where it is to be."""
+        return self._found and self._off
+
+    @property
     def lost(self) -> bool:
         """It does not know where it is."""
         return self._lost_since_ns is not None
@@ -198,7 +203,7 @@ class Swimmer:
         by, since_ns = self.here or here, self._lost_since_ns
         if here is None or by is None or not allowed or adrift(here):
             asked = STILL
-        elif self._found and self._off:
+        elif self.under_way:
             asked = self._towards(here, by, watched_m, now_ns)
         elif self._holds:
             asked = self._stays(by, now_ns)
