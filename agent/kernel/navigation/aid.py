@@ -25,6 +25,7 @@ from agent.kernel.estimation.interface import Posterior
 from agent.kernel.estimation.matrix import apply, inverse, plus, quadratic
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
+from agent.kernel.navigation.basin import Basin
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, sighting
 from agent.kernel.navigation.pose_filter import GATE, Belief, Drift
@@ -48,8 +49,9 @@ class Seen(NamedTuple):
 class Aid:
     """Of one robot, by one target at a time. The filter runs while it is needed, else only what happens is kept."""
 
-    def __init__(self, hull: Hull) -> None:
-        self._hull = hull
+    def __init__(self, hull: Hull, within: Basin | None = None) -> None:
+        """within: the walls that the robot does not get beyond, if they are known."""
+        self._hull, self._within = hull, within
         self._log: deque[Event] = deque()  # what the own filter was told in the last seconds
         self._seen: deque[Seen] = deque()  # of the target, in the last seconds; the newest always
         self._ring: EventRing | None = None
@@ -128,7 +130,7 @@ class Aid:
 
     def _run(self, settled: Belief, sightings: Iterable[Seen]) -> EventRing:
         """A filter with these sightings and all that the own one was told after that belief."""
-        ring = EventRing(settled, self._hull, Drift(), LATE_NS)
+        ring = EventRing(settled, self._hull, Drift(), LATE_NS, self._within)
         for each in sorted((*self._log, *map(_event, sightings))):
             if each.t_ns > settled.t_ns:
                 ring.add(each)

@@ -14,6 +14,7 @@ from itertools import islice
 from typing import Literal, NamedTuple
 
 from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.navigation.basin import Basin, kept_in
 from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.pose_filter import (
     Belief,
@@ -74,9 +75,12 @@ class EventRing:
     the flow of its frame, cost one pass.
     """
 
-    def __init__(self, begun: Belief, hull: Hull, drift: Drift, ring_ns: int = RING_NS) -> None:
-        """begun: the belief at the first fix; what happened before it does not count. ring_ns: how late one may be."""
-        self._hull, self._drift, self._ring_ns = hull, drift, ring_ns
+    def __init__(
+        self, begun: Belief, hull: Hull, drift: Drift, ring_ns: int = RING_NS, within: Basin | None = None
+    ) -> None:
+        """begun: the belief at the first fix; what happened before it does not count. ring_ns: how late one may be.
+        within: the walls that it does not get beyond, if they are known."""
+        self._hull, self._drift, self._ring_ns, self._within = hull, drift, ring_ns, within
         self._settled: deque[Belief] = deque([begun])  # nothing comes before the newest of these any more
         self._events: list[Event] = []
         self._beliefs: list[Belief] = []  # after each of the first events; those of the others are due
@@ -150,6 +154,8 @@ class EventRing:
         before, after = self._predicted
         if before is not belief or after.t_ns != t_ns:
             after = predict(belief, self._hull, self._drift, t_ns)
+            if self._within is not None and after is not belief:
+                after = kept_in(after, self._within)
             self._predicted = belief, after
         return after
 

@@ -16,6 +16,7 @@ from agent.kernel.estimation.matrix import minus, plus, times
 from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.barrier import STILL as AT_REST
+from agent.kernel.navigation.basin import basin
 from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
@@ -70,10 +71,11 @@ class Localizer:
         self._rolls = fleet.camera.row_time_us > 0.0
         self._body, self._surface_m = fleet.body, fleet.tank.surface_m
         self._water_m = fleet.tank.size_m[0], fleet.tank.size_m[1], fleet.tank.surface_m
+        self._basin = basin(fleet.tank.size_m)
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
         self.hull, self._gyro = hull_of(calibration.body), fleet.navigation.gyro
         self._ring: EventRing | None = None
-        self.aid = Aid(self.hull)
+        self.aid = Aid(self.hull, self._basin)
         self._asked = STILL
         self._fixes_ns: deque[int] = deque()
         self._sampled_ns: int | None = None
@@ -103,7 +105,7 @@ class Localizer:
         pose = found.theta[0], found.theta[1], found.theta[2]
         if self._ring is None or before is None or adrift(before):
             begun = begin(frame.t_ns, pose, found.fluctuates, found.stays, self._gyro)
-            self._ring = EventRing(begun, self.hull, Drift())
+            self._ring = EventRing(begun, self.hull, Drift(), within=self._basin)
             self._asked = STILL
             self.aid.reset()
         elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays)):

@@ -17,7 +17,6 @@ from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.company import Company, direly_unsure, pace
 from agent.kernel.navigation.errand import Errand, about, kind
 from agent.kernel.navigation.gimbal_log import GimbalLog
-from agent.kernel.navigation.glance import Glance, Sure
 from agent.kernel.navigation.gyro import Gyro
 from agent.kernel.navigation.localizer import (
     LOST_DEG,
@@ -36,6 +35,7 @@ from agent.kernel.navigation.localizer import (
 )
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
 from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.tags.glance import Glance, Sure
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.net import SURFACE_M
 from agent.kernel.presence import Presence
@@ -122,6 +122,8 @@ class Swimmer:
             self._swept_ns = now_ns
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
+            if self._glancing and frame.t_ns >= seek.pointing.nearly_from_ns:
+                self._glance.add_frame(bool(frame.tags))
             carriage = self._carriage_at(frame.t_ns, attitude)
             if carriage is not None:
                 self.localizer.see(frame, carriage)

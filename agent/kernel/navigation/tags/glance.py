@@ -15,7 +15,8 @@ from agent.kernel.ranging.camera_model import look_at
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
 CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, nobody says
 STEEP = 0.35  # cosine between a tag's normal and the way to it: beyond 70 degrees it is hardly found
-WAIT_NS = 700_000_000  # for the first frames in a direction, gimbal at rest
+WAIT_NS = 700_000_000  # for fixes from the frames in a direction, gimbal at rest
+EMPTY = 2  # frames without a landmark, though the gimbal has all but come there, and the next look is due
 SEARCH_DEG = tuple((pan, tilt) for tilt in (-10.0, -35.0) for pan in (0.0, 30.0, -30.0, 60.0, -60.0, 85.0, -85.0))
 
 
@@ -49,25 +50,32 @@ class Glance:
         self._until_ns: int | None = None  # nobody knows while the gimbal is on its way
         self._blind = True  # the pose was not known
         self._looked_at: set[int] = set()  # landmarks that were in the pictures before
+        self._empty, self._glimpsed = 0, False  # frames of this look without a landmark; one showed some
 
     def direction_deg(
         self, pose: Pose | None, sure: Sure, level: Attitude, steady: bool, now_ns: int
     ) -> tuple[float, float]:
         """Pan and tilt to look at: where most landmarks are first; if that has not helped, where most others are. Of a
-        robot that knows too little for that: all around. steady: whether the gimbal
-        rests where it was told to look before."""
+        robot that knows too little for that: all around. Where frames show none, not for long: who is lost drifts
+        meanwhile. steady: whether the gimbal rests where it was told to look before."""
         if (pose is None) != self._blind:  # other ways, from the first on, when this one has had its time
             self._blind, self._step = pose is None, 0 if self._way is None else -1
         if not steady:
             self._until_ns = None
         elif self._until_ns is None:
             self._until_ns = now_ns + WAIT_NS
-        elif now_ns >= self._until_ns:
+        over = self._until_ns is not None and now_ns >= self._until_ns
+        if over or (self._empty >= EMPTY and not self._glimpsed):
             self._step, self._way, self._until_ns = self._step + 1, None, None
         if self._way is None:
+            self._empty, self._glimpsed = 0, False
             known = None if pose is None else self._best(pose, sure, level)
             self._way = known or SEARCH_DEG[self._step % len(SEARCH_DEG)]
         return self._way
+
+    def add_frame(self, shows: bool) -> None:
+        """One that was exposed when the gimbal had all but come to where it was told to look; shows: landmarks."""
+        self._empty, self._glimpsed = self._empty + 1, self._glimpsed or shows
 
     def reset(self) -> None:
         self._step, self._way, self._until_ns = 0, None, None

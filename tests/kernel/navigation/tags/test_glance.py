@@ -7,8 +7,8 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Body, Landmarks, Pose, Tag
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.navigation.glance import SEARCH_DEG, WAIT_NS, Glance, Sure
 from agent.kernel.navigation.tags.facing import facing
+from agent.kernel.navigation.tags.glance import SEARCH_DEG, WAIT_NS, Glance, Sure
 from agent.kernel.navigation.tags.layout import markers
 
 SURFACE_M, LEVEL = 0.5, Attitude(0.3, 0.0, 0.0)  # 0.2 m above the floor
