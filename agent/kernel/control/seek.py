@@ -126,6 +126,12 @@ class Seek:
         self._elsewhere = True
         self._aim(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
 
+    def track(self, target: str, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
+        """Point there now, and elsewhere with the next step: the camera goes with that target. Not while a sweep is
+        under way."""
+        self._target, self._elsewhere = target, False
+        self.pointing.track(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
+
     def eye(self, level: Attitude, pose: Pose | None = None) -> Eye:
         """Where the camera is while the gimbal rests at its goal; `pose`: of another time than now."""
         return camera_pose(pose or self.pose, self._fleet.body, *level, *self.gimbal_deg(), self._fleet.tank.surface_m)

@@ -71,7 +71,7 @@ class Swimmer:
         self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way
         self._progress: Progress | None = None
-        self._gimbal = GimbalLog(calibration.camera, fleet.body)
+        self.gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
         self._found = False  # it has known well enough how it moves, and was not lost since
@@ -117,7 +117,7 @@ class Swimmer:
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
     ) -> None:
         """Landmarks and flow of frames; those that were exposed while the gimbal turned say nothing."""
-        self._gimbal.add(seek.pointing)
+        self.gimbal.add(seek.pointing)
         if seek.measuring:
             self._swept_ns = now_ns
         lens = {frame.t_ns: frame.focus for frame in tags}
@@ -153,7 +153,7 @@ class Swimmer:
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
-        level, gimbal = attitude.at(t_ns), self._gimbal.at(t_ns)
+        level, gimbal = attitude.at(t_ns), self.gimbal.at(t_ns)
         return None if level is None or gimbal is None else Carriage(level, gimbal)
 
     @property
