@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 LOST_NS = 400_000_000  # four frames without it
+ELSEWHERE_NS = 200_000_000  # several steps
 PERIOD_S = 1.6  # of the triangle
 FIRST_DEG, WIDER_DEG_S, WIDEST_DEG = 15.0, 25.0, 70.0  # half of a view; what a target of 0.2 m/s gains in a second
 
@@ -22,22 +23,21 @@ class Gaze:
     def __init__(self, share: float) -> None:
         self._share = share
         self._since_ns: int | None = None  # of the newest frame that showed it, or of the first moment without
+        self._asked_ns = 0
 
     def saw(self, t_ns: int) -> None:
         """A frame exposed then showed the target."""
         self._since_ns = t_ns if self._since_ns is None else max(self._since_ns, t_ns)
 
-    def rest(self) -> None:
-        """The camera is elsewhere; how long it did not see the target counts anew."""
-        self._since_ns = None
-
     def sees(self, now_ns: int) -> bool:
         return self._since_ns is not None and now_ns - self._since_ns <= LOST_NS
 
     def offset_deg(self, now_ns: int) -> float:
-        """To add to the pan towards the track."""
-        if self._since_ns is None:
+        """To add to the pan towards the track. Where nobody asked for a while the camera was elsewhere, and how long
+        it did not see the target counts anew."""
+        if self._since_ns is None or now_ns - self._asked_ns > ELSEWHERE_NS:
             self._since_ns = now_ns
+        self._asked_ns = now_ns
         unseen_s = (now_ns - self._since_ns - LOST_NS) * 1e-9
         return 0.0 if unseen_s <= 0.0 else swing_deg(unseen_s, self._share)
 

@@ -122,9 +122,12 @@ class Seek:
 
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
-        `act` turns it back."""
-        self._elsewhere = True
-        self._aim(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
+        `act` turns it back. From a target that it goes with, as fast as it can: that will be gone."""
+        self._elsewhere, goal_us = True, servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg)
+        if self.pointing.tracks:
+            self.pointing.track(goal_us, now_ns)
+        else:
+            self._aim(goal_us, now_ns)
 
     def track(self, target: str, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
         """Point there now, and elsewhere with the next step: the camera goes with that target. Not while a sweep is

@@ -96,7 +96,6 @@ class Pursuit:
             return False
         roams = seek.roam is not None and not self._gaze.sees(now_ns)
         if here is None or believed is None or level is None or adrift(here) or roams:
-            self._gaze.rest()
             return False
         ahead_s = SERVO_LAG_S + LEAD_S
         x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))

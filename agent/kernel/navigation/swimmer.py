@@ -170,8 +170,11 @@ class Swimmer:
         """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
         sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
+        brief = self._glancing and seek.pointing.tracks  # what swims does not wait, and landmarks pass behind it
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
-        moves = self._found and (not self._glancing or (here is not None and foresees(here)))
+        if brief:
+            enough = 0.5 * UNSURE_M, 0.5 * UNSURE_DEG
+        moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         waits = self.company.waits(here, self._glancing, now_ns)
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS

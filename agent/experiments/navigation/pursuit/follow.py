@@ -1,7 +1,8 @@
 """Three robots follow a target that wanders: how well they keep their distance, their sides of it, and apart.
 
-They find it by bearings of their own frames, for which their fleet file says that it swims; or by sweeps, where that
-does not; or they are told where it is.
+They find it by their own frames, for which their fleet file says that it swims: by bearings alone, or with the range
+that a ball's size gives; or by sweeps, where the file does not say so; or they are told where it is. Of those that go
+by frames each hides the target from those behind it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from agent.experiments.navigation.pursuit.wanderer import ToldEstimator, Wandere
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
 from agent.experiments.spread import rms
-from agent.kernel.config import Follow, Look, Pose
+from agent.kernel.config import Follow, Look, Pose, Ranging
 from agent.kernel.estimation.interface import Posterior
 from hw.twin.scene import generator
 
@@ -27,7 +28,8 @@ ROBOTS, STANDOFF_M = 3, 0.7
 SPEEDS_M_S = (0.1, 0.2)
 FIND_S, SETTLE_S, WATCH_S = 12.0, 8.0, 30.0
 EVEN_RAD = 2.0 * math.pi / ROBOTS
-By = Literal["frames", "sweeps", "told"]
+By = Literal["bearings", "frames", "sweeps", "told"]
+FRAMES = ("bearings", "frames")
 
 
 def follow(seed: int, speed_m_s: float | None = None, by: By = "told", watch_s: float = WATCH_S) -> Row:
@@ -49,10 +51,15 @@ def follow(seed: int, speed_m_s: float | None = None, by: By = "told", watch_s: 
         pose = Pose(x_m=x, y_m=y, yaw_deg=90.0 if first > 0.0 else -90.0)
         robots[name] = basin.robot(name, pose, what, Look(tilt_deg=-10.0), others)
     swims = msgspec.structs.replace(basin.BALL, speed_m_s=speed_m_s, turn_s=basin.TURN_S)
-    fleet = basin.fleet(robots, seed, swims if by == "frames" else basin.BALL)
+    fleet = basin.fleet(robots, seed, swims if by in FRAMES else basin.BALL)
+    if by == "bearings":
+        fleet = msgspec.structs.replace(fleet, ranging=Ranging(cues="focus"))
     wanderer = Wanderer(rng, speed_m_s, FIND_S + SETTLE_S + watch_s)
     with twin_bodies(fleet) as bodies:
         swimmers = Swimmers(fleet, bodies, wanderer.at)
+        if by in FRAMES:
+            for name, eyes in swimmers.eyes.items():
+                eyes.hide = fleet.robot[name].neighbours
         if by == "told":
             for agent in swimmers.agents.values():
                 agent.targets["ball"].estimator = ToldEstimator(wanderer, lambda: bodies.now_ns, seed)
