@@ -120,11 +120,11 @@ class Seek:
         since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
         return now_ns - since_ns > LOST_NS
 
-    def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
+    def look(self, pan_deg: float, tilt_deg: float, now_ns: int, swift: bool = False) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
-        `act` turns it back. From a target that it goes with, as fast as it can: that will be gone."""
+        `act` turns it back. swift: from a target that it goes with, without rest."""
         self._elsewhere, goal_us = True, servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg)
-        if self.pointing.tracks:
+        if swift:
             self.pointing.track(goal_us, now_ns)
         else:
             self._aim(goal_us, now_ns)

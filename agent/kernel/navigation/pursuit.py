@@ -20,7 +20,6 @@ from agent.kernel.estimation.choice import dynamics, pursued
 from agent.kernel.estimation.interface import Bearing, Posterior
 from agent.kernel.estimation.tracks.dynamics import Dynamics, growth
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.localizer import adrift
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.navigation.tags.tag_priors import TURNING_DEG
 from agent.kernel.ranging.calibration import Calibration
@@ -69,7 +68,7 @@ class Pursuit:
         surface_m = self._fleet.tank.surface_m
         eye = camera_pose(pose_of(known[0]), self._fleet.body, *level, *gimbal.deg, surface_m)
         outline = Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
-        believed = of.estimator.posterior
+        believed, swims = of.estimator.posterior, self._swims[of.name]
         sigma_deg = math.hypot(0.0 if gimbal.rests else TURNING_DEG, gimbal.lag_sigma_deg)
         return sight_line(
             self._calibration.camera,
@@ -78,36 +77,37 @@ class Pursuit:
             of.ball,
             known[1],
             math.radians(math.hypot(self._calibration.camera.noise_deg, sigma_deg)),
-            self._middle_m if believed is None else believed.x_m,
+            None if believed is None else carried_on(believed, swims, seen.t_ns),
             seen.t_ns,
+            0.5 * max(self._fleet.tank.size_m),
             sized=self._fleet.ranging.cues != "focus",
         )
 
-    @property
-    def _middle_m(self) -> Vector:
-        x, y, z = self._fleet.tank.size_m
-        return 0.5 * x, 0.5 * y, 0.5 * z
-
     def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
         """Point the camera at that target, or to and fro where it ought to be; returns whether that is its turn. Who
-        does not know about where it is searches for it with rests between looks (control/roam.py)."""
+        does not know about where it is searches for it with rests between looks (control/roam.py), and who does not
+        know how it swims itself finds that out first."""
         here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
         if of.name != self.target or seek.measuring:
             return False
         roams = seek.roam is not None and not self._gaze.sees(now_ns)
-        if here is None or believed is None or level is None or adrift(here) or roams:
+        swims = self._swimmer is not None and self._swimmer.under_way
+        if here is None or believed is None or level is None or not swims or roams:
             return False
         ahead_s = SERVO_LAG_S + LEAD_S
         x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
-        at_m = ahead(believed, self._swims[of.name], ahead_s, now_ns)
+        at_m = carried_on(believed, self._swims[of.name], now_ns + round(ahead_s * 1e9))
         pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)
         seek.track(of.name, pan + self._gaze.offset_deg(now_ns), tilt, now_ns)
         return True
 
 
-def ahead(believed: Posterior, moves: Dynamics, ahead_s: float, now_ns: int) -> Vector:
-    """Where it will be ahead_s from now, by what is believed of an earlier moment."""
-    reach_s = growth(moves, (now_ns - believed.t_ns) * 1e-9 + ahead_s).reach_s if believed.t_ns else 0.0
+def carried_on(believed: Posterior, moves: Dynamics, t_ns: int) -> Vector:
+    """Where it is at t_ns by what is believed of another moment, a little earlier or later."""
+    if not believed.t_ns:
+        return believed.x_m
+    h_s = (t_ns - believed.t_ns) * 1e-9
+    reach_s = math.copysign(growth(moves, abs(h_s)).reach_s, h_s)
     x, y, z = (at + reach_s * v for at, v in zip(believed.x_m, believed.v_m_s, strict=True))
     return x, y, z

@@ -170,7 +170,8 @@ class Swimmer:
         """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
         sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
-        brief = self._glancing and seek.pointing.tracks  # what swims does not wait, and landmarks pass behind it
+        swift = self._found and seek.pointing.tracks  # what swims does not wait, and landmarks pass behind it
+        brief = self._glancing and swift
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
         if brief:
             enough = 0.5 * UNSURE_M, 0.5 * UNSURE_DEG
@@ -190,7 +191,7 @@ class Swimmer:
         by = self.here or here
         pose, known = (None, NOTHING) if by is None or adrift(by) else (seek.pose, Sure(*sigmas(by)))
         pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns)
-        seek.look(pan, tilt, now_ns)
+        seek.look(pan, tilt, now_ns, swift)
         return True
 
     def calm(self, now_ns: int) -> bool:
