@@ -64,10 +64,10 @@ def test_two_robots_find_a_target_by_their_frames_and_go_with_it() -> None:
     bodies = PlanarBodies(of)
     swimmers = Swimmers(of, bodies, fish.at)
     found, errors, off_deg, swept = [], [], [], 0
-    for step in range(10 * 20):
+    for step in range(12 * 20):
         swimmers.step()
         swept += sum(outputs.sweep is not None for outputs in swimmers.outputs.values())
-        if step < 6 * 20:
+        if step < 9 * 20:
             continue
         at_m = np.array(fish.at(bodies.now_ns))
         for name, agent in swimmers.agents.items():
