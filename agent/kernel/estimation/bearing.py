@@ -16,7 +16,7 @@ import math
 
 from agent.kernel.estimation.evidence_checks import R_FLOOR_M
 from agent.kernel.estimation.interface import NOTHING, Bearing
-from agent.kernel.estimation.matrix import apply, plus, times
+from agent.kernel.estimation.matrix import IDENTITY, apply, invert, minus, plus, times
 from agent.kernel.estimation.tracks.line import outer
 from agent.kernel.messages import Symmetric, Vector
 
@@ -37,22 +37,25 @@ def bearing(
 
     pose_m2: covariance of the place at that range by errors of the robot's own pose, with what their memory makes of
     them. range_sigma_m: of a range by size or focus; None: there is none. believed: direction from there in which the
-    target is believed to be; None, or one far off: no matter. Raises ValueError without a direction or a range.
+    target is believed to be, for want of a range; None, or one far off: no matter. Raises ValueError without a
+    direction or a range.
     """
     if not (any(direction) and range_m > 0.0):
         raise ValueError(f"a bearing needs a direction and a range, not {direction} and {range_m} m")
     n = unit(direction)
     x_m = origin_m[0] + range_m * n[0], origin_m[1] + range_m * n[1], origin_m[2] + range_m * n[2]
+    own = max(sigma_rad * range_m, R_FLOOR_M) ** 2
+    if range_sigma_m is not None:  # a place, as good across as along
+        along = outer(n)
+        placed_m2 = plus(times(own, minus(IDENTITY, along)), times(max(range_sigma_m, R_FLOOR_M) ** 2, along))
+        return Bearing(x_m, invert(plus(placed_m2, pose_m2)), t_ns)
     if believed is not None and any(believed) and _dot(n, towards := unit(believed)) > NEAR:
         n = towards
     e, f = _across(n)
-    own = max(sigma_rad * range_m, R_FLOOR_M) ** 2
     pe, pf = apply(pose_m2, e), apply(pose_m2, f)
     a, b, d = own + _dot(e, pe), _dot(e, pf), own + _dot(f, pf)
     det = a * d - b * b
     information = plus(plus(times(d / det, outer(e)), times(a / det, outer(f))), times(-b / det, _both(e, f)))
-    if range_sigma_m is not None:
-        information = plus(information, times(1.0 / max(range_sigma_m, R_FLOOR_M) ** 2, outer(n)))
     return Bearing(x_m, information, t_ns)
 
 
