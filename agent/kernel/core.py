@@ -111,7 +111,10 @@ class Agent:
         log = self.status.log.fetch(now_ns)
         set_point = self._set_point(now_ns)
         near = self._near(now_ns) or UNSET
-        return Outputs(set_point=set_point, sweep=sweep, says=says, state=state, log=log, near=near, outcome=outcome)
+        lens = self.pursuit.lens()
+        return Outputs(
+            set_point=set_point, sweep=sweep, says=says, state=state, log=log, near=near, lens=lens, outcome=outcome
+        )
 
     def _measure(self, now_ns: int) -> SweepOutcome | UnsetType:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""

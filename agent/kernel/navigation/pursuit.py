@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from msgspec import UNSET, UnsetType
+
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.gaze import Gaze
@@ -25,10 +27,12 @@ from agent.kernel.navigation.tags.tag_priors import TURNING_DEG
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import camera_pose, look_at
 from agent.kernel.ranging.cues import Outline
-from agent.kernel.ranging.sight_line import sight_line
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.ranging.sight_line import NEAREST_M, sight_line
 from agent.kernel.step_io import Sighting
 from agent.kernel.target_state import TargetState
 
+STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
 LEAD_S = 0.05  # of the gaze: half of a step, and what a frame is known late of the gaze's own doing
 
 
@@ -41,6 +45,8 @@ class Pursuit:
         self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
         self._gaze = Gaze(robots.index(name) / len(robots))
         self._newest: Sighting | None = None  # that showed the target since the last iteration
+        self._lens: int | None = None  # where it is sharp; None: where landmarks are
+        self._told: int | None = None  # the lens
 
     @property
     def target(self) -> str | None:
@@ -93,14 +99,26 @@ class Pursuit:
         roams = seek.roam is not None and not self._gaze.sees(now_ns)
         swims = self._swimmer is not None and self._swimmer.under_way
         if here is None or believed is None or level is None or not swims or roams:
+            self._lens = None
             return False
         ahead_s = SERVO_LAG_S + LEAD_S
         x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
         at_m = carried_on(believed, self._swims[of.name], now_ns + round(ahead_s * 1e9))
         pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)
+        eye_m = camera_pose(pose, self._fleet.body, *level, pan, tilt, self._fleet.tank.surface_m).position_m
+        self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))
         seek.track(of.name, pan + self._gaze.offset_deg(now_ns), tilt, now_ns)
         return True
+
+    def lens(self) -> int | UnsetType | None:
+        """Where the lens shall be between sweeps, when that has changed by enough."""
+        before, wanted = self._told, self._lens if self.target is not None else None
+        near = STEP * self._calibration.focus.width
+        if wanted == before or (wanted is not None and before is not None and abs(wanted - before) < near):
+            return UNSET
+        self._told = wanted
+        return wanted
 
 
 def carried_on(believed: Posterior, moves: Dynamics, t_ns: int) -> Vector:

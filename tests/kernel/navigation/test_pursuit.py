@@ -5,9 +5,11 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from msgspec import UNSET
 
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import START_NS, PlanarBodies
+from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.kernel.config import Estimation, Follow, Hold, Look, Pose
@@ -15,6 +17,7 @@ from agent.kernel.estimation.choice import PURSUIT_S, iteration_ns, pursued
 from agent.kernel.estimation.interface import NOTHING, Posterior
 from agent.kernel.estimation.tracks.dynamics import ROLLING, swimming
 from agent.kernel.navigation.pursuit import carried_on
+from agent.kernel.ranging.focus import h
 
 S = 1_000_000_000
 NAMES = ("r1", "r2")
@@ -49,9 +52,9 @@ def test_only_what_swims_and_is_followed_is_pursued_and_only_with_evidence() -> 
 
 def test_a_belief_is_carried_on_as_what_swims_forgets_its_course() -> None:
     believed = Posterior((1.0, 2.0, 0.3), NOTHING, (0.2, -0.1, 0.0), 10 * S)
-    for h in (0.0, 0.11, 3.0):
-        reach = 2.0 * (1.0 - math.exp(-h / 2.0))  # T (1 - e^(-h/T))
-        found = carried_on(believed, swimming(0.15, 2.0), 10 * S + round(h * S))
+    for seconds in (0.0, 0.11, 3.0):
+        reach = 2.0 * (1.0 - math.exp(-seconds / 2.0))  # T (1 - e^(-t/T))
+        found = carried_on(believed, swimming(0.15, 2.0), 10 * S + round(seconds * S))
         assert found == pytest.approx((1.0 + 0.2 * reach, 2.0 - 0.1 * reach, 0.3))
     assert carried_on(believed, swimming(0.15, 1e9), 9 * S) == pytest.approx((0.8, 2.1, 0.3))
     assert carried_on(believed._replace(t_ns=0), ROLLING, 10 * S) == believed.x_m
@@ -63,10 +66,12 @@ def test_two_robots_find_a_target_by_their_frames_and_go_with_it() -> None:
     of = fleet(towards_m=fish.at(START_NS)[:2])
     bodies = PlanarBodies(of)
     swimmers = Swimmers(of, bodies, fish.at)
-    found, errors, off_deg, swept = [], [], [], 0
+    found, errors, off_deg, swept, lens = [], [], [], 0, dict.fromkeys(NAMES)
     for step in range(12 * 20):
         swimmers.step()
         swept += sum(outputs.sweep is not None for outputs in swimmers.outputs.values())
+        for name, outputs in swimmers.outputs.items():
+            lens[name] = lens[name] if outputs.lens is UNSET else outputs.lens
         if step < 9 * 20:
             continue
         at_m = np.array(fish.at(bodies.now_ns))
@@ -77,6 +82,8 @@ def test_two_robots_find_a_target_by_their_frames_and_go_with_it() -> None:
             x, y, yaw = swimmers.place(name)
             x, y = x + 0.1 * math.cos(yaw), y + 0.1 * math.sin(yaw)  # of the gimbal
             pan = math.degrees(math.atan2(at_m[1] - y, at_m[0] - x) - yaw) - bodies.pose(name).pan_deg
+            sharp_m = h(FOCUS, lens[name])
+            assert 0.7 * math.dist((x, y), at_m[:2]) < sharp_m < 1.4 * math.dist((x, y), at_m[:2])
             off_deg.append((pan + 180.0) % 360.0 - 180.0)
     assert swept == 0
     assert np.mean(found) > 0.9
