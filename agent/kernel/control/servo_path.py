@@ -18,6 +18,7 @@ from agent.kernel.control.pointing import SLEW_US_PER_S
 # Of the way through host and module, 20 ms at most each, and of a small digital servo under a camera's load.
 SERVO_LAG_S = 0.06
 LAG_SIGMA_S = 0.025
+THERE_US = 5.0  # half a degree: a jump is over
 KEEP_NS = 6_000_000_000  # as long as poses are kept
 
 Pulses = tuple[float, float]  # pan and tilt, us
@@ -28,7 +29,7 @@ class Stand(NamedTuple):
 
     told_ns: int  # when the set-point came that they are on the way to
     us: Pulses
-    sigma_us: float  # what the lag leaves open, of the one that turns faster
+    sigma_us: float  # what the lag leaves open, of the one that turns faster; inf after a jump: full speed is not known
 
 
 class Leg(NamedTuple):
@@ -37,6 +38,7 @@ class Leg(NamedTuple):
     told_ns: int
     from_us: Pulses
     to_us: Pulses
+    jumps: bool = False  # farther than at full speed; a swift servo is there long before a slow one
 
 
 class ServoPath:
@@ -55,7 +57,9 @@ class ServoPath:
         here = last.from_us if last.told_ns == 0 else _both(last, told_ns)
         if last.told_ns == 0:
             self._legs.pop()
-        self._legs.append(Leg(told_ns, here, to_us))
+        still = last.jumps and _left_us(last.to_us, here) > THERE_US
+        jumps = still or _left_us(to_us, here) > SLEW_US_PER_S * SERVO_LAG_S
+        self._legs.append(Leg(told_ns, here, to_us, jumps))
         while self._legs[0].told_ns < told_ns - KEEP_NS:
             self._legs.popleft()
 
@@ -64,14 +68,19 @@ class ServoPath:
         for leg in reversed(self._legs):
             if 0 < leg.told_ns <= t_ns:
                 here = _both(leg, t_ns)
-                left_us = max(abs(c - m) for c, m in zip(leg.to_us, here, strict=True))
-                return Stand(leg.told_ns, here, LAG_SIGMA_S * min(left_us / SERVO_LAG_S, SLEW_US_PER_S))
+                left_us = _left_us(leg.to_us, here)
+                swift = leg.jumps and left_us > THERE_US
+                return Stand(leg.told_ns, here, math.inf if swift else LAG_SIGMA_S * left_us / SERVO_LAG_S)
         return None
 
 
 def _both(leg: Leg, t_ns: int) -> Pulses:
     seconds = (t_ns - leg.told_ns) * 1e-9
     return _after(leg.from_us[0], leg.to_us[0], seconds), _after(leg.from_us[1], leg.to_us[1], seconds)
+
+
+def _left_us(to_us: Pulses, here_us: Pulses) -> float:
+    return max(abs(c - m) for c, m in zip(to_us, here_us, strict=True))
 
 
 def _after(from_us: float, to_us: float, seconds: float) -> float:

@@ -8,12 +8,13 @@ to another angle (control/servo_path.py).
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import NamedTuple
 
 from agent.kernel.config import Body
 from agent.kernel.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing
-from agent.kernel.control.servo_path import ServoPath
+from agent.kernel.control.servo_path import ServoPath, Stand
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.camera_model import gimbal_deg
 
@@ -24,6 +25,7 @@ REST_NS = 250_000_000  # after the last leg, which is short and takes up the pla
 class Gimbal(NamedTuple):
     deg: tuple[float, float]  # pan and tilt as the servos really do them
     rests: bool  # False: it settles still, and may be off by some tenths of a degree
+    tracks: bool = False  # it goes with a target, and its play is taken up to no side
     lag_sigma_deg: float = 0.0  # and while it turns, by what its servos' lag leaves open
 
 
@@ -58,18 +60,18 @@ class GimbalLog:
 
     def at(self, t_ns: int) -> Gimbal | None:
         """None: it was on its way, or that was too long ago."""
-        for turn in reversed(self._turns):
-            if turn.told_ns <= t_ns:
-                return self._on_path(turn.told_ns, t_ns) or self._in(turn, t_ns)
-        return self._on_path(0, t_ns)
-
-    def _on_path(self, since_ns: int, t_ns: int) -> Gimbal | None:
-        """Where it had come to on the way of set-points, if the last word before t_ns, and after since_ns, was one."""
+        turn = next((turn for turn in reversed(self._turns) if turn.told_ns <= t_ns), None)
         stand = self._path.at(t_ns)
-        if stand is None or stand.told_ns <= since_ns:
+        if stand is not None and (turn is None or stand.told_ns > turn.told_ns):
+            return self._on_path(stand)
+        return None if turn is None else self._in(turn, t_ns)
+
+    def _on_path(self, stand: Stand) -> Gimbal | None:
+        """Where it had come to on its way from set-point to set-point."""
+        if math.isinf(stand.sigma_us):
             return None
-        us_per_deg = self._body.servo_us_per_deg
-        return Gimbal(gimbal_deg(self._camera, self._body, stand.us), False, stand.sigma_us / us_per_deg)
+        sigma_deg = stand.sigma_us / self._body.servo_us_per_deg
+        return Gimbal(gimbal_deg(self._camera, self._body, stand.us), False, True, sigma_deg)
 
     def _in(self, turn: Turn, t_ns: int) -> Gimbal | None:
         pan_us, tilt_us = turn.goal_us
