@@ -32,6 +32,7 @@ class Eyes(Protocol):
 
     def drain(self) -> Sequence[Sighting]: ...
     def plan(self, plan: SweepPlan) -> None: ...
+    def rest(self, lens_position: int | None) -> None: ...
 
 
 class ControlModule(Protocol):
@@ -123,6 +124,8 @@ class Runtime:
         self._part("set-points", lambda: self._module.send(outputs.set_point, now_ns))
         if (sweep := outputs.sweep) is not None:
             self._part("sweeps", lambda: self._eyes.plan(sweep))
+        if (lens := outputs.lens) is not UNSET:
+            self._part("lens", lambda: self._eyes.rest(lens))
         self._part("words", lambda: self._say(outputs))
 
     def _say(self, outputs: Outputs) -> None:

@@ -14,12 +14,14 @@ from agent.kernel.control.attitude import AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.control.target_scheduler import TargetScheduler
+from agent.kernel.estimation.choice import iteration_ns
 from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
 from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.pursuit import Pursuit
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
 from agent.kernel.presence import Presence
@@ -47,7 +49,7 @@ class Agent:
         """schema: of the messages that are taken in; an older one is for replay alone."""
         robot = fleet.robot[name]
         self._fleet, self._robot, self._calibration = fleet, robot, calibration
-        self._iteration_ns = round(fleet.estimation.iteration_s * 1e9)
+        self._iteration_ns = {target: iteration_ns(fleet, target) for target in fleet.target}
         self._say_ns = round(1e9 / fleet.link.send_hz)
         self._show_ns = STATE_NS // len(fleet.target)
 
@@ -56,6 +58,7 @@ class Agent:
         self.scheduler = TargetScheduler(tuple(fleet.target))
         self.seek = Seek(fleet, robot, calibration)
         self.swimmer = Swimmer(fleet, name, calibration, incarnation) if fleet.navigation else None
+        self.pursuit = Pursuit(fleet, name, calibration, self.swimmer)
         self.attitude = AttitudeLog()
         neighbours = self.swimmer.company.neighbours if self.swimmer else None
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours)
@@ -95,6 +98,7 @@ class Agent:
             self.seek.add_telemetry(telemetry)
         for sighting in inputs.sightings:
             self.seek.add_sighting(sighting)
+        self.pursuit.see(inputs.sightings)
         if self.swimmer is not None:
             self.swimmer.feel(inputs.telemetry)
             self.swimmer.see(inputs.landmarks or (), inputs.flow or (), self.attitude, self.seek, now_ns)
@@ -107,7 +111,10 @@ class Agent:
         log = self.status.log.fetch(now_ns)
         set_point = self._set_point(now_ns)
         near = self._near(now_ns) or UNSET
-        return Outputs(set_point=set_point, sweep=sweep, says=says, state=state, log=log, near=near, outcome=outcome)
+        lens = self.pursuit.lens()
+        return Outputs(
+            set_point=set_point, sweep=sweep, says=says, state=state, log=log, near=near, lens=lens, outcome=outcome
+        )
 
     def _measure(self, now_ns: int) -> SweepOutcome | UnsetType:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
@@ -168,11 +175,12 @@ class Agent:
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
+        period_ns = self._iteration_ns[target.name]
         coming = self.seek.measuring or self._settling
-        waiting = target.prior is None and coming and elapsed_ns < LATEST_ITERATION * self._iteration_ns
-        if elapsed_ns < self._iteration_ns or waiting:
+        waiting = target.prior is None and coming and elapsed_ns < LATEST_ITERATION * period_ns
+        if elapsed_ns < period_ns or waiting:
             return
-        self._iterated_ns = now_ns
+        self._iterated_ns, target.bearing = now_ns, self.pursuit.bearing(target, self.attitude, now_ns)
         for each in self.targets.values():
             each.catch_up(now_ns)
         if target.iterate(now_ns):
@@ -182,7 +190,7 @@ class Agent:
         """Whose turn it is, gimbal and lens."""
         before = self.scheduler.target
         if not self.seek.measuring and not self._settling and self.current.prior is None:
-            self.scheduler.next({name: target.estimator.t for name, target in self.targets.items()})
+            self.scheduler.next({name: each.estimator.t for name, each in self.targets.items()}, self.pursuit.target)
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
         if self.swimmer is not None:
@@ -195,12 +203,11 @@ class Agent:
                 self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
-        believed = self.current.estimator.posterior
-        told_m = believed.x_m if believed else None
-        wanted = (
-            self.current.prior is None and not self._settling and (self.swimmer is None or self.swimmer.calm(now_ns))
-        )
-        plan = self.seek.act(now_ns, self.scheduler.target, level, told_m, wanted)
+        if self.pursuit.look(self.current, self.seek, level, now_ns):
+            return None
+        calm = self.swimmer is None or (self.swimmer.calm(now_ns) and self.current.name != self.pursuit.target)
+        wanted = self.current.prior is None and not self._settling and calm
+        plan = self.seek.act(now_ns, self.scheduler.target, level, self.current.believed_m, wanted)
         if self.scheduler.target != before:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)
         return plan
@@ -273,9 +280,7 @@ class Agent:
         servos_us = pan_us, tilt_us, centre_us, centre_us
         if self.swimmer is None:
             return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us)
-        believed = self.current.estimator.posterior
-        target_m = believed.x_m if believed else None
-        ahead_n, left_n, moment_nm = self.swimmer.thrust(self._may_swim(now_ns), target_m, now_ns)
+        ahead_n, left_n, moment_nm = self.swimmer.thrust(self._may_swim(now_ns), self.current.believed_m, now_ns)
         return SetPoint(
             depth_m=self.swimmer.depth_m(now_ns),
             force_n=(ahead_n, left_n),

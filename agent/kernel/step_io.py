@@ -158,4 +158,5 @@ class Outputs(Message, frozen=True, kw_only=True):
     state: State | None = None
     log: tuple[LogLine, ...] = ()
     near: tuple[Presence, ...] | UnsetType = UNSET  # where a robot that swims is, to its neighbours; unset: not now
+    lens: int | UnsetType | None = UNSET  # position between sweeps from now on; none: for landmarks; unset: as before
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were

@@ -12,8 +12,9 @@ from typing import Literal, NamedTuple
 
 from agent.kernel.config import Fleet
 from agent.kernel.estimation.choice import estimator
+from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import inside, widest_m2
-from agent.kernel.estimation.interface import Estimator, Prior, Update
+from agent.kernel.estimation.interface import Bearing, Estimator, Prior, Update
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.estimation.matrix import times, trace
 from agent.kernel.messages import Estimate, State, Symmetric, Vector
@@ -49,6 +50,7 @@ class TargetState:
         self._validity_ns = round(fleet.estimation.validity_s * 1e9)
 
         self.prior: Prior | None = None  # measured since the last iteration
+        self.bearing: Bearing | None = None  # in its stead, of a target that is pursued
         self.measured: Prior | None = None  # the newest measurement
         self.measurements = 0
         self.update: Update | None = None
@@ -64,6 +66,12 @@ class TargetState:
         """A sweep gave a position."""
         self.prior = self.measured = prior
         self.measurements += 1
+
+    @property
+    def believed_m(self) -> Vector | None:
+        """Where it is believed to be, world frame."""
+        believed = self.estimator.posterior
+        return believed.x_m if believed else None
 
     def catch_up(self, now_ns: int) -> None:
         """Take over the iteration index of neighbours that are ahead."""
@@ -81,8 +89,11 @@ class TargetState:
     def iterate(self, now_ns: int) -> bool:
         """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it
         has been so for HELD iterations, and the last news was another one."""
-        self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
-        self.prior = None
+        if self.prior is None and self.bearing is not None and isinstance(self.estimator, Evidence):
+            self.update = self.estimator.tick(self.bearing, self.mailbox, now_ns)
+        else:
+            self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
+        self.prior = self.bearing = None
         knew, self.knows = self.knows, "blind"
         if self.estimator.valid:
             self.knows = "sees"

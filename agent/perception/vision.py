@@ -100,6 +100,11 @@ class Vision:
             self._plan = plan
             self._wake()
 
+    def rest(self, lens_position: int | None) -> None:
+        """Where the lens shall be between sweeps, as near to it as landmarks allow; None: where they are sharpest."""
+        if self._landmarks is not None:
+            self._landmarks.rest_at(lens_position)
+
     def drain(self) -> list[Sighting]:
         """All Sightings since the last call, oldest first."""
         with self._changed:
@@ -163,8 +168,8 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
-            if self._landmarks is not None and self._lens_position != self._landmarks.rest:
-                self._rest_lens(camera, self._landmarks)
+            if self._landmarks is not None and (sharp := self._landmarks.due(self._lens_position)) is not None:
+                self._rest_lens(camera, self._landmarks, sharp)
             self._look(camera, tuple(self._detectors))
             idle_s = self._landmarks.wait_s(self._clock.now_ns()) if self._landmarks else IDLE_PERIOD_S
             self._wait(part, idle_s, until_plan=True)
@@ -173,11 +178,11 @@ class Vision:
         else:
             self._sweep(camera, plan, part)
 
-    def _rest_lens(self, camera: Camera, landmarks: LandmarkWatch) -> None:
-        """Where landmarks are sharp. A lens takes the nearest of its steps, or does not move at all."""
+    def _rest_lens(self, camera: Camera, landmarks: LandmarkWatch, sharp: int) -> None:
+        """Where it is to be between sweeps. A lens takes the nearest of its steps, or does not move at all."""
         if camera.focus_range() is not None:
-            self._lens_position = camera.set_focus(landmarks.sharp)
-        landmarks.rest = self._lens_position
+            self._lens_position = camera.set_focus(sharp)
+        landmarks.rested(sharp, self._lens_position)
 
     def _sweep(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))

@@ -27,6 +27,7 @@ TAG_M, PITCH_M, ROWS_M = 0.08, 0.25, (0.15, 0.40)  # rows: heights on the walls
 DEPTH_M = 0.30
 FLOOR_LOOK = Look(tilt_deg=-40.0)  # at the floor half a metre ahead: a whole tag nearly always, and points to follow
 BALL = Target(radius_m=0.07)
+TURN_S = 2.0  # for which a swimming ball keeps a course, by its fleet file
 
 
 def tags() -> tuple[Tag, ...]:
@@ -46,12 +47,12 @@ def _faces(near: Face, far: Face, at_m: float) -> tuple[tuple[Face, float], tupl
     return (near, 0.0), (far, at_m)
 
 
-def fleet(robots: Mapping[str, Robot], seed: int) -> Fleet:
-    """Robots in the basin; seed: of the twin's world."""
+def fleet(robots: Mapping[str, Robot], seed: int, ball: Target = BALL) -> Fleet:
+    """Robots in the basin, and a ball; seed: of the twin's world."""
     return Fleet(
         fleet="navigation",
         tank=TANK,
-        target={"ball": BALL},
+        target={"ball": ball},
         landmarks=Landmarks(size_m=TAG_M, tag=tags()),
         navigation=Navigation(),
         robot=dict(robots),

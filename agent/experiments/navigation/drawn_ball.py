@@ -7,12 +7,13 @@ covariance and noise, drawn once, and for each sweep; so that a measurement is a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.experiments.navigation.planar_body import RING_M
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit, FocusFit
@@ -60,13 +61,22 @@ class DrawnBall:
         )
         self._shift, self._sweep, self._frames = 0.0, 0, 0
 
-    def sight(self, pose: RobotPose, t_ns: int, plan: SweepPlan | None = None, index: int = -1) -> Sighting:
-        """The newest frame; plan, index: at which position of which sweep."""
+    def sight(
+        self,
+        pose: RobotPose,
+        t_ns: int,
+        plan: SweepPlan | None = None,
+        index: int = -1,
+        before: Sequence[RobotPose] = (),
+    ) -> Sighting:
+        """The newest frame; plan, index: at which position of which sweep. before: robots that may be before the ball,
+        which hide it where its middle is behind them."""
         self._frames += 1
         sweep = 0 if plan is None else plan.sweep
         if sweep != self._sweep:
             self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
-        seen = self._outline(pose, self._ball_m(t_ns) if callable(self._ball_m) else self._ball_m)
+        ball_m = self._ball_m(t_ns) if callable(self._ball_m) else self._ball_m
+        seen = None if any(_hides(robot, pose, ball_m) for robot in before) else self._outline(pose, ball_m)
         lens_position = None if plan is None else plan.focus[index]
         frame = Sighting(
             t_ns=t_ns,
@@ -111,6 +121,14 @@ class DrawnBall:
         u_inf, b, rho0 = self._lens
         peak = rho0 + b / (skin_m * z / distance_m - u_inf)
         return (u, v), radius_px + float(self._rng.normal(0.0, RADIUS_SIGMA_PX)), float(peak)
+
+
+def _hides(robot: RobotPose, pose: RobotPose, ball_m: Vector) -> bool:
+    """As seen from above: all hover at one depth, the ball a little below."""
+    here, way = pose.position_m[:2], np.array(ball_m[:2]) - pose.position_m[:2]
+    to = robot.position_m[:2] - here
+    along = float(to @ way / (way @ way))
+    return 0.0 < along < 1.0 and float(np.linalg.norm(to - along * way)) < RING_M
 
 
 def _clarity(from_peak: float) -> float:

@@ -71,13 +71,15 @@ def aid(draws: Draws) -> Row:
 
 
 def follow(draws: Draws) -> Row:
-    """What is told is followed; of what robots find by sweeps there is the share of the time in which they know it."""
+    """By bearings of their own frames."""
     rows = draws["follow"]
     return {
         "rms_mm": pooled(rows, "off_mm"),
         "gap_deg": pooled(rows, "gap_deg"),
         "least_m": min(row["least_m"] for row in rows),
-        "known_by_sweeps": float(np.mean([row["known"] for row in draws["follow by sweeps"]])),
+        "track_mm": pooled(rows, "track_mm"),
+        "one_sees": float(np.mean([row["one_sees"] for row in rows])),
+        "each_sees": float(np.mean([row["each_sees"] for row in rows])),
     }
 
 

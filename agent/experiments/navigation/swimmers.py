@@ -42,6 +42,7 @@ class Eyes:
     def __init__(self, fleet: Fleet, name: str, bodies: Bodies, ball_m: Vector | BallPath | None) -> None:
         self.tank = DrawnCamera(fleet, name, bodies.camera(name))
         self.ball = None if ball_m is None else DrawnBall(fleet, name, bodies.camera(name), ball_m)
+        self.hide: tuple[str, ...] = ()  # robots that the ball may be behind
         self._plan: SweepPlan | None = None
         self._index = 0
         self.coming: deque[Frame] = deque()
@@ -60,7 +61,8 @@ class Eyes:
                 self._plan = None
             return
         tags, flow = self.tank.expose(pose, t_ns)
-        sighting = None if self.ball is None else self.ball.sight(pose, t_ns)
+        before = [bodies.pose(other) for other in self.hide]
+        sighting = None if self.ball is None else self.ball.sight(pose, t_ns, before=before)
         self.coming.append(Frame(step + LATE_STEPS, tags if sees_tags else None, flow, sighting))
 
     def arrived(self, step: int) -> list[Frame]:

@@ -28,6 +28,9 @@ SPREAD = (  # of draws: name, key, heading
     ("orbit with gaps", "rms_mm", "orbit with gaps, rms mm"),
     ("follow", "off_mm", "follow, off its distance, rms mm"),
     ("follow", "gap_deg", "follow, off an even angle, rms deg"),
+    ("follow", "track_mm", "follow, track, rms mm"),
+    ("follow, told where", "off_mm", "follow, told where, off its distance, rms mm"),
+    ("follow, told where", "gap_deg", "follow, told where, off an even angle, rms deg"),
     ("search", "s", "search, three robots, s"),
     ("search alone", "s", "search, one robot, s"),
 )
@@ -127,10 +130,11 @@ def aid_table(draws: dict[str, list[Row]]) -> Table:
 
 
 def follow_line(draws: dict[str, list[Row]]) -> str:
-    """How much the cameras see of what they follow."""
+    """How much the cameras see of what they follow, and how well they know what they do not know."""
     seen = (
         f"at {speed:g} m/s {np.mean([r['one_sees'] for r in rows]):.0%} of the frames show it to one or more, "
-        f"{np.mean([r['each_sees'] for r in rows]):.0%} to each"
+        f"{np.mean([r['each_sees'] for r in rows]):.0%} to each; normalised error squared of the track, a half, "
+        f"{0.5 * np.mean([r['nees'] for r in rows]):.2f}"
         for speed in sorted({row["speed_m_s"] for row in draws["follow"]})
         for rows in ([row for row in draws["follow"] if row["speed_m_s"] == speed],)
     )

@@ -1,7 +1,7 @@
 """Camera gimbal: where to point, how to get there, and where to look for a target that was only told.
 
 Cheap servos have play. Every final approach therefore comes from the low-pulse side, in use as in calibration, and
-the play becomes part of the calibrated zero.
+the play becomes part of the calibrated zero. Only a gaze that goes with a target (gaze.py) has no final approach.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ class Pointing:
         self.last_leg_ns = 0  # when the approach to goal_us begins its last leg
         self.told_ns = 0  # when goal_us was set: frames exposed from then on are not of the goal before
         self.steady_from_ns = 0  # frames exposed later belong to goal_us
+        self.tracks = False  # goal_us goes with a target, step by step
 
     def aim(self, goal_us: tuple[int, int], now_ns: int) -> None:
         """Turn to a new goal; the same goal again changes nothing."""
@@ -49,7 +50,13 @@ class Pointing:
         self.told_ns = now_ns
         self.last_leg_ns = now_ns + travel_ns + APPROACH_NS
         self.steady_from_ns = self.last_leg_ns + SETTLE_NS
-        self.goal_us = goal_us
+        self.goal_us, self.tracks = goal_us, False
+
+    def track(self, goal_us: tuple[int, int], now_ns: int) -> None:
+        """A set-point of now, the next one comes with the next step: no play is taken up, nothing is waited for."""
+        if not self.tracks:
+            self.last_leg_ns = self.steady_from_ns = now_ns
+        self.goal_us, self.told_ns, self.tracks = goal_us, now_ns, True
 
     @property
     def nearly_from_ns(self) -> int:

@@ -120,11 +120,20 @@ class Seek:
         since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
         return now_ns - since_ns > LOST_NS
 
-    def look(self, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
+    def look(self, pan_deg: float, tilt_deg: float, now_ns: int, swift: bool = False) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
-        `act` turns it back."""
-        self._elsewhere = True
-        self._aim(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
+        `act` turns it back. swift: from a target that it goes with, without rest."""
+        self._elsewhere, goal_us = True, servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg)
+        if swift:
+            self.pointing.track(goal_us, now_ns)
+        else:
+            self._aim(goal_us, now_ns)
+
+    def track(self, target: str, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
+        """Point there now, and elsewhere with the next step: the camera goes with that target. Not while a sweep is
+        under way."""
+        self._target, self._elsewhere = target, False
+        self.pointing.track(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
 
     def eye(self, level: Attitude, pose: Pose | None = None) -> Eye:
         """Where the camera is while the gimbal rests at its goal; `pose`: of another time than now."""

@@ -30,9 +30,12 @@ class TargetScheduler:
         self._waits = dict.fromkeys(targets, 0)  # turns of others since its own; keys in the order of the fleet file
         self._ends_at = TURN
 
-    def next(self, t: Mapping[str, int]) -> str:
-        """Whose turn it is now; asked when no measurement is under way. `t`: the iteration index of each target."""
-        if len(self._waits) == 1 or t[self.target] < self._ends_at:
+    def next(self, t: Mapping[str, int], pursued: str | None = None) -> str:
+        """Whose turn it is now; asked when no measurement is under way. `t`: the iteration index of each target.
+        pursued: a target that the camera goes with, and takes no turns meanwhile."""
+        if pursued is not None:
+            self.target = pursued
+        if pursued is not None or len(self._waits) == 1 or t[self.target] < self._ends_at:
             return self.target
         longest = max(self._waits, key=lambda name: self._waits[name])  # the first of equals
         overdue = self._waits[longest] > PATIENCE * (len(self._waits) - 1)

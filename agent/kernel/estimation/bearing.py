@@ -3,6 +3,11 @@
 E: two unit vectors across the ray; V = sigma^2 u^2 I + E' P E, with u the range that is believed, which sets the
 weight alone, and P what the robot's own pose adds. Then Lam = E V^-1 E' is of rank 2, and Lam (o + s n) the same for
 any s.
+
+The ray's own direction n errs by sigma from frame to frame, and lines that all go through one camera then seem to meet
+there: along the true direction n0, n0' Lam n0 is 2/u^2 on average, out of nothing, and N frames from one place would
+know the range to u / sqrt(2 N). So E is taken across the direction in which the target is believed to be, as an
+extended Kalman filter linearizes about its prediction; the ray's own counts where nothing is believed.
 """
 
 from __future__ import annotations
@@ -11,9 +16,11 @@ import math
 
 from agent.kernel.estimation.evidence_checks import R_FLOOR_M
 from agent.kernel.estimation.interface import NOTHING, Bearing
-from agent.kernel.estimation.matrix import apply, plus, times
+from agent.kernel.estimation.matrix import IDENTITY, apply, invert, minus, plus, times
 from agent.kernel.estimation.tracks.line import outer
 from agent.kernel.messages import Symmetric, Vector
+
+NEAR = math.cos(0.2)  # of ray and belief; with more between them a wrong range would misplace the ray
 
 
 def bearing(
@@ -24,27 +31,38 @@ def bearing(
     t_ns: int,
     pose_m2: Symmetric = NOTHING,
     range_sigma_m: float | None = None,
+    believed: Vector | None = None,
 ) -> Bearing:
     """The bearing of a camera at origin_m along `direction`, world frame; its length does not matter.
 
     pose_m2: covariance of the place at that range by errors of the robot's own pose, with what their memory makes of
-    them. range_sigma_m: of a range by size or focus; None: there is none. Raises ValueError without a direction or a
-    range.
+    them. range_sigma_m: of a range by size or focus; None: there is none. believed: direction from there in which the
+    target is believed to be, for want of a range; None, or one far off: no matter. Raises ValueError without a
+    direction or a range.
     """
-    length = math.sqrt(sum(c * c for c in direction))
-    if not (length > 0.0 and range_m > 0.0):
+    if not (any(direction) and range_m > 0.0):
         raise ValueError(f"a bearing needs a direction and a range, not {direction} and {range_m} m")
-    n = direction[0] / length, direction[1] / length, direction[2] / length
+    n = unit(direction)
     x_m = origin_m[0] + range_m * n[0], origin_m[1] + range_m * n[1], origin_m[2] + range_m * n[2]
-    e, f = _across(n)
     own = max(sigma_rad * range_m, R_FLOOR_M) ** 2
+    if range_sigma_m is not None:  # a place, as good across as along
+        along = outer(n)
+        placed_m2 = plus(times(own, minus(IDENTITY, along)), times(max(range_sigma_m, R_FLOOR_M) ** 2, along))
+        return Bearing(x_m, invert(plus(placed_m2, pose_m2)), t_ns)
+    if believed is not None and any(believed) and _dot(n, towards := unit(believed)) > NEAR:
+        n = towards
+    e, f = _across(n)
     pe, pf = apply(pose_m2, e), apply(pose_m2, f)
     a, b, d = own + _dot(e, pe), _dot(e, pf), own + _dot(f, pf)
     det = a * d - b * b
     information = plus(plus(times(d / det, outer(e)), times(a / det, outer(f))), times(-b / det, _both(e, f)))
-    if range_sigma_m is not None:
-        information = plus(information, times(1.0 / max(range_sigma_m, R_FLOOR_M) ** 2, outer(n)))
     return Bearing(x_m, information, t_ns)
+
+
+def unit(v: Vector) -> Vector:
+    """Of length 1; v is not 0."""
+    length = math.sqrt(_dot(v, v))
+    return v[0] / length, v[1] / length, v[2] / length
 
 
 def _across(n: Vector) -> tuple[Vector, Vector]:

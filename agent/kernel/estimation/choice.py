@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.kernel.config import Fleet, Target
+from agent.kernel.config import Fleet, Follow, Search, Target
 from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Estimator
@@ -11,6 +11,8 @@ from agent.kernel.estimation.paper import Paper
 from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics, swimming
 from agent.kernel.trust.authority import Verify
 from agent.kernel.trust.signed import verify
+
+PURSUIT_S = 0.2  # an iteration with a target that is pursued: two frames at 10 Hz, and a window of five seconds
 
 
 def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Verify = verify) -> Estimator:
@@ -27,7 +29,7 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
         case "metropolis":
             return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
         case "evidence":
-            bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, round(fleet.estimation.iteration_s * 1e9))
+            bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, iteration_ns(fleet, target))
             return Evidence(
                 me,
                 incarnation,
@@ -39,6 +41,21 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
                 verify=verify,
                 dynamics=dynamics(fleet.target[target]),
             )
+
+
+def iteration_ns(fleet: Fleet, target: str) -> int:
+    """The period of the protocol's iterations with that target, the same on all robots."""
+    iteration_s = fleet.estimation.iteration_s
+    return round(1e9 * (min(iteration_s, PURSUIT_S) if target in pursued(fleet) else iteration_s))
+
+
+def pursued(fleet: Fleet) -> tuple[str, ...]:
+    """Targets that swim and that a robot of the fleet is to follow or to search for: where its frames give bearings.
+    Of the protocols only evidence takes these."""
+    if fleet.estimation.protocol != "evidence":
+        return ()
+    told = {robot.behaviour.target for robot in fleet.robot.values() if isinstance(robot.behaviour, Follow | Search)}
+    return tuple(name for name, target in fleet.target.items() if name in told and target.speed_m_s is not None)
 
 
 def dynamics(target: Target) -> Dynamics:

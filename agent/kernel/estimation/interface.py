@@ -44,6 +44,7 @@ class Posterior(NamedTuple):
     x_m: Vector
     cov_m2: Symmetric
     v_m_s: Vector = (0.0, 0.0, 0.0)  # where the protocol tells motion from rest; never said to anybody
+    t_ns: int = 0  # of a target that moves: when it was there
 
 
 class Update(NamedTuple):

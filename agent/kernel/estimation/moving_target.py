@@ -200,7 +200,7 @@ class MovingTarget:
 
 
 def _posterior(track: Track) -> Posterior:
-    return Posterior(track.x_m, track.A, track.v_m_s)
+    return Posterior(track.x_m, track.A, track.v_m_s, track.t_ns)
 
 
 def _doubted(
@@ -220,7 +220,7 @@ def _doubted(
             places.append((weight, other.x_m, other.A))
     if not places:
         return _posterior(track)
-    return Posterior(*mixture([(certain, track.x_m, track.A), *places]), track.v_m_s)
+    return Posterior(*mixture([(certain, track.x_m, track.A), *places]), track.v_m_s, track.t_ns)
 
 
 def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str, float]:

@@ -43,6 +43,9 @@ ADRIFT_M, ADRIFT_DEG = 0.5, 45.0  # nor, beyond this, which way to brake or wher
 # A rolling shutter shears what it sees of a robot that turns; the rows' own times are not modelled. At this rate, with
 # 30 ms from the first row to the last, a tag of 80 px is sheared by half a pixel: four times what its corners err.
 ROLLING_RAD_S = math.radians(5.0)
+# Frames in a row in which the play of a gimbal that goes with a target lies to the same side, which it changes about
+# once in a second: a filter that takes each for a witness of its own would count the same error so often.
+ALIKE = 10.0
 AWAY_S = 1.0  # for which a camera that turns away sees no landmarks
 
 
@@ -127,6 +130,9 @@ class Localizer:
         settling = (not then.gimbal.rests) + (not now.gimbal.rests)
         wake = math.hypot(*(wake_rad(math.hypot(belief.x[3], belief.x[4])) for belief in (key, before)))
         unsettled = settling * math.radians(TURNING_DEG)
+        if then.gimbal.tracks or now.gimbal.tracks:
+            lags = math.radians(then.gimbal.lag_sigma_deg), math.radians(now.gimbal.lag_sigma_deg)
+            unsettled = math.hypot(math.sqrt(ALIKE) * unsettled, *lags)
         moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake)
         if moved is not None:
             self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, moved.covariance))
@@ -282,4 +288,5 @@ def _variance_ahead(belief: Belief, i: int, seconds: float) -> float:
 def _priors(carriage: Carriage, moving: Belief | None) -> Priors:
     """moving: None of a robot that is not known to."""
     speed_m_s = 0.0 if moving is None else math.hypot(moving.x[3], moving.x[4])
-    return priors(carriage.level, carriage.gimbal.deg, speed_m_s, turning=not carriage.gimbal.rests)
+    gimbal = carriage.gimbal
+    return priors(carriage.level, gimbal.deg, speed_m_s, turning=not gimbal.rests, lag_deg=gimbal.lag_sigma_deg)

@@ -71,7 +71,7 @@ class Swimmer:
         self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way
         self._progress: Progress | None = None
-        self._gimbal = GimbalLog(calibration.camera, fleet.body)
+        self.gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
         self._found = False  # it has known well enough how it moves, and was not lost since
@@ -117,7 +117,7 @@ class Swimmer:
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
     ) -> None:
         """Landmarks and flow of frames; those that were exposed while the gimbal turned say nothing."""
-        self._gimbal.add(seek.pointing)
+        self.gimbal.add(seek.pointing)
         if seek.measuring:
             self._swept_ns = now_ns
         lens = {frame.t_ns: frame.focus for frame in tags}
@@ -155,7 +155,7 @@ class Swimmer:
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
-        level, gimbal = attitude.at(t_ns), self._gimbal.at(t_ns)
+        level, gimbal = attitude.at(t_ns), self.gimbal.at(t_ns)
         return None if level is None or gimbal is None else Carriage(level, gimbal)
 
     @property
@@ -172,8 +172,12 @@ class Swimmer:
         """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
         sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
+        swift = self._found and seek.pointing.tracks  # what swims does not wait, and landmarks pass behind it
+        brief = self._glancing and swift
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
-        moves = self._found and (not self._glancing or (here is not None and foresees(here)))
+        if brief:
+            enough = 0.5 * UNSURE_M, 0.5 * UNSURE_DEG
+        moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         waits = self.company.waits(here, self._glancing, now_ns)
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
@@ -189,7 +193,7 @@ class Swimmer:
         by = self.here or here
         pose, known = (None, NOTHING) if by is None or adrift(by) else (seek.pose, Sure(*sigmas(by)))
         pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns)
-        seek.look(pan, tilt, now_ns)
+        seek.look(pan, tilt, now_ns, swift)
         return True
 
     def calm(self, now_ns: int) -> bool:

@@ -29,8 +29,9 @@ class LandmarkWatch:
     def __init__(self, camera: CameraFit, focus: FocusFit, hz: float) -> None:
         """hz: at most so many frames a second are searched; between sweeps the worker reads as many."""
         self._camera, self.period_s = camera, 1.0 / hz
-        self.sharp = round(lens_position(focus, REST_M))  # what the lens is told between sweeps
+        self.sharp = round(lens_position(focus, REST_M))  # where landmarks are
         self._reach = abs(lens_position(focus, NEAR_M) - self.sharp)
+        self._wanted = self._rests = self.sharp  # what the lens is to be told between sweeps, and was told
         self.rest: int | None = self.sharp  # what the device says that it did; None: its lens does not move
         self._lock = Lock()  # guards the next two
         self._tags: deque[SeenTags] = deque(maxlen=QUEUE)
@@ -51,11 +52,25 @@ class LandmarkWatch:
             return 0.0
         return max(0.0, self.period_s - (now_ns - self._newest_ns) * 1e-9)
 
+    def rest_at(self, lens_position: int | None) -> None:
+        """Where the lens shall be between sweeps, as near as landmarks can be read from there; None: `sharp`."""
+        wanted = self.sharp if lens_position is None else lens_position
+        self._wanted = round(min(max(wanted, self.sharp - self._reach), self.sharp + self._reach))
+
+    def due(self, lens_position: int | None) -> int | None:
+        """What to tell a lens at that position now, between sweeps; None: it is where it shall be."""
+        wanted = self._wanted
+        return None if lens_position == self.rest and wanted == self._rests else wanted
+
+    def rested(self, told: int, lens_position: int | None) -> None:
+        """It was told that, and says that it is there."""
+        self._rests, self.rest = told, lens_position
+
     def see(self, frame: Frame, lens_position: int | None, offset_ns: int, targets: Sequence[Sighting] = ()) -> None:
         """Search a whole frame; `offset_ns` from the camera's clock to the agent's. targets: that were found in it."""
         t_ns = frame.t_ns + offset_ns
         found = seen_tags(frame.image, self._camera, lens_position, t_ns, frame.seq)
-        if lens_position != self.rest:
+        if lens_position != self.rest or self._rests != self.sharp:
             found = replace(found, tags=tuple(tag for tag in found.tags if tag.edges))  # blur draws corners inwards
         camera = at_lens_position(self._camera, lens_position)
         moved, due, moved_ns = None, True, 0

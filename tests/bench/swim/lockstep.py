@@ -190,6 +190,8 @@ def _step(
         box.add(dive.now_ns, encode(inputs), encode(outputs))
     if outputs.sweep is not None:
         eyes.plan(outputs.sweep)
+    if outputs.lens is not UNSET:
+        eyes.rest(outputs.lens)
     return protocol.set_point(outputs.set_point, dive.now_ns)
 
 

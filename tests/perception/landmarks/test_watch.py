@@ -10,7 +10,7 @@ from agent.kernel.ranging.focus import lens_position
 from agent.kernel.step_io import Sighting
 from agent.perception.landmarks.flow import OLDEST_NS
 from agent.perception.landmarks.slopes import to_pixels
-from agent.perception.landmarks.watch import QUEUE, REST_M, LandmarkWatch
+from agent.perception.landmarks.watch import NEAR_M, QUEUE, REST_M, LandmarkWatch
 from hw.camera.camera import Frame, Roi
 from tests.known_lens import PLAIN
 from tests.perception.landmarks.floor import frame as floor_frame
@@ -171,3 +171,28 @@ def test_the_worker_brings_the_lens_to_rest_once(worker, camera) -> None:
     out.close()
     assert out.fault is None and [each.focus for each in seen[:3]] == [rest] * 3 and watch.rest == rest
     assert [call for call in here.calls if call[0] == "focus"] == ([("focus", rest)] if camera is Coarse else [])
+
+
+def test_the_worker_moves_the_lens_towards_a_target_as_far_as_landmarks_allow(worker) -> None:
+    here = ScriptedCamera(images=lambda _: EMPTY)
+    watch = LandmarkWatch(CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5), PLAIN, 50.0)
+    out, until, told = worker(here, landmarks=watch), time.monotonic() + 10.0, []
+    nearest = round(lens_position(PLAIN, NEAR_M))
+    for wanted, expected in ((watch.sharp + 7, watch.sharp + 7), (2000, nearest), (None, watch.sharp)):
+        out.rest(wanted)
+        while time.monotonic() < until and (not told or told[-1] != expected):
+            told += [each.focus for each in watch.drain()[0]]
+            time.sleep(0.002)
+        assert told[-1] == watch.rest == expected
+    out.close()
+
+
+def test_away_from_where_landmarks_are_sharp_only_fitted_corners_count(watch) -> None:
+    small = np.full((240, 320), WALL)
+    tag_light(CAMERA, 3, turned(0, 0, 0), (0.0, 0.0, 2.1), small)
+    watch.rest_at(watch.sharp + 20)
+    assert watch.due(watch.rest) == watch.sharp + 20
+    watch.rested(watch.sharp + 20, watch.sharp + 20)
+    assert watch.due(watch.rest) is None
+    see(watch, photograph(small), 1.0)
+    assert [each.tags for each in watch.drain()[0]] == [()]

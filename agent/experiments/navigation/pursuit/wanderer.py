@@ -79,7 +79,9 @@ class ToldEstimator:
         x, y = (at + float(rng.normal(0.0, NOISE_M)) for at in (x, y))
         since_s = (self._now_ns() - seen_ns) * 1e-9
         m2 = NOISE_M * NOISE_M + (NOISE_M_S * since_s) ** 2
-        return Posterior((x + since_s * vx, y + since_s * vy, z), (m2, 0.0, 0.0, m2, 0.0, m2), (vx, vy, 0.0))
+        return Posterior(
+            (x + since_s * vx, y + since_s * vy, z), (m2, 0.0, 0.0, m2, 0.0, m2), (vx, vy, 0.0), self._now_ns()
+        )
 
     def trust(self, keys: Mapping[str, bytes]) -> None: ...
     def adopt(self, t: int) -> None: ...

@@ -41,17 +41,22 @@ def wake_rad(speed_m_s: float) -> float:
 
 
 def priors(
-    level: Attitude, gimbal_deg: tuple[float, float], speed_m_s: float, turning: bool, zero_deg: float = 0.0
+    level: Attitude,
+    gimbal_deg: tuple[float, float],
+    speed_m_s: float,
+    turning: bool,
+    zero_deg: float = 0.0,
+    lag_deg: float = 0.0,
 ) -> Priors:
     """What telemetry and pulses say at the time of a frame.
 
     gimbal_deg: pan and tilt as the servos really do them; turning: whether they may still be moving; zero_deg: sigma of
-    their calibrated zeros, which is in every frame the same.
+    their calibrated zeros, which is in every frame the same; lag_deg: of how far they are behind what they are told.
     """
     fluctuates = max(math.radians(LEVEL_DEG), wake_rad(speed_m_s))
     roll, pitch = (
         Prior(math.radians(deg), fluctuates, math.radians(LEVEL_DRIFT_DEG)) for deg in (level.roll_deg, level.pitch_deg)
     )
-    servo_deg = TURNING_DEG if turning else REST_DEG
+    servo_deg = math.hypot(TURNING_DEG if turning else REST_DEG, lag_deg)
     pan, tilt = (Prior(math.radians(deg), math.radians(servo_deg), math.radians(zero_deg)) for deg in gimbal_deg)
     return Priors(Prior(level.depth_m, 0.0, DEPTH_M), roll, pitch, pan, tilt)

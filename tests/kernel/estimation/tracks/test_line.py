@@ -1,10 +1,12 @@
 """Lines that matrices of rank 2 leave, and what the tank says of the way along them."""
 
+import math
+
 import numpy as np
 import pytest
 
 from agent.kernel.estimation.bearing import bearing
-from agent.kernel.estimation.matrix import apply, inverse, minus
+from agent.kernel.estimation.matrix import apply, inverse
 from agent.kernel.estimation.tracks.line import chord, line, placed
 from agent.kernel.messages import upper
 
@@ -35,7 +37,20 @@ def test_a_bearing_knows_what_is_across_and_nothing_along(direction) -> None:
     assert abs(np.dot(of.along, n)) == pytest.approx(1.0, abs=1e-12)
     assert np.cross(np.array(of.foot_m) - origin, n) == pytest.approx(0, abs=1e-9)
     with_range, _ = seen(tuple(origin), direction, pose_m2=pose_m2, range_sigma_m=0.1)
-    np.testing.assert_allclose(full(minus(with_range, information)), 100 * np.outer(n, n), atol=1e-7)
+    along = np.outer(n, n)
+    of_a_place = (0.003 * 0.8) ** 2 * (np.eye(3) - along) + 0.01 * along + full(pose_m2)
+    np.testing.assert_allclose(full(with_range), np.linalg.inv(of_a_place), rtol=1e-7, atol=1e-6 * information[0])
+
+
+def test_the_direction_of_a_bearing_without_range_is_the_believed_one_if_that_is_near() -> None:
+    for way, believed, expected in (
+        ((1.0, 0.01, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        ((1.0, 1.0, 0.0), (0.5, 0.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5), 0.0)),
+    ):
+        information, vector = seen((0.5, 0.4, 0.2), way, believed=believed)
+        assert line(information, vector).along == pytest.approx(expected, abs=1e-9)
+        placed, _ = seen((0.5, 0.4, 0.2), way, believed=believed, range_sigma_m=0.1)
+        np.testing.assert_allclose(full(placed) @ way, 100.0 * np.array(way), atol=1e-6 * information[0])
 
 
 def test_what_is_less_or_more_than_a_line_is_none() -> None:

@@ -1,0 +1,131 @@
+"""A target that swims, of which the robot's behaviour is: frames give bearings instead of sweeps, and the camera goes
+with it.
+
+A sweep takes a second, in which a fish is elsewhere. So the newest frame of each short iteration is a sample, from
+where the robot was and its camera looked at that moment; between landmarks and target the camera is the target's,
+unless the robot knows too little of its own place (Swimmer.glance).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from msgspec import UNSET, UnsetType
+
+from agent.kernel.config import Fleet
+from agent.kernel.control.attitude import Attitude, AttitudeLog
+from agent.kernel.control.gaze import Gaze
+from agent.kernel.control.seek import Seek
+from agent.kernel.control.servo_path import SERVO_LAG_S
+from agent.kernel.estimation.choice import dynamics, pursued
+from agent.kernel.estimation.interface import Bearing, Posterior
+from agent.kernel.estimation.tracks.dynamics import Dynamics, growth
+from agent.kernel.messages import Vector
+from agent.kernel.navigation.swimmer import Swimmer, pose_of
+from agent.kernel.navigation.tags.tag_priors import TURNING_DEG
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import camera_pose, look_at
+from agent.kernel.ranging.cues import Outline
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.ranging.sight_line import NEAREST_M, sight_line
+from agent.kernel.step_io import Sighting
+from agent.kernel.target_state import TargetState
+
+STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
+LEAD_S = 0.05  # of the gaze: half of a step, and what a frame is known late of the gaze's own doing
+
+
+class Pursuit:
+    """Of one robot, between steps; of one whose behaviour is about no target that swims it does nothing."""
+
+    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, swimmer: Swimmer | None) -> None:
+        robots = sorted(fleet.robot)
+        self._fleet, self._calibration, self._swimmer = fleet, calibration, swimmer
+        self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
+        self._gaze = Gaze(robots.index(name) / len(robots))
+        self._newest: Sighting | None = None  # that showed the target since the last iteration
+        self._lens: int | None = None  # where it is sharp; None: where landmarks are
+        self._told: int | None = None  # the lens
+
+    @property
+    def target(self) -> str | None:
+        """The one that frames give bearings of."""
+        about = None if self._swimmer is None else self._swimmer.about
+        return about if about in self._swims else None
+
+    def see(self, sightings: Sequence[Sighting]) -> None:
+        for sighting in sightings:
+            if sighting.found and sighting.target == self.target:
+                self._gaze.saw(sighting.t_ns)
+                self._newest = sighting
+
+    def bearing(self, of: TargetState, attitude: AttitudeLog, now_ns: int) -> Bearing | None:
+        """What the newest frame says of that target, once; None: none showed it, or nobody knows where from."""
+        seen, self._newest = self._newest, None
+        if seen is None or self._swimmer is None or of.name != seen.target or seen.centre_px is None:
+            return None
+        level, gimbal = attitude.at(seen.t_ns), self._swimmer.gimbal.at(seen.t_ns)
+        if level is None or gimbal is None:
+            return None
+        known = self._swimmer.localizer.of_sample(seen.t_ns, now_ns)
+        if known is None:
+            return None
+        surface_m = self._fleet.tank.surface_m
+        eye = camera_pose(pose_of(known[0]), self._fleet.body, *level, *gimbal.deg, surface_m)
+        outline = Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
+        believed, swims = of.estimator.posterior, self._swims[of.name]
+        sigma_deg = math.hypot(0.0 if gimbal.rests else TURNING_DEG, gimbal.lag_sigma_deg)
+        return sight_line(
+            self._calibration.camera,
+            eye,
+            outline,
+            of.ball,
+            known[1],
+            math.radians(math.hypot(self._calibration.camera.noise_deg, sigma_deg)),
+            None if believed is None else carried_on(believed, swims, seen.t_ns),
+            seen.t_ns,
+            0.5 * max(self._fleet.tank.size_m),
+            sized=self._fleet.ranging.cues != "focus",
+        )
+
+    def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
+        """Point the camera at that target, or to and fro where it ought to be; returns whether that is its turn. Who
+        does not know about where it is searches for it with rests between looks (control/roam.py), and who does not
+        know how it swims itself finds that out first."""
+        here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
+        if of.name != self.target or seek.measuring:
+            return False
+        roams = seek.roam is not None and not self._gaze.sees(now_ns)
+        swims = self._swimmer is not None and self._swimmer.under_way
+        if here is None or believed is None or level is None or not swims or roams:
+            self._lens = None
+            return False
+        ahead_s = SERVO_LAG_S + LEAD_S
+        x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
+        pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
+        at_m = carried_on(believed, self._swims[of.name], now_ns + round(ahead_s * 1e9))
+        pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)
+        eye_m = camera_pose(pose, self._fleet.body, *level, pan, tilt, self._fleet.tank.surface_m).position_m
+        self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))
+        seek.track(of.name, pan + self._gaze.offset_deg(now_ns), tilt, now_ns)
+        return True
+
+    def lens(self) -> int | UnsetType | None:
+        """Where the lens shall be between sweeps, when that has changed by enough."""
+        before, wanted = self._told, self._lens if self.target is not None else None
+        near = STEP * self._calibration.focus.width
+        if wanted == before or (wanted is not None and before is not None and abs(wanted - before) < near):
+            return UNSET
+        self._told = wanted
+        return wanted
+
+
+def carried_on(believed: Posterior, moves: Dynamics, t_ns: int) -> Vector:
+    """Where it is at t_ns by what is believed of another moment, a little earlier or later."""
+    if not believed.t_ns:
+        return believed.x_m
+    h_s = (t_ns - believed.t_ns) * 1e-9
+    reach_s = math.copysign(growth(moves, abs(h_s)).reach_s, h_s)
+    x, y, z = (at + reach_s * v for at, v in zip(believed.x_m, believed.v_m_s, strict=True))
+    return x, y, z

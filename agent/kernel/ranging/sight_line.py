@@ -1,0 +1,61 @@
+"""One frame of a target as a bearing in the world: no sweep, and so no range but what its size may say.
+
+Across the ray count the pixel, the gimbal, the body's level, and where the robot was by its own pose: what fluctuates
+of it weaker by kappa, what stays as it is (own_pose.py).
+"""
+
+from __future__ import annotations
+
+import math
+
+from agent.kernel.config import Target
+from agent.kernel.estimation.bearing import bearing
+from agent.kernel.estimation.interface import Bearing
+from agent.kernel.estimation.matrix import plus, times
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import CameraFit, at_lens_position
+from agent.kernel.ranging.camera_model import Eye, apply, ray
+from agent.kernel.ranging.cues import Outline, size_range
+from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
+from agent.kernel.ranging.own_pose import OwnPose, carried
+
+BENDING = 0.1  # of a box's longer side, by which a body that bends moves the middle of its box
+NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
+
+
+def sight_line(
+    camera: CameraFit,
+    eye: Eye,
+    outline: Outline,
+    target: Target,
+    own: OwnPose,
+    gimbal_sigma_rad: float,
+    believed_m: Vector | None,
+    t_ns: int,
+    unknown_m: float,
+    sized: bool = True,
+) -> Bearing:
+    """The bearing of what a frame exposed at t_ns shows.
+
+    eye, own: of that moment. believed_m: where the target is believed to have been then, world frame; it gives the
+    range unless the target's size does. None: nobody knows. unknown_m: the range then. sized: whether a ball's size
+    may.
+    """
+    camera = at_lens_position(camera, outline.lens_position)
+    axis = apply(eye.rotation, (0.0, 0.0, 1.0))
+    px, py, pz = (p + camera.ahead_m * a for p, a in zip(eye.position_m, axis, strict=True))
+    r = apply(eye.rotation, ray(camera, outline.centre_px))
+    way = None if believed_m is None else (believed_m[0] - px, believed_m[1] - py, believed_m[2] - pz)
+    sigma_m = None
+    if sized and target.radius_m is not None and outline.radius_px is not None:
+        size = size_range(camera, outline, target)
+        range_m, sigma_m = size.distance_m, math.sqrt(size.variance_m2)
+    elif way is not None:
+        range_m = max(r[0] * way[0] + r[1] * way[1] + r[2] * way[2], NEAREST_M)
+    else:
+        range_m = unknown_m
+    arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
+    pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
+    px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, BENDING * max(outline.size_px or (0.0,)))
+    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
+    return bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
