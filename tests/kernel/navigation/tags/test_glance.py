@@ -70,6 +70,20 @@ def test_the_wait_counts_from_when_the_gimbal_rests_and_the_way_stays_the_same()
     assert of.direction_deg(HERE, KNOWN, LEVEL, True, 9000 * MS) == LEFT
 
 
+def test_a_look_whose_frames_show_none_is_over_at_once_and_one_that_showed_some_lasts() -> None:
+    """Who is lost with its thrusters off drifts while it looks where nothing is."""
+    for shown, then in (((False, False), RIGHT), ((False, True, False), LEFT)):
+        of = glance(*TWO, ALONE)
+        assert of.direction_deg(HERE, KNOWN, LEVEL, True, 0) == LEFT
+        of.add_frame(shows=shown[0])
+        assert of.direction_deg(HERE, KNOWN, LEVEL, True, 100 * MS) == LEFT  # one frame may be a blurred one
+        for shows in shown[1:]:
+            of.add_frame(shows)
+        assert of.direction_deg(HERE, KNOWN, LEVEL, True, 200 * MS) == then
+        of.add_frame(shows=False)  # the first one of the next look says nothing of it yet
+        assert of.direction_deg(HERE, KNOWN, LEVEL, True, 300 * MS) == then
+
+
 UNREACHABLE = {
     "behind": on_wall(9, 1.0, "x0", 0.0),
     "beyond the gimbal's pan": Tag(id=9, face="y1", position_m=(0.9, 2.0, 0.2)),
