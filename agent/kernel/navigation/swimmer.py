@@ -60,6 +60,7 @@ class Swimmer:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         robot, self.company = fleet.robot[name], Company(fleet, name, incarnation)
         self._limits, self._behaviour = fleet.navigation.limits, robot.behaviour or Hold()
+        self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
         self._home = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m = robot.depth_m
@@ -229,7 +230,7 @@ class Swimmer:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
         before = self._progress or start(own.pose, 0.0, now_ns, self._home)
         around = self._errand.around and self._errand.around._replace(velocity_m_s=(own.x[3], own.x[4]))
-        to, self._progress = reference(self._behaviour, before, own.pose, now_ns, watched_m, around)
+        to, self._progress = reference(self._behaviour, before, own.pose, now_ns, watched_m, around, self._tank_m)
         if to.coast:
             return STILL
         share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)

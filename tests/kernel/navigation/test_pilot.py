@@ -10,6 +10,7 @@ import pytest
 from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Turn
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.behaviours.behaviour import MOST_TURNED_RAD, reference, start
+from agent.kernel.navigation.behaviours.surroundings import walled_in
 from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.pilot import (
     FORCE_N,
@@ -211,3 +212,23 @@ def test_an_orbit_is_swum() -> None:
     facing = np.arctan2(1.0 - path[60:, 1], 1.5 - path[60:, 0]) - path[60:, 2]
     assert np.degrees(np.abs((facing + np.pi) % (2 * np.pi) - np.pi)).max() < 5.0
     assert abs(path[-1, 2] - path[60, 2]) > 1.8  # it got round
+
+
+@pytest.mark.parametrize(("x", "y"), [(2.7, 1.0), (1.5, 0.3), (0.3, 1.7), (2.75, 1.75)])
+def test_who_goes_to_a_wall_looks_away_from_it(x, y) -> None:
+    """A camera before a wall sees no whole landmark, and its robot is lost there."""
+    tank_m, yaws = (3.0, 2.0), []
+    pose, progress = (1.5, 1.0, 0.0), start((1.5, 1.0, 0.0), 0.0, 0)
+    for step in range(1, 41):  # on the straight way, and as it turns
+        to, progress = reference(Goto(x_m=x, y_m=y), progress, pose, step * S, tank_m=tank_m)
+        at = np.array([1.5, 1.0]) + step / 40.0 * (np.array([x, y]) - (1.5, 1.0))
+        pose = (float(at[0]), float(at[1]), to.yaw)
+        yaws.append(to.yaw)
+    assert not walled_in(pose[:2], yaws[-1], tank_m)
+    told, _ = reference(Goto(x_m=x, y_m=y, yaw_deg=10.0), progress, pose, S, tank_m=tank_m)
+    assert told.yaw == pytest.approx(np.radians(10.0))  # whoever is told which way looks that way
+
+
+def test_who_goes_through_the_middle_looks_along_the_way() -> None:
+    to, _ = reference(Goto(x_m=1.9, y_m=1.1), start((1.0, 0.9, 0.0), 0.0, 0), (1.0, 0.9, 0.0), 0, tank_m=(3.0, 2.0))
+    assert to.yaw == pytest.approx(np.arctan2(0.2, 0.9))

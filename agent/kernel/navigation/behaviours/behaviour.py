@@ -15,7 +15,7 @@ from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
 from agent.kernel.navigation.behaviours.follow import Pursuit, follow, knows
 from agent.kernel.navigation.behaviours.search import Hunt, search
-from agent.kernel.navigation.behaviours.surroundings import Surroundings, facing
+from agent.kernel.navigation.behaviours.surroundings import Surroundings, facing, walled_in
 from agent.kernel.navigation.behaviours.trial import Stage, trial
 from agent.kernel.navigation.pilot import Reference
 
@@ -55,10 +55,11 @@ def reference(
     now_ns: int,
     watched_m: Planar | None = None,
     around: Surroundings | None = None,
+    tank_m: Planar | None = None,
 ) -> tuple[Reference, Progress]:
     """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off
     its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body. around: what
-    Follow and Search go by.
+    Follow and Search go by. tank_m: length and breadth; who is free to choose looks at no near wall.
     """
     turned = progress.turned + wrap(pose[2] - progress.heading)
     progress = progress._replace(turned=turned, heading=pose[2])
@@ -68,7 +69,7 @@ def reference(
         case Turn():
             to = Reference(progress.from_m, math.radians(what.yaw_deg))
         case Goto():
-            progress = progress._replace(yaw=_yaw_of_way(what, progress, pose, watched_m))
+            progress = progress._replace(yaw=_yaw_of_way(what, progress, pose, watched_m, tank_m))
             to = Reference((what.x_m, what.y_m), progress.yaw, depth_m=what.depth_m)
         case Orbit():
             to = _on_orbit(what, progress, now_ns)
@@ -125,13 +126,16 @@ def in_sight(yaw: float, pose: Vector, watched_m: Planar | None) -> float:
     return facing(yaw, math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0]))
 
 
-def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar | None) -> float:
+def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar | None, tank_m: Planar | None) -> float:
     if what.yaw_deg is not None:
         return math.radians(what.yaw_deg)
     if watched_m is not None:
         return math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0])
     x, y = what.x_m - pose[0], what.y_m - pose[1]
-    return math.atan2(y, x) if math.hypot(x, y) > NEAR_M else progress.yaw
+    yaw = math.atan2(y, x) if math.hypot(x, y) > NEAR_M else progress.yaw
+    if tank_m is None or not (walled_in(pose[:2], yaw, tank_m) or walled_in((what.x_m, what.y_m), yaw, tank_m)):
+        return yaw
+    return math.atan2(0.5 * tank_m[1] - pose[1], 0.5 * tank_m[0] - pose[0])
 
 
 def _on_orbit(what: Orbit, progress: Progress, now_ns: int) -> Reference:

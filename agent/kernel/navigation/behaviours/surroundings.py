@@ -11,6 +11,8 @@ from agent.kernel.target_state import TargetEstimate
 
 SEEN_NS = 20_000_000_000  # a glance at landmarks takes seconds, and targets take turns: unseen for longer is unknown
 GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
+# Of a wall ahead: from nearer no whole landmark fits into the picture, or one, and there is little else to go by.
+SIGHT_M = 0.8
 SPEED_NS = 3_000_000_000  # unseen for so long, a target that moved may have turned
 
 
@@ -42,6 +44,12 @@ def within_walls(place_m: Planar, tank_m: Planar) -> Planar:
     clear_m = WALL_M + MARGIN_M
     x, y = (min(max(at, clear_m), max(side - clear_m, clear_m)) for at, side in zip(place_m, tank_m, strict=True))
     return x, y
+
+
+def walled_in(place_m: Planar, yaw: float, tank_m: Planar) -> bool:
+    """Whether who looks that way from there has a wall before it."""
+    ways = zip(place_m, (math.cos(yaw), math.sin(yaw)), tank_m, strict=True)
+    return any((side - at if way > 0.0 else at) < SIGHT_M * abs(way) for at, way, side in ways)
 
 
 def facing(yaw: float, bearing: float) -> float:
