@@ -27,6 +27,7 @@ from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.basin import Basin
 from agent.kernel.navigation.body_model import Hull
+from agent.kernel.navigation.dense import dot
 from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, sighting
 from agent.kernel.navigation.pose_filter import GATE, Belief, Drift
 from agent.kernel.ranging.own_pose import carried
@@ -155,10 +156,10 @@ def aided(believed: Belief, others: Posterior, alike_m2: Symmetric) -> Belief | 
     step = apply(precision, miss_m)
     cross = [(row[n], row[n + 1], row[n + 2]) for row in P[:n]]
     gains = [apply(precision, row) for row in cross]
-    moved = [a + _dot(row, step) for a, row in zip(believed.x, cross, strict=False)]
+    moved = [a + dot(row, step) for a, row in zip(believed.x, cross, strict=False)]
     moved[2] = wrap(moved[2])
     rows = tuple(
-        tuple(P[i][j] - _dot(gains[min(i, j)], cross[max(i, j)]) for j in range(n)) for i in range(n)
+        tuple(P[i][j] - dot(gains[min(i, j)], cross[max(i, j)]) for j in range(n)) for i in range(n)
     )  # symmetric to the bit
     return believed._replace(x=tuple(moved), P=rows, key_ns=None, has_target=False)
 
@@ -184,7 +185,3 @@ def _event(seen: Seen) -> Event:
 def _spread_m2(covariance: Symmetric) -> float:
     """Along x and y together; of a place or of a pose."""
     return covariance[0] + covariance[3]
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -10,6 +10,7 @@ one sigma.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 from agent.kernel.navigation.dense import cholesky
@@ -35,15 +36,7 @@ class LensError(NamedTuple):
 
 def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]:
     """None where the calibration does not say how good it is. camera: as calibrated; focus: the frame's."""
-    if camera.covariance is None:
-        return ()
-    rows: list[list[float]] = []
-    rest = list(camera.covariance)
-    for i in range(NUMBERS):
-        rows.append([rows[k][i] for k in range(i)] + rest[: NUMBERS - i])
-        del rest[: NUMBERS - i]
-    L = cholesky(rows)
-    if L is None:
+    if camera.covariance is None or (L := _factor(camera.covariance)) is None:
         return ()
     travel = 0.0 if focus is None else focus - camera.lens
     errors = []
@@ -52,6 +45,17 @@ def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]
         scale, zeros = f + breathing * travel, (math.radians(pan), math.radians(tilt))
         errors.append(LensError(scale, bend, cx / camera.f_px, cy / camera.f_px, ahead_m, *zeros, pan_gain, tilt_gain))
     return tuple(errors)
+
+
+@lru_cache(maxsize=64)  # of each camera that this process knows: one in an agent, all of a fleet in an experiment
+def _factor(covariance: tuple[float, ...]) -> list[list[float]] | None:
+    """L with L L' = covariance; None where it is none."""
+    rows: list[list[float]] = []
+    rest = list(covariance)
+    for i in range(NUMBERS):
+        rows.append([rows[k][i] for k in range(i)] + rest[: NUMBERS - i])
+        del rest[: NUMBERS - i]
+    return cholesky(rows)
 
 
 def slope_error(error: LensError, bend: float, slope: Slope, per_m: float) -> Slope:
