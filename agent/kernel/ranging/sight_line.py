@@ -20,6 +20,8 @@ from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
 BENDING = 0.1  # of a box's longer side, by which a body that bends moves the middle of its box
+SHOWN = 0.6  # of a creature's length, which it shows from most sides
+HIDDEN = 0.5  # of what it lacks to that: it may be seen head-on, or a stone hides so much at one of its ends
 NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
 
 
@@ -56,6 +58,15 @@ def sight_line(
         range_m = unknown_m
     arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
     pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
-    px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, BENDING * max(outline.size_px or (0.0,)))
+    px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, *_bent_px(outline, target, camera.f_px / range_m))
     sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
     return bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
+
+
+def _bent_px(outline: Outline, target: Target, px_per_m: float) -> tuple[float, float]:
+    """How far the middle of a box may be from the body's by its bending, and by what of it does not show."""
+    shown_px = max(outline.size_px or (0.0,))
+    if target.length_m is None:
+        return BENDING * shown_px, 0.0
+    whole_px = target.length_m * px_per_m
+    return BENDING * max(shown_px, whole_px), HIDDEN * max(SHOWN * whole_px - shown_px, 0.0)
