@@ -5,7 +5,7 @@ import io
 from rich.console import Console
 
 from agent.demo.display import progress_table, result_table
-from agent.demo.summary import History
+from agent.demo.history import History
 from agent.kernel.messages import NeighbourState, State
 
 NEIGHBOURS = tuple(NeighbourState(robot=f"r{k}", age_s=0.1, valid=True) for k in (2, 3, 4, 5))
