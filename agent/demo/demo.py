@@ -182,8 +182,8 @@ def dive(
 
 
 def settled_on(fleet: Fleet, target: str, of_target: Mapping[str, History]) -> bool:
-    """Whether nothing more is to be expected about this target. A thing in a box need not be seen by all; what swims has
-    been followed for long enough."""
+    """Whether nothing more is to be expected about this target. A thing in a box need not be seen by all; what swims
+    has been followed for long enough."""
     if swims(fleet, target):
         return followed_s(of_target) >= FOLLOW_S
     return settled(of_target.values(), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M, all_see=not is_box(fleet, target))
@@ -192,5 +192,7 @@ def settled_on(fleet: Fleet, target: str, of_target: Mapping[str, History]) -> b
 def until(fleet: Fleet) -> str:
     """What a dive waits for, in words."""
     moving = [swims(fleet, target) for target in fleet.target]
-    words = ([] if all(moving) else ["have settled"]) + ([f"have followed it for {FOLLOW_S:.0f} s"] if any(moving) else [])
+    words = ([] if all(moving) else ["have settled"]) + (
+        [f"have followed it for {FOLLOW_S:.0f} s"] if any(moving) else []
+    )
     return " and ".join(words)

@@ -125,8 +125,8 @@ def result_table(summary: dict[str, Any], target: str) -> Table:
     return table
 
 
-TRACK_SAYS = """saw: share of the time in which its newest frame shows it. off: of its track, rms and 95 %. NEES: 3 where
-errors are as large as it states."""
+TRACK_SAYS = """saw: share of the time in which its newest frame shows it. off: of its track, rms and 95 %.
+NEES: 3 where errors are as large as it states."""
 
 
 def track_table(summary: dict[str, Any], target: str) -> Table:
@@ -134,8 +134,8 @@ def track_table(summary: dict[str, Any], target: str) -> Table:
     about = summary["targets"][target]
     by = [f"one {percent(about['seen_by_one'])}", f"two {percent(about['seen_by_two'])}"]
     table = Table(
-        title=f"{target}, followed for {about['followed_s']:.0f} s, twin seed {summary['seed']}; saw it: {', '.join(by)}; "
-        f"all tracks {number(about['track_rms_mm'], 1)} mm rms, NEES {number(about['nees'], 2)}",
+        title=f"{target}, followed for {about['followed_s']:.0f} s, twin seed {summary['seed']}; "
+        f"saw it: {', '.join(by)}; tracks {number(about['track_rms_mm'], 1)} mm rms, NEES {number(about['nees'], 2)}",
         title_justify="left",
         caption=TRACK_SAYS,
         caption_justify="left",

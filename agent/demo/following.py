@@ -108,7 +108,7 @@ def _agent(track: CreatureTrack, robot: str, since_ns: int, sees: np.ndarray | N
     held, looks = track.held.get(robot, []), track.looks.get(robot, [])
     off, nees = _errors(track, robot, since_ns)
     late = [look for look in looks if look.t_ns >= since_ns]
-    shown = [look for look in late if look.shows]
+    shown = [look for look in late if look.there == "shows"]
     newest = held[-1] if held else None
     return {
         "known_s": None if not held or not looks else (held[0].t_ns - looks[0].t_ns) * 1e-9,
@@ -133,7 +133,7 @@ def _errors(track: CreatureTrack, robot: str, since_ns: int) -> tuple[np.ndarray
     if not rows:
         return np.zeros(0), np.zeros(0)
     e = np.array([row.x_m for row in rows]) - track.truth.at([row.t_ns for row in rows])
-    known = np.isfinite(e).all(axis=1)
+    known = np.asarray(np.isfinite(e).all(axis=1))
     squares = [float(d @ np.linalg.solve(_full(row.cov_m2), d)) for d, row in _pairs(e, rows, known)]
     return np.linalg.norm(e[known], axis=1), np.array(squares)
 

@@ -41,8 +41,8 @@ class Water(Struct, frozen=True, kw_only=True):
 
 
 class Target(Struct, frozen=True, kw_only=True):
-    """What the robots look for: a ball, told from others by its colour, whatever a box in a picture shows, or a creature
-    of a colour, whatever its shape."""
+    """What the robots look for: a ball, told from others by its colour, whatever a box in a picture shows, or a
+    creature of a colour, whatever its shape."""
 
     detector: Literal["ball", "box", "creature"] = "ball"
     colour: Colour | None = None  # of a ball or a creature: red if not given

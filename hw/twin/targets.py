@@ -1,5 +1,5 @@
-"""Which solid or creature of the scene each target of a fleet is: known to the twin and to who judges a dive, never to an
-agent."""
+"""Which solid or creature of the scene each target of a fleet is: known to the twin and to who judges a dive, never to
+an agent."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Sol
 def target_creatures(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Creature]:
     """A creature is known by its name. A box target too may be one, where no solid has its name.
 
-    Raises ConfigError for a target that is a creature and of which nobody says how fast it swims: nobody could follow it.
+    Raises ConfigError for a target that is one and of which nobody says how fast it swims: nobody could follow it.
     """
     swimming = {creature.name: creature for creature in scene.creature}
     found = {
@@ -47,7 +47,7 @@ def target_creatures(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, 
     for name in found:
         if fleet.target[name].speed_m_s is None:
             raise ConfigError(
-                f"{fleet_path}: key 'target.{name}': '{name}' swims in scene '{scene.name}'; add `speed_m_s` and `turn_s`"
+                f"{fleet_path}: key 'target.{name}': it swims in scene '{scene.name}'; add `speed_m_s` and `turn_s`"
             )
     return found
 

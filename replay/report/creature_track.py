@@ -1,8 +1,8 @@
 """A target that swims, as a run has it: where it truly was, where each robot believed it to be, and who saw it when.
 
 The truth is the twin's, from creatures.csv and boxes.csv beside the recordings; all else is from black boxes. A robot
-sees it while its newest frame shows it, and truly shows it: what vision took for it has to lie where it is. Times are in
-ns by the dive's clock, places in metres, world frame.
+sees it while its newest frame shows it, and truly shows it: what vision took for it has to lie where it is. Times are
+in ns by the dive's clock, places in metres, world frame.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.kernel.codec import decode
@@ -31,13 +32,17 @@ Array = NDArray[np.float64]
 TrueBox = tuple[float, float, float, float]
 
 
+There = Literal["shows", "hidden", "outside"]  # in the picture, behind something in the picture, beside it
+
+
 class Look(NamedTuple):
     """One frame: whether vision found the target in it, and whether it is there."""
 
     t_ns: int
     found: bool
     right: bool  # found where it is
-    shows: bool | None  # any pixel of it, by the twin; None: the twin does not say
+    there: There | None  # by the twin; None: it does not say
+    glances: bool  # the camera was looking for landmarks
 
 
 class Held(NamedTuple):
@@ -47,6 +52,8 @@ class Held(NamedTuple):
     x_m: Vector
     cov_m2: Symmetric
     sees: bool  # in its own words
+    shares: Mapping[str, float]  # of each robot's word in it
+    status: str  # what the protocol said of those words
 
 
 class Path3(NamedTuple):
@@ -76,6 +83,11 @@ class CreatureTrack(NamedTuple):
         """Since when all robots know of it; None: one never did."""
         firsts = [rows[0].t_ns if rows else None for rows in self.held.values()]
         return None if not firsts or None in firsts else max(t for t in firsts if t is not None)
+
+    @property
+    def begins_ns(self) -> int:
+        """The first frame of any robot."""
+        return min((rows[0].t_ns for rows in self.looks.values() if rows), default=0)
 
     @property
     def ends_ns(self) -> int:
@@ -149,20 +161,28 @@ def _told(
 ) -> tuple[list[Held], list[Look]]:
     held: list[Held] = []
     looks: list[Look] = []
-    newest_t = -1
+    newest_t, glance_until_ns = -1, 0
     for step in box.steps():
         for seen in decode(step.inputs, Inputs, limit=STEP_BYTES).sightings:
             if seen.target != target:
                 continue
             at, visible = shown.get((box.robot, seen.frame), (None, 0))
             right = seen.found and visible > 0 and at is not None and _within(seen.centre_px, at)
-            looks.append(Look(seen.t_ns, seen.found, right, visible > 0 if shown else None))
+            there: There = "outside" if at is None else "shows" if visible else "hidden"
+            looks.append(Look(seen.t_ns, seen.found, right, there if shown else None, seen.t_ns < glance_until_ns))
         if step.outputs is None:
             continue
-        for said in decode(step.outputs, Outputs, limit=STEP_BYTES).says:
+        outputs = decode(step.outputs, Outputs, limit=STEP_BYTES)
+        if outputs.near is not UNSET:
+            glance_until_ns = max((said.glance_until_ns for said in outputs.near), default=glance_until_ns)
+        for said in outputs.says:
             if said.target == target and said.t != newest_t and said.x_m is not None and said.cov_m2 is not None:
                 newest_t = said.t
-                held.append(Held(step.now_ns, said.x_m, said.cov_m2, said.valid))
+                held.append(Held(step.now_ns, said.x_m, said.cov_m2, said.valid, {}, ""))
+        state = outputs.state
+        if state is not None and state.target == target and state.explain is not None and held and state.t == newest_t:
+            shares = {**state.explain.weights, box.robot: state.explain.weights.get(box.robot, 0.0)}
+            held[-1] = held[-1]._replace(shares=shares, status=state.explain.status)
     return held, looks
 
 

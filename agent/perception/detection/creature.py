@@ -1,9 +1,9 @@
 """Find one coloured animal of any shape: whatever has its hue against the greys of the same picture.
 
 A body that bends, turns and swims away looks like no picture of it for long, but keeps its colours. Water makes all
-that is grey bluish, the more the farther it is, and never redder: so colours are compared with the least bluish greys of
-the frame, in the plane of chromaticity of logarithms of light (colour.py). What differs from these by enough, and in the
-animal's hue, is a part of it; parts that lie together are one animal, and its box is around all of them. Each frame
+that is grey bluish, the more the farther it is, and never redder: so colours are compared with the least bluish greys
+of the frame, in the plane of chromaticity of logarithms of light (colour.py). What differs from these by enough, and in
+the animal's hue, is a part of it; parts that lie together are one animal, and its box is around all of them. Each frame
 stands alone: nothing has to be remembered, so nothing can be followed by mistake.
 """
 
@@ -21,8 +21,8 @@ from agent.perception.detection.colour import NAMED
 from agent.perception.detection.picture import Image, Light, exposed
 
 FINEST = 2  # pixels are looked at so many together, across and down
-# Chosen on clips of the twin's koi in clear water (tests/bench/swim/bench_creature.py, seeds 1, 2, 4, 11, 12): its orange
-# has 0.37 to 1.1, a near stone before a far wall 0.35.
+# Chosen on frames of the twin's koi (seeds 1, 2, 4, 11 and 12; others in tests/bench/swim/bench_creature.py): its
+# orange has 0.37 to 1.1, a near stone before a far wall 0.35.
 STRONG, WEAK = 0.40, 0.20  # difference of logarithms of light: of what is surely its colour, and of what belongs to it
 LEAST_STRONG = 12  # of these larger pixels: in less there is no colour but noise
 SLACK_RAD = 0.2  # beyond the hues of balls: no outline says what is paint and what is not

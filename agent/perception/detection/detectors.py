@@ -1,8 +1,8 @@
 """Whatever finds a target in a frame, behind one interface: a ball by colour and shape, a creature by colour alone, all
 else by what a box showed.
 
-A ball or a creature is found in each frame by itself. A thing in a box is followed from frame to frame, and first looked for in the
-whole picture, in many sizes, by its likeness to the picture in which the box was drawn.
+A ball or a creature is found in each frame by itself. A thing in a box is followed from frame to frame, and first
+looked for in the whole picture, in many sizes, by its likeness to the picture in which the box was drawn.
 """
 
 from __future__ import annotations
@@ -128,8 +128,8 @@ def creature_hues(name: str, target: Target, size: tuple[int, int]) -> Hues:
     hues = sampled_hues(target_picture(name, target, size), target.box)
     if hues is None:
         raise ConfigError(
-            f"{target.picture}: the box of target '{name}' is as grey as the rest; draw it on the coloured creature, or "
-            'follow it by its look, with detector = "box"'
+            f"{target.picture}: the box of target '{name}' is as grey as the rest; draw it on the coloured creature, "
+            'or follow it by its look, with detector = "box"'
         )
     return hues
 

@@ -64,9 +64,11 @@ def test_a_grey_sample_is_refused_with_a_remedy(tmp_path):
     path = tmp_path / "fish.png"
     cv2.imwrite(str(path), water())
     target = Target(detector="creature", picture=str(path), box=(60.0, 320.0, 60.0, 60.0))
-    with pytest.raises(ConfigError, match='as grey as the rest.*detector = "box"'):
+    with pytest.raises(ConfigError, match=r'as grey as the rest.*detector = "box"'):
         creature_hues("fish", target, (640, 480))
-    assert creature_hues("fish", msgspec.structs.replace(target, picture=None, box=None), (640, 480)) == named_hues("red")
+    assert creature_hues("fish", msgspec.structs.replace(target, picture=None, box=None), (640, 480)) == named_hues(
+        "red"
+    )
 
 
 def test_a_part_of_a_frame_is_placed_in_the_whole():
