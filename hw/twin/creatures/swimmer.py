@@ -2,8 +2,8 @@
 
 Its speed through the water, which takes it along, follows what it wants with a lag; who rests holds its place. Its
 turning is an Ornstein-Uhlenbeck rate, with what it shies from on top. All figures of temper are assumed; the beat of
-the tail is not: fish gain some 0.65 of their length with each (Bainbridge 1958; Videler, Fish Swimming, 1993), and beat as
-wide at all but the lowest speeds.
+the tail is not: fish gain some 0.65 of their length with each (Bainbridge 1958; Videler, Fish Swimming, 1993), and beat
+as wide at all but the lowest speeds.
 """
 
 from __future__ import annotations
