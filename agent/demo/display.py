@@ -137,7 +137,7 @@ def track_table(summary: dict[str, Any], target: str) -> Table:
         title=f"{target}, followed for {about['followed_s']:.0f} s, twin seed {summary['seed']}; "
         f"saw it: {', '.join(by)}; tracks {number(about['track_rms_mm'], 1)} mm rms, NEES {number(about['nees'], 2)}",
         title_justify="left",
-        caption=TRACK_SAYS,
+        caption=f"{TRACK_SAYS}\n{missed(about['bars'])}" if about["bars"] else TRACK_SAYS,
         caption_justify="left",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
@@ -163,15 +163,29 @@ def percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
 
 
+def missed(bars: dict[str, bool]) -> str:
+    """Which of the bars that decide nothing were missed, in a sentence."""
+    names = [NAMES[key] for key, met in bars.items() if not met]
+    return f"Of what such a fleet should reach it missed: {', '.join(names)}." if names else "It reached all bars."
+
+
+NAMES = {
+    "seen_by_one": "seen by one 99 %",
+    "seen_by_two": "by two 95 %",
+    "seen_each": "by each 88 %",
+    "track_rms_mm": "track 25 mm rms",
+    "nees": "NEES 2.5 to 3.5",
+}
+
+
 def number(value: float | None, digits: int) -> str:
     """A cell; a dash for what there is not."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 FOLLOWED = (
-    f"it was seen by one robot for {100 * following.ONE_SEES:.0f} % of the time, by two for "
-    f"{100 * following.TWO_SEE:.0f} %, by each for {100 * following.EACH_SEES:.0f} %, and the track is good to "
-    f"{following.TRACK_RMS_MM:.0f} mm"
+    f"one robot at least saw it for {100 * following.ONE_SEES:.0f} % of the time, each for "
+    f"{100 * following.EACH_SEES:.0f} %, and every track is good to its length"
 )
 
 

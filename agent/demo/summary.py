@@ -41,7 +41,7 @@ def summarize(
     for target, of_target in histories.items():
         if followed is not None and target in followed:
             targets[target] = followed[target]
-            found = following.reasons(followed[target], len(fleet.robot))
+            found = following.reasons(followed[target])
             why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in found]
             continue
         truth_m: Vector = tuple(truth["target_m"][target])
