@@ -56,8 +56,13 @@ def followed_s(of_target: Mapping[str, History]) -> float:
 
 
 def scored(run: Path, fleet: Fleet, target: str) -> dict[str, Any]:
-    """The row of summary.json of a target that swims. Lengths in mm, times in seconds of the dive."""
-    track = creature_track(run, open_boxes(black_boxes(run)), target)
+    """The row of summary.json of a target that swims, from the folder of its run. Raises ConfigError without black
+    boxes."""
+    return score(creature_track(run, open_boxes(black_boxes(run)), target), fleet, target)
+
+
+def score(track: CreatureTrack | None, fleet: Fleet, target: str) -> dict[str, Any]:
+    """The same of a track; None: nobody knows the truth. Lengths in mm, times in seconds of the dive."""
     known_ns = track.known_ns if track is not None else None
     row: dict[str, Any] = {
         "swims": True,
