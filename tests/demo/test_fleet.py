@@ -18,6 +18,7 @@ from agent.kernel.toml_files import dump
 TANK = shipped_fleet().read_text()
 NO_TWIN = TANK.replace('camera = "twin:r2"', 'camera = "v4l2:/dev/video0"').replace('"twin:r2"', '"/dev/ttyACM0"')
 FISH = fleet_file("fish").read_text()
+EEL = FISH.replace("target.fish", "target.eel").replace('"fish", s', '"eel", s')
 BOX = 'detector = "box"\npicture = "rock.png"\nbox = [0, 0, 9, 9]'
 ROCK = TANK.replace("[target.ball]", "[target.rock]").replace('detector = "ball"\nradius_m = 0.07', BOX)
 NETS = 'big.png"\nmodels = "nets'
@@ -78,11 +79,7 @@ def test_what_is_not_asked_for_is_as_the_file_has_it(tmp_path: Path) -> None:
             None,
             r"nets.nanotrack_backbone_sim.onnx: no such",
         ),
-        (
-            FISH.replace("target.fish", "target.eel").replace('"fish", s', '"eel", s'),
-            None,
-            r"'target.eel': nothing in scene 'fish'",
-        ),
+        (EEL, None, r"'target.eel': nothing in scene 'fish'"),
         (FISH.replace("speed_m_s", "# ").replace("turn_s", "# "), None, r"'target.fish': it swims .* add `speed_m_s`"),
         (TANK + SCENE.replace("SCENE", "two"), None, "scene 'two': no such scene; give one of .*tank, two_balls"),
     ],
