@@ -24,7 +24,9 @@ from agent.clock import machine
 from agent.demo.display import how_to_look, progress_table, result_table
 from agent.demo.endpoints import reserved
 from agent.demo.fleet import demo_fleet, listening
-from agent.demo.summary import Histories, History, is_box, settled, summarize
+from agent.demo.following import FOLLOW_S, followed_s, scored, swims
+from agent.demo.history import Histories, History
+from agent.demo.summary import is_box, settled, summarize
 from agent.failure import Failed
 from agent.fleet_clock import fleet_clock
 from agent.fleet_files import fleet_file, with_pictures
@@ -87,7 +89,9 @@ def demo(
         processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
         calibrate(fleet, path, processes, console)
         histories, truth = dive(fleet, path, run, duration_s, speed, processes, console)
-    summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s)
+    with with_spinner(console, "reading the recordings"):
+        followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
+    summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed)
     (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     for target in summary["targets"]:
         console.print(result_table(summary, target))
@@ -145,7 +149,7 @@ def dive(
     for line in how_to_look(fleet, path):
         console.print(line, highlight=False)
     console.print(
-        f"diving until all robots know where it is and have settled, at most {duration_s:.0f} s; Ctrl-C ends it; "
+        f"diving until all robots know where it is and {until(fleet)}, at most {duration_s:.0f} s; Ctrl-C ends it; "
         f"logs are in {run / 'logs'}"
     )
     live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
@@ -178,5 +182,17 @@ def dive(
 
 
 def settled_on(fleet: Fleet, target: str, of_target: Mapping[str, History]) -> bool:
-    """Whether nothing more is to be expected about this target. A thing in a box need not be seen by all."""
+    """Whether nothing more is to be expected about this target. A thing in a box need not be seen by all; what swims
+    has been followed for long enough."""
+    if swims(fleet, target):
+        return followed_s(of_target) >= FOLLOW_S
     return settled(of_target.values(), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M, all_see=not is_box(fleet, target))
+
+
+def until(fleet: Fleet) -> str:
+    """What a dive waits for, in words."""
+    moving = [swims(fleet, target) for target in fleet.target]
+    words = ([] if all(moving) else ["have settled"]) + (
+        [f"have followed it for {FOLLOW_S:.0f} s"] if any(moving) else []
+    )
+    return " and ".join(words)

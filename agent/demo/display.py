@@ -14,7 +14,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from agent.console_log import hears
-from agent.demo.summary import PASS_PERCENT, SIGMAS, Histories
+from agent.demo import following
+from agent.demo.history import Histories
+from agent.demo.summary import PASS_PERCENT, SIGMAS
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, fault_kind
 from agent.kernel.topics import EVERY_FLEET
@@ -95,6 +97,8 @@ allowed: 3 of the standard deviations that the robot states, at most the thing's
 def result_table(summary: dict[str, Any], target: str) -> Table:
     """What each robot measured of one target, and what it held at the end, against the truth; mm in x, y and z."""
     about = summary["targets"][target]
+    if about.get("swims"):
+        return track_table(summary, target)
     is_ball = about["radii_m"] is None
     place = ", ".join(f"{x:g}" for x in about["truth_m"])
     table = Table(
@@ -121,14 +125,75 @@ def result_table(summary: dict[str, Any], target: str) -> Table:
     return table
 
 
+TRACK_SAYS = """saw: share of the time in which its newest frame shows it. off: of its track, rms and 95 %.
+NEES: 3 where errors are as large as it states."""
+
+
+def track_table(summary: dict[str, Any], target: str) -> Table:
+    """How each robot followed a target that swims."""
+    about = summary["targets"][target]
+    by = [f"one {percent(about['seen_by_one'])}", f"two {percent(about['seen_by_two'])}"]
+    table = Table(
+        title=f"{target}, followed for {about['followed_s']:.0f} s, twin seed {summary['seed']}; "
+        f"saw it: {', '.join(by)}; tracks {number(about['track_rms_mm'], 1)} mm rms, NEES {number(about['nees'], 2)}",
+        title_justify="left",
+        caption=f"{TRACK_SAYS}\n{missed(about['bars'])}" if about["bars"] else TRACK_SAYS,
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for column in ("robot", "knew at s", "saw", "lost", "longest s", "mistook", "off mm", "95 %", "NEES"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for name, row in about["agents"].items():
+        table.add_row(
+            name,
+            number(row["known_s"], 1),
+            percent(row["seen"]),
+            "-" if row["times_lost"] is None else str(row["times_lost"]),
+            number(row["longest_unseen_s"], 1),
+            str(row["mistaken"]),
+            number(row["track_rms_mm"], 1),
+            number(row["track_p95_mm"], 1),
+            number(row["nees"], 2),
+        )
+    return table
+
+
+def percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def missed(bars: dict[str, bool]) -> str:
+    """Which of the bars that decide nothing were missed, in a sentence."""
+    names = [NAMES[key] for key, met in bars.items() if not met]
+    return f"Of what such a fleet should reach it missed: {', '.join(names)}." if names else "It reached all bars."
+
+
+NAMES = {
+    "seen_by_one": "seen by one 99 %",
+    "seen_by_two": "by two 95 %",
+    "seen_each": "by each 88 %",
+    "track_rms_mm": "track 25 mm rms",
+    "nees": "NEES 2.5 to 3.5",
+}
+
+
 def number(value: float | None, digits: int) -> str:
     """A cell; a dash for what there is not."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
+FOLLOWED = (
+    f"one robot at least saw it for {100 * following.ONE_SEES:.0f} % of the time, each for "
+    f"{100 * following.EACH_SEES:.0f} %, and every track is good to its length"
+)
+
+
 def verdict(summary: dict[str, Any]) -> str:
     """Whether all estimates are good enough, and for what that counts."""
-    is_ball = {about["radii_m"] is None for about in summary["targets"].values()}
+    resting = [about for about in summary["targets"].values() if not about.get("swims")]
+    is_ball = {about["radii_m"] is None for about in resting}
     balls = [f"every robot's error is below {PASS_PERCENT} %"] if True in is_ball else []
     boxes = [f"every robot's estimate lies on the thing, to within {SIGMAS:.0f} sigma"] if False in is_ball else []
-    return f"{summary['verdict']}: {'; '.join(summary['reasons'] or balls + boxes)}"
+    fish = [FOLLOWED] if len(resting) < len(summary["targets"]) else []
+    return f"{summary['verdict']}: {'; '.join(summary['reasons'] or balls + boxes + fish)}"

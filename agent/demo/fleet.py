@@ -15,7 +15,7 @@ from agent.perception.detection.detectors import target_picture
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.ports import free_ports
 from hw.twin.scene import scene_of
-from hw.twin.targets import target_solids
+from hw.twin.targets import target_creatures, target_solids
 
 T = TypeVar("T", bound=msgspec.Struct)
 OF_THE_TANK = 3  # of its five robots, unless more are asked for: two cores render no more cameras at real time
@@ -98,12 +98,12 @@ def _lives_in_the_twin(fleet: Fleet, names: list[str], path: Path) -> None:
 def _has_its_targets(fleet: Fleet, path: Path) -> None:
     """The twin's scene has all targets, and what tells those that are no ball can be used."""
     scene = scene_of(fleet)
-    known = target_solids(fleet, scene, path)
+    known = {*target_solids(fleet, scene, path), *target_creatures(fleet, scene, path)}
     for name, target in fleet.target.items():
         if name not in known:
             raise ConfigError(
                 f"{path}: key 'target.{name}': nothing in scene '{scene.name}' has this name, so that nobody could "
-                f'judge the estimates; write name = "{name}" under a [[solid]] of the scene file'
+                f'judge the estimates; write name = "{name}" under a [[solid]] or [[creature]] of the scene file'
             )
         if target.picture is not None:
             target_picture(name, target, (fleet.camera.width_px, fleet.camera.height_px))

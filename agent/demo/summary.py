@@ -5,14 +5,18 @@ A run has a history for each target and robot. The verdict is over all of them.
 Of a ball the middle is measured, to the paper's figure. Of a thing in a box each robot measures a point of the surface
 that it sees, and what several of them agree on lies between such points: on the thing or in it. How far outside of it
 an estimate lies is what counts, beside the standard deviation that the robot itself states.
+
+Of what swims there is a track instead of a place (following.py).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+from agent.demo import following
+from agent.demo.history import Histories, History
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, Vector
 
@@ -20,38 +24,26 @@ PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 SIGMAS = 3.0  # how many of its own standard deviations an estimate may lie outside of a thing in a box
 
 
-class History(NamedTuple):
-    """What one robot showed about one target, newest last."""
-
-    states: list[State]
-
-    @property
-    def newest(self) -> State | None:
-        """The last state, if there is one."""
-        return self.states[-1] if self.states else None
-
-    def iterations(self) -> list[State]:
-        """The last state of each iteration."""
-        by_t = {state.t: state for state in self.states}
-        return [by_t[t] for t in sorted(by_t)]
-
-    def priors(self) -> list[Vector]:
-        """Each measurement once."""
-        by_number = {s.measurements: s.prior_m for s in self.states if s.prior_m is not None}
-        return [by_number[n] for n in sorted(by_number)]
-
-
-Histories = dict[str, dict[str, History]]  # by target, then by robot
-
-
-def summarize(fleet: Fleet, histories: Histories, truth: dict[str, Any], wall_s: float) -> dict[str, Any]:
-    """The content of summary.json, schema 1. `truth`: as the twin wrote it.
+def summarize(
+    fleet: Fleet,
+    histories: Histories,
+    truth: dict[str, Any],
+    wall_s: float,
+    followed: Mapping[str, dict[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """The content of summary.json, schema 1. `truth`: as the twin wrote it; `followed`: following.scored of each target
+    that swims.
 
     `targets` has every target; `truth_m` and `agents` are those of the first.
     """
     targets: dict[str, Any] = {}
     why = []
     for target, of_target in histories.items():
+        if followed is not None and target in followed:
+            targets[target] = followed[target]
+            found = following.reasons(followed[target])
+            why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in found]
+            continue
         truth_m: Vector = tuple(truth["target_m"][target])
         radii_m: Vector | None = tuple(truth["target_radii_m"][target]) if is_box(fleet, target) else None
         rows = {name: score(history, truth_m, radii_m) for name, history in of_target.items()}

@@ -16,7 +16,7 @@ from agent.kernel.config import ConfigError, Fleet, Target
 from agent.keys.key_files import private_file
 from agent.keys.key_folder import read_keys
 from agent.keys.robot_keys import keys_folder, robot_keys
-from agent.perception.detection.detectors import colours_too_alike, sought, target_picture
+from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
 from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.perception.tracking.follow import check_box
@@ -69,7 +69,8 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
         if target.detector == "box":
             yield tried(f"target {name}", partial(box_target, name, target, size))
         elif target.picture is not None:
-            found = tried(f"target {name}", partial(ball_sample, name, target, size))
+            sample = creature_sample if target.detector == "creature" else ball_sample
+            found = tried(f"target {name}", partial(sample, name, target, size))
             balls_can_be_read &= found.level == "ok"
             yield found
     if balls_can_be_read:
@@ -79,6 +80,12 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
 def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:
     """Raises ConfigError, as the agent does at its start."""
     sought(name, target, size)
+    return f"its colour is that of the box in {target.picture}"
+
+
+def creature_sample(name: str, target: Target, size: tuple[int, int]) -> str:
+    """Raises ConfigError, as the agent does at its start."""
+    creature_hues(name, target, size)
     return f"its colour is that of the box in {target.picture}"
 
 

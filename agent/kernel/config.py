@@ -41,19 +41,22 @@ class Water(Struct, frozen=True, kw_only=True):
 
 
 class Target(Struct, frozen=True, kw_only=True):
-    """What the robots look for: a ball, told from others by its colour, or whatever a box in a picture shows."""
+    """What the robots look for: a ball, told from others by its colour, whatever a box in a picture shows, or a
+    creature of a colour, whatever its shape."""
 
-    detector: Literal["ball", "box"] = "ball"
+    detector: Literal["ball", "box", "creature"] = "ball"
+    colour: Colour | None = None  # of a ball or a creature: red if not given
+    # of a creature: from nose to tail, about; what is seen of it bears as if all of it were there, give or take
+    length_m: Annotated[float, Meta(gt=0, le=2)] | None = None
     # of a ball
-    colour: Colour | None = None  # red if not given
     radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
     # of what swims by itself; both or neither
     speed_m_s: Annotated[float, Meta(gt=0, le=1)] | None = None
     turn_s: Annotated[float, Meta(ge=0.2, le=60)] | None = None  # how long it keeps a course, about
-    # of a box, or of a ball whose colour is sampled instead of named; files are looked for beside the fleet file
+    # of a box, or of a ball or creature whose colour is sampled, not named; files are looked for beside the fleet file
     picture: str | None = None  # taken by a camera of the fleet
-    # around the thing in it, or on a part of the ball: x, y, width, height in pixels
+    # around the thing in it, or on a part of the ball or creature: x, y, width, height in pixels
     box: tuple[float, float, float, float] | None = None
     models: str | None = None  # folder with NanoTrack's two files; without them a correlation filter follows it
 

@@ -36,9 +36,11 @@ def common(fleet: Fleet) -> str:
 def _target(target: Target) -> dict[str, Any]:
     """What it is. Pictures, the boxes in them and models are files, and each robot may have its own."""
     swims = {} if target.speed_m_s is None else {"speed_m_s": target.speed_m_s, "turn_s": target.turn_s}
-    if target.detector != "ball":
+    if target.detector == "box":
         return {"detector": target.detector, **swims}
-    size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
+    size: dict[str, Any] = {"length_m": target.length_m}
+    if target.detector == "ball":
+        size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
     return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
 
 

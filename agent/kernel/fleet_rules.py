@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MAX_PORT = 32767  # ports above are handed out by the kernel as ephemeral source ports
 
-MAY_LACK = ("colour", "models")  # of what belongs to a detector, what a target does without
+MAY_LACK = ("colour", "models", "length_m")  # of what belongs to a detector, what a target does without
 ALIKE = {"red": ("orange",), "orange": ("red",)}  # balls that cannot be told apart through water
 
 
@@ -83,7 +83,7 @@ def _tank_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     wearer: dict[str, str] = {}
     for name, target in fleet.target.items():
         yield from _target_rules(fleet, name)
-        if target.detector != "ball":
+        if target.detector == "box":
             continue
         if target.picture is not None:
             continue  # its colour is in the picture
@@ -99,7 +99,10 @@ def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
     """A target has what its detector needs, and nothing that belongs to the other one."""
     target, key = fleet.target[name], f"target.{name}"
     belongs = {"radius_m": "ball", "colour": "ball", "picture": "box", "box": "box", "models": "box"}
-    if target.detector == "ball" and (target.picture is not None or target.box is not None):
+    belongs["length_m"] = "creature"
+    if target.detector == "creature":
+        del belongs["colour"]
+    if target.detector != "box" and (target.picture is not None or target.box is not None):
         del belongs["picture"], belongs["box"]  # a sample of its colour
         if target.picture is None or target.box is None:
             yield key, "a sample of its colour takes `picture` and `box`; add the other one"
@@ -120,8 +123,8 @@ def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
         x, y, width, height = target.box
         if not (min(x, y) >= 0 and min(width, height) > 0):
             yield f"{key}.box", f"{list(target.box)} is no box; write [x, y, width, height], pixels"
-        if fleet.ranging.cues == "size" and target.detector == "box":
-            yield "ranging.cues", f"the size of '{name}' is not known; take 'both' or 'focus'"
+    if fleet.ranging.cues == "size" and target.radius_m is None and target.detector != "ball":
+        yield "ranging.cues", f"the size of '{name}' is not known; take 'both' or 'focus'"
 
 
 def _rate_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:

@@ -135,7 +135,7 @@ class Dive:
         self._advance(now_us, until_us)
         self.ticks += 1
         if self.school:
-            self.school.tick(self.states["position_m"], self.stage.solids(self.now_ns))
+            self.school.tick(self.states["position_m"], self.stage.solids(self.now_ns), self._flow.velocity_m_s)
         self._measure()
 
     def _advance(self, now_us: int, until_us: int) -> int:

@@ -1,11 +1,12 @@
-"""Which solid of the scene each target of a fleet is: known to the twin and to who judges a dive, never to an agent."""
+"""Which solid or creature of the scene each target of a fleet is: known to the twin and to who judges a dive, never to
+an agent."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from agent.kernel.config import ConfigError, Fleet
-from hw.twin.scene import Scene, Solid
+from hw.twin.scene import Creature, Scene, Solid
 
 
 def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Solid]:
@@ -15,6 +16,8 @@ def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Sol
     """
     found = {}
     for name, target in fleet.target.items():
+        if target.detector == "creature":
+            continue
         if target.detector == "ball":
             what = f"{target.ball_colour} {target.detector}"
             like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
@@ -29,6 +32,23 @@ def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Sol
                 f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; {remedy}"
             )
         found[name] = like[0]
+    return found
+
+
+def target_creatures(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Creature]:
+    """A creature is known by its name. A box target too may be one, where no solid has its name.
+
+    Raises ConfigError for a target that is one and of which nobody says how fast it swims: nobody could follow it.
+    """
+    swimming = {creature.name: creature for creature in scene.creature}
+    found = {
+        name: swimming[name] for name, target in fleet.target.items() if name in swimming and target.detector != "ball"
+    }
+    for name in found:
+        if fleet.target[name].speed_m_s is None:
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': it swims in scene '{scene.name}'; add `speed_m_s` and `turn_s`"
+            )
     return found
 
 

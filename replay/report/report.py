@@ -28,10 +28,13 @@ from replay.report import (
     figures_focus,
     figures_map,
     figures_posture,
+    figures_track,
+    track_tables,
 )
 from replay.report import (
     tables as report_tables,
 )
+from replay.report.creature_track import creature_track
 from replay.report.page_template import PAGE
 from replay.report.run import Run, open_run
 from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
@@ -139,6 +142,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             else [],
             [_svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
         ),
+        *_following(run),
         Section(
             "agreement",
             "Agreement",
@@ -215,6 +219,33 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
         ),
     ]
     return [section for section in sections if section.tables or section.figures]
+
+
+def _following(run: Run) -> Iterator[Section]:
+    """Of each target that swims and of which a twin has left the truth."""
+    folder = run.path if run.path.is_dir() else run.path.parent
+    start_ns = run.start_ns or 0
+    for target, about in run.fleet.target.items():
+        track = creature_track(folder, run.boxes, target) if about.speed_m_s is not None and run.boxes else None
+        if track is None or not track.ends_ns:
+            continue
+        tables = [track_tables.lost_table(run.fleet, track, start_ns)]
+        if run.summary and run.summary.get("targets", {}).get(target, {}).get("swims"):
+            tables.insert(0, track_tables.followed_table(run.summary, target))
+        yield Section(
+            f"track-{target}",
+            f"The track of {target}",
+            "First from above: black is where it truly swam, by the twin, dots are where each robot believed it to be "
+            "at each iteration. Then who saw it when, with how far off each robot was (dotted: three of the standard "
+            "deviations that it states; lines should stay below). Then whose sightings each robot's belief was made "
+            "of: while its own colour is missing it goes by the others' words.",
+            tables,
+            [
+                _svg(figures_track.track_above(run.fleet, track)),
+                _svg(figures_track.seen_when(run.fleet, track, start_ns)),
+                _svg(figures_track.made_of(run.fleet, track, start_ns)),
+            ],
+        )
 
 
 def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:

@@ -104,5 +104,6 @@ def _summary(run: Path) -> dict[str, Any] | None:
 def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
     if summary is None:
         return {}
-    first = {next(iter(fleet.target)): {"truth_m": summary["truth_m"]}}  # all that older summaries have
-    return {target: tuple(about["truth_m"]) for target, about in summary.get("targets", first).items()}
+    first: dict[str, dict[str, Any]] = {next(iter(fleet.target)): {"truth_m": summary["truth_m"]}}  # of older summaries
+    resting = {target: about for target, about in summary.get("targets", first).items() if not about.get("swims")}
+    return {target: tuple(about["truth_m"]) for target, about in resting.items()}

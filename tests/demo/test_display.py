@@ -4,9 +4,13 @@ import io
 
 from rich.console import Console
 
-from agent.demo.display import progress_table, result_table
-from agent.demo.summary import History
+from agent.demo.display import progress_table, result_table, verdict
+from agent.demo.following import score
+from agent.demo.history import History
+from agent.fleet_files import fleet_file
+from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import NeighbourState, State
+from tests.swum_track import swum
 
 NEIGHBOURS = tuple(NeighbourState(robot=f"r{k}", age_s=0.1, valid=True) for k in (2, 3, 4, 5))
 STATE = State(
@@ -73,3 +77,14 @@ def test_a_thing_in_a_box_has_columns_of_its_own() -> None:
     r1, r2 = (line.split() for line in text.splitlines() if line.split()[:1] in (["r1"], ["r2"]))
     assert r1 == ["r1", "9", "50", "-24.0", "+1.5", "+0.4", "1.3", "8.0"]
     assert r2 == ["r2", "never", "50", "-", "-"]
+
+
+def test_a_track_is_shown_with_the_bars_that_it_missed() -> None:
+    fleet = load_fleet(fleet_file("fish"))
+    about = score(swum(lost=range(60)), fleet, "fish")
+    summary = {"protocol": "evidence", "seed": 1, "verdict": "pass", "reasons": [], "targets": {"fish": about}}
+    text = shown(result_table(summary, "fish"))
+    assert max(map(len, text.splitlines())) <= 80 and "…" not in text
+    assert "40 s" in text and "30.0" in text and "85.0 %" in text
+    assert "missed: by two 95 %, by each 88 %, track 25 mm rms, NEES" in " ".join(text.split())
+    assert verdict(summary).startswith("pass: one robot at least saw it for 95 % of the time")

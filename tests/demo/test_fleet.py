@@ -17,6 +17,8 @@ from agent.kernel.toml_files import dump
 
 TANK = shipped_fleet().read_text()
 NO_TWIN = TANK.replace('camera = "twin:r2"', 'camera = "v4l2:/dev/video0"').replace('"twin:r2"', '"/dev/ttyACM0"')
+FISH = fleet_file("fish").read_text()
+EEL = FISH.replace("target.fish", "target.eel").replace('"fish", s', '"eel", s')
 BOX = 'detector = "box"\npicture = "rock.png"\nbox = [0, 0, 9, 9]'
 ROCK = TANK.replace("[target.ball]", "[target.rock]").replace('detector = "ball"\nradius_m = 0.07', BOX)
 NETS = 'big.png"\nmodels = "nets'
@@ -26,7 +28,15 @@ SCENE = '\n[twin]\nscene = "SCENE"\n'
 
 @pytest.mark.parametrize(
     ("name", "asked", "robots"),
-    [("tank", None, 3), ("tank", 5, 5), ("two_balls", None, 3), ("pair", None, 2), ("pair", 1, 1), ("five", None, 5)],
+    [
+        ("tank", None, 3),
+        ("tank", 5, 5),
+        ("two_balls", None, 3),
+        ("pair", None, 2),
+        ("pair", 1, 1),
+        ("five", None, 5),
+        ("fish", 2, 2),
+    ],
 )
 def test_all_robots_of_a_file_dive_and_three_of_the_tank(
     name: str, asked: int | None, robots: int, tmp_path: Path
@@ -69,6 +79,8 @@ def test_what_is_not_asked_for_is_as_the_file_has_it(tmp_path: Path) -> None:
             None,
             r"nets.nanotrack_backbone_sim.onnx: no such",
         ),
+        (EEL, None, r"'target.eel': nothing in scene 'fish'"),
+        (FISH.replace("speed_m_s", "# ").replace("turn_s", "# "), None, r"'target.fish': it swims .* add `speed_m_s`"),
         (TANK + SCENE.replace("SCENE", "two"), None, "scene 'two': no such scene; give one of .*tank, two_balls"),
     ],
 )

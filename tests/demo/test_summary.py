@@ -6,7 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.demo.display import verdict
-from agent.demo.summary import History, first_below, outside_m, reasons, score, settled, summarize
+from agent.demo.history import History
+from agent.demo.summary import first_below, outside_m, reasons, score, settled, summarize
 from agent.fleet_files import fleet_file
 from agent.kernel.config import Target
 from agent.kernel.fleet_reader import load_fleet

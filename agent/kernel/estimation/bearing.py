@@ -59,6 +59,30 @@ def bearing(
     return Bearing(x_m, information, t_ns)
 
 
+def ranged(
+    line: Bearing,
+    origin_m: Vector,
+    direction: Vector,
+    range_m: float,
+    range_sigma_m: float,
+    believed: Vector | None = None,
+) -> Bearing:
+    """The same line from origin_m, a bearing without a range, with what is known of its range: too little to place the
+    target across by it, too much to be thrown away.
+
+    It counts along the axis that the line says nothing about, so that many such lines from one place know no more of
+    the range than is put in here. direction, believed: as for the bearing.
+    """
+    n = unit(direction)
+    if believed is not None and any(believed) and _dot(n, towards := unit(believed)) > NEAR:
+        n = towards
+    x, y, z = line.x_m
+    along_m = _dot((x - origin_m[0], y - origin_m[1], z - origin_m[2]), n)
+    by_m = range_m - along_m
+    information = plus(line.information, times(1.0 / max(range_sigma_m, R_FLOOR_M) ** 2, outer(n)))
+    return Bearing((x + by_m * n[0], y + by_m * n[1], z + by_m * n[2]), information, line.t_ns)
+
+
 def unit(v: Vector) -> Vector:
     """Of length 1; v is not 0."""
     length = math.sqrt(_dot(v, v))

@@ -1,7 +1,8 @@
-"""Whatever finds a target in a frame, behind one interface: a ball by colour and shape, all else by what a box showed.
+"""Whatever finds a target in a frame, behind one interface: a ball by colour and shape, a creature by colour alone, all
+else by what a box showed.
 
-A ball is found in each frame by itself. A thing in a box is followed from frame to frame, and first looked for in the
-whole picture, in many sizes, by its likeness to the picture in which the box was drawn.
+A ball or a creature is found in each frame by itself. A thing in a box is followed from frame to frame, and first
+looked for in the whole picture, in many sizes, by its likeness to the picture in which the box was drawn.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from agent.kernel.config import Colour, ConfigError, Fleet, Target
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.perception.detection.colour import NAMED, ColourModel, Sample, sampled
 from agent.perception.detection.colours_apart import Sought, mistaken_in, named_paint
+from agent.perception.detection.creature import STRONG, Hues, find_creature, named_hues, sampled_hues
 from agent.perception.detection.detect import find_ball
 from agent.perception.tracking.box import Box, Image
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
@@ -68,6 +70,22 @@ class BallDetector:
         return Found(ball.centre_px, ball.score, ball.radius_px, radius_sigma_px=ball.radius_sigma_px)
 
 
+class CreatureDetector:
+    """A coloured animal, whatever its shape, in a box around all that shows of it."""
+
+    remembers = False
+
+    def __init__(self, hues: Hues) -> None:
+        self._hues = hues
+
+    def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
+        found = find_creature(image, self._hues)
+        if found is None:
+            return None
+        box = Box(found.x0, found.y0, found.x1 - found.x0, found.y1 - found.y0)
+        return boxed(box, min(0.5 * found.strength / STRONG, 1.0), offset_px)
+
+
 class BoxDetector:
     """What a follower knows, who has been told to start or to expect something. Wants whole frames of one size."""
 
@@ -89,12 +107,31 @@ def boxed(box: Box, score: float, offset_px: tuple[int, int] = (0, 0)) -> Found:
 
 def load_detectors(fleet: Fleet, camera: CameraFit) -> Mapping[str, Detector]:
     """One for each target. Raises ConfigError for a picture or models that are not there or do not fit."""
-    return {
-        name: _box_detector(name, target, (camera.width_px, camera.height_px))
-        if target.detector == "box"
-        else BallDetector(camera, _colour(name, target, (camera.width_px, camera.height_px)))
-        for name, target in fleet.target.items()
-    }
+    size = camera.width_px, camera.height_px
+    return {name: _detector(name, target, size, camera) for name, target in fleet.target.items()}
+
+
+def _detector(name: str, target: Target, size: tuple[int, int], camera: CameraFit) -> Detector:
+    match target.detector:
+        case "box":
+            return _box_detector(name, target, size)
+        case "creature":
+            return CreatureDetector(creature_hues(name, target, size))
+        case "ball":
+            return BallDetector(camera, _colour(name, target, size))
+
+
+def creature_hues(name: str, target: Target, size: tuple[int, int]) -> Hues:
+    """Those of a creature that is a target. Raises ConfigError for a picture or box that shows no colour."""
+    if target.box is None:
+        return named_hues(target.ball_colour)
+    hues = sampled_hues(target_picture(name, target, size), target.box)
+    if hues is None:
+        raise ConfigError(
+            f"{target.picture}: the box of target '{name}' is as grey as the rest; draw it on the coloured creature, "
+            'or follow it by its look, with detector = "box"'
+        )
+    return hues
 
 
 def _colour(name: str, target: Target, size: tuple[int, int]) -> Colour | ColourModel:

@@ -32,10 +32,12 @@ class School:
     def __bool__(self) -> bool:
         return bool(self.creatures)
 
-    def tick(self, robots_m: NDArray[np.float64], solids: Sequence[Solid]) -> None:
-        """Swim on by 10 ms. robots_m: (n, 3) centres."""
+    def tick(
+        self, robots_m: NDArray[np.float64], solids: Sequence[Solid], current_m_s: Vector = (0.0, 0.0, 0.0)
+    ) -> None:
+        """Swim on by 10 ms in water that flows. robots_m: (n, 3) centres."""
         robots = [Thing((x, y, z), ROBOT_M) for x, y, z in robots_m.tolist()]
-        water = Water(self._water.size_m, _stones(solids), robots)
+        water = Water(self._water.size_m, _stones(solids), robots, current_m_s)
         for swimmer in self._swimmers.values():
             swimmer.tick(water, TICK_S)
 

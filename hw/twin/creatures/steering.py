@@ -26,6 +26,7 @@ class Water(NamedTuple):
     size_m: Vector
     stones: Sequence[Thing] = ()
     robots: Sequence[Thing] = ()
+    current_m_s: Vector = (0.0, 0.0, 0.0)  # everywhere the same
 
 
 def pushes(place_m: Vector, length_m: float, water: Water) -> Vector:

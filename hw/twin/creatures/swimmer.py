@@ -1,8 +1,9 @@
 """One creature: a fish that wanders, shies, hides behind stones and rests, or swims from point to point.
 
-Its speed follows what it wants with a lag. Its turning is an Ornstein-Uhlenbeck rate, with what it shies from on top.
-All figures of temper are assumed; the beat of the tail is not: fish gain some 0.65 of their length with each
-(Bainbridge 1958; Videler, Fish Swimming, 1993), and beat as wide at all but the lowest speeds.
+Its speed through the water, which takes it along, follows what it wants with a lag; who rests holds its place. Its
+turning is an Ornstein-Uhlenbeck rate, with what it shies from on top. All figures of temper are assumed; the beat of
+the tail is not: fish gain some 0.65 of their length with each (Bainbridge 1958; Videler, Fish Swimming, 1993), and beat
+as wide at all but the lowest speeds.
 """
 
 from __future__ import annotations
@@ -90,11 +91,16 @@ class Swimmer:
         heading += turn_rad_s * dt_s
         pitch_rad = min(max(pitch_rad, -STEEPEST_RAD), STEEPEST_RAD)
         pitch += (pitch_rad - pitch) * -math.expm1(-dt_s / PITCH_LAG_S)
+        speed_m_s, drift_m_s = self._speed_m_s, water.current_m_s
+        if self.doing is Doing.REST:  # it swims as fast as the water, against it
+            speed_m_s, drift_m_s = max(speed_m_s, math.hypot(*drift_m_s)), (0.0, 0.0, 0.0)
         way_m = self._speed_m_s * dt_s
         level_m = way_m * math.cos(pitch)
-        to = (x + level_m * math.cos(heading), y + level_m * math.sin(heading), z + way_m * math.sin(pitch))
-        beat += 2 * math.pi * way_m / (STRIDE * self.length_m)
-        width = min(self._speed_m_s / (FULL_BEAT * self.length_m), 1.0)
+        by_m = (level_m * math.cos(heading), level_m * math.sin(heading), way_m * math.sin(pitch))
+        dx, dy, dz = (own + drift * dt_s for own, drift in zip(by_m, drift_m_s, strict=True))
+        to = (x + dx, y + dy, z + dz)
+        beat += 2 * math.pi * speed_m_s * dt_s / (STRIDE * self.length_m)
+        width = min(speed_m_s / (FULL_BEAT * self.length_m), 1.0)
         self.attitude = Attitude(*allowed(to, self.length_m, water), heading, pitch, beat, width)
 
     # --- what it wants --------------------------------------------------------------------------------------------

@@ -40,6 +40,12 @@ class Flow:
         for i in range(len(robots)):
             self._wander(1 + i, pull.force_n / math.sqrt(2), pull.correlation_s)
 
+    @property
+    def velocity_m_s(self) -> Vector:
+        """Of the water now."""
+        x, y, z = self._now_m_s.tolist()
+        return x, y, z
+
     def set_current(self, velocity_m_s: Vector) -> None:
         """Another constant part from now on."""
         self._mean_m_s, self.active = np.array(velocity_m_s), True

@@ -68,6 +68,41 @@ def test_a_balls_size_says_how_far_it_is_where_it_may() -> None:
     assert by_edge < along < 1.4 * by_edge, "the rest is the ball's own tolerance and the picture's scale"
 
 
+def test_what_is_hidden_of_a_creature_widens_its_line() -> None:
+    here, fish = eye(), Target(detector="creature", length_m=0.15)
+    d = np.linalg.norm(np.array(to_camera(here, THERE)) - [0.0, 0.0, CAMERA.ahead_m])
+    whole_px = 0.15 * CAMERA.f_px / d
+
+    def sigma_m(shown: float, target: Target = fish) -> float:
+        of = outline(here, size_px=(shown * whole_px, 0.2 * shown * whole_px))
+        found = sight_line(CAMERA, here, of, target, EXACT, 0.0, THERE, T_NS, 1.0, sized=False)
+        return 1.0 / math.sqrt(np.linalg.eigvalsh(matrix(found.information))[2])
+
+    assert sigma_m(1.0) == pytest.approx(0.1 * 0.15, rel=0.03), "a tenth of its length"
+    assert sigma_m(0.6) == pytest.approx(sigma_m(1.0), rel=1e-3), "aslant as well"
+    assert sigma_m(0.1) == pytest.approx(math.hypot(0.1, 0.25) * 0.15, rel=0.03), "a tail beside a stone"
+    assert sigma_m(0.1, Target(detector="box")) < 0.2 * sigma_m(0.1), "of unknown length: by what shows"
+
+
+def test_a_creatures_size_says_a_little_of_how_far_it_is_and_nothing_across() -> None:
+    here, fish = eye(), Target(detector="creature", length_m=0.15)
+    origin = np.array(here.position_m) + CAMERA.ahead_m * np.array(apply(here.rotation, (0.0, 0.0, 1.0)))
+    d = float(np.linalg.norm(THERE - origin))
+    side_px = 0.5 * 0.15 * CAMERA.f_px / (1.3 * d)  # it seems to be 1.3 times as far as it is
+    for believed in (THERE, None):
+        of = outline(here, size_px=(2.0 * side_px, 0.5 * side_px))
+        found = sight_line(CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed, T_NS, 1.0)
+        plain = sight_line(CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed or found.x_m, T_NS, 1.0, sized=False)
+        along = (THERE - origin) / d
+        assert np.array(found.x_m) - origin == pytest.approx(1.3 * d * along, rel=0.01)
+        weight = matrix(found.information) - matrix(plain.information)
+        assert weight == pytest.approx(np.outer(along, along) / (0.4**2 * 10 * (1.3 * d) ** 2), abs=0.01)
+    same = sight_line(
+        CAMERA, here, outline(here, size_px=(9.0, 9.0)), Target(detector="box"), EXACT, 0.0, THERE, T_NS, 1.0
+    )
+    assert abs(along @ matrix(same.information) @ along) < 1e-6, "of a box nobody knows the size"
+
+
 def test_its_covariance_is_that_of_draws() -> None:
     """Of the robot's pose, of what stays in it, and of the gimbal; across the line, in the robot's own belief."""
     rng, sigma, stays = np.random.default_rng(3), np.array([0.004, 0.006, 0.008]), np.array([0.003, 0.002, 0.004])

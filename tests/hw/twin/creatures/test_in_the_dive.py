@@ -16,7 +16,7 @@ from hw.twin.dive import Dive
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.outline import Outline
 from hw.twin.physics.tank import TICK_NS
-from hw.twin.scene import load_scene
+from hw.twin.scene import Current, load_scene
 from tests.hw.twin.devices.test_camera_device import Notebook
 
 FLEET = load_fleet(Path(__file__).parent.parent / "swim.toml")
@@ -37,6 +37,13 @@ def test_robots_are_where_they_are_without_creatures():
     assert alone.states.tobytes() == together.states.tobytes()
     assert alone._readings_pa == together._readings_pa
     assert not alone.school and alone.history.creatures_at(0) == []
+
+
+def test_the_current_takes_a_creature_along():
+    flowing = msgspec.structs.replace(SCENE, current=Current(velocity_m_s=(0.1, 0.0, 0.0)))
+    still = msgspec.structs.replace(SCENE, current=Current())
+    with_it, without = (np.array(dived(scene, 60).school.attitudes[0][:3]) for scene in (flowing, still))
+    np.testing.assert_allclose(with_it - without, (0.06, 0.0, 0.0), atol=0.01)
 
 
 def test_cameras_see_a_creature_where_it_was_then():

@@ -144,3 +144,23 @@ def test_what_has_no_place_is_said_at_the_start(creature, says):
 def test_two_of_one_name_are_refused():
     with pytest.raises(ConfigError, match="two are called 'fish'"):
         School([FISH, FISH], 0, SIZE_M, [Solid(kind="ball", position_m=(1, 1, 0.1), radii_m=(0.1, 0.1, 0.1))])
+
+
+def test_the_current_takes_it_along_while_it_swims_and_not_while_it_rests():
+    current_m_s, ticks = (0.04, -0.02, 0.0), 300
+    still, flowing = (School([FISH], 0, (40.0, 40.0, 20.0), ()) for _ in range(2))
+    for _ in range(ticks):
+        still.tick(np.zeros((0, 3)), ())
+        flowing.tick(np.zeros((0, 3)), (), current_m_s)
+    apart_m = np.array(flowing.attitudes[0][:3]) - still.attitudes[0][:3]
+    np.testing.assert_allclose(apart_m, np.array(current_m_s) * ticks * TICK_S, atol=1e-9)
+    swimmer = flowing._swimmers["fish"]
+    swimmer._begin(Doing.REST)
+    swimmer._left_s = 10.0
+    for _ in range(400):
+        flowing.tick(np.zeros((0, 3)), (), current_m_s)
+    before = flowing.attitudes[0]
+    flowing.tick(np.zeros((0, 3)), (), current_m_s)
+    after = flowing.attitudes[0]
+    assert np.linalg.norm(np.array(after[:3]) - before[:3]) < 1e-6
+    assert after.beat_rad > before.beat_rad
