@@ -51,11 +51,11 @@ def cast(at: Vector, way: Vector, grid: Grid, cells: Mapping[int, int]) -> tuple
     tracing, Eurographics 1987)."""
     if not all(0.0 < p < size for p, size in zip(at, grid.size_m, strict=True)):
         return None
-    cell_m, (nx, ny, _) = grid.cell_m, grid.count
+    cell_m, (nx, ny, _) = grid.cell_m, grid.shape
     steps, nexts, strides, ends, index = [], [], [], [], 0
     exit_z, exit_axis = FAR, 2
     for axis, (p, w, size, stride) in enumerate(zip(at, way, grid.size_m, (1, nx, nx * ny), strict=True)):
-        k = min(int(p / cell_m), grid.count[axis] - 1)
+        k = min(int(p / cell_m), grid.shape[axis] - 1)
         index += k * stride
         step = 1 if w > 0.0 else -1
         if w == 0.0:
@@ -100,7 +100,7 @@ def cast(at: Vector, way: Vector, grid: Grid, cells: Mapping[int, int]) -> tuple
 
 
 def _is_inner(number: int, grid: Grid) -> bool:
-    nx, ny, _ = grid.count
+    nx, ny, _ = grid.shape
     i, j = number % nx, number // nx % ny
     return number >= nx * ny and 0 < i < nx - 1 and 0 < j < ny - 1
 

@@ -73,7 +73,7 @@ class CoverageMap:
 
     def is_inner(self, number: int) -> bool:
         """Whether a cell is on none of the tank's faces."""
-        nx, ny, _ = self.grid.count
+        nx, ny, _ = self.grid.shape
         i, j, k = number % nx, number // nx % ny, number // (nx * ny)
         return 0 < i < nx - 1 and 0 < j < ny - 1 and k > 0
 

@@ -19,14 +19,14 @@ class Grid(NamedTuple):
     """x fastest, then y, then z."""
 
     cell_m: float
-    count: tuple[int, int, int]
+    shape: tuple[int, int, int]
     size_m: Vector  # of the water: length, breadth, height of the surface
     goal: int  # information of a cell that is seen well enough
     wanted: frozenset[int]  # cells of the faces that shall be seen
 
     def number(self, x: float, y: float, z: float) -> int | None:
         """The cell of a place; what a measurement puts up to a cell outside is on the wall. None: farther outside."""
-        nx, ny, nz = self.count
+        nx, ny, nz = self.shape
         i, j, k = _floor(x / self.cell_m), _floor(y / self.cell_m), _floor(z / self.cell_m)
         if not (-1 <= i <= nx and -1 <= j <= ny and -1 <= k < nz):
             return None
@@ -61,7 +61,7 @@ def expected_mm(z_m: float) -> float:
     return SIGMA_MM + SIGMA_MM_M2 * z_m * z_m
 
 
-def _face(face: Face, count: tuple[int, int, int]) -> Iterator[int]:
+def _face(face: Face, shape: tuple[int, int, int]) -> Iterator[int]:
     nx, ny, nz = count
     xs, ys, zs = range(nx), range(ny), range(nz)
     if face == "floor":

@@ -1,0 +1,61 @@
+"""The clarity peaks of a sweep's blocks, and where the camera was, as a keyframe."""
+
+from __future__ import annotations
+
+import math
+
+from agent.kernel.coverage.keyframe import BEND_ONE, MOST_BLOCKS, PX_ONE, UNIT_M, Blocks, Frame, Lens, place_of, quantised
+from agent.kernel.coverage.rays import quaternion
+from agent.kernel.ranging.calibration import Calibration, CameraFit, at_lens_position
+from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.ranging.focus import h, range_variance
+from agent.kernel.ranging.lens_sag import at_tilt
+from agent.kernel.step_io import BlockPeaks
+
+ACROSS, DOWN = 25, 19
+
+
+def block_px(camera: CameraFit) -> int:
+    """Side of the blocks of a picture: as many as a keyframe can hold."""
+    side = max(camera.width_px // ACROSS, camera.height_px // DOWN, 8)
+    while (camera.width_px // side) * (camera.height_px // side) > MOST_BLOCKS:
+        side += 1
+    return side
+
+
+def lens_of(camera: CameraFit, lens_position: float | None) -> tuple[Lens, int]:
+    """Where the blocks of a picture look, and how many rows of them there are; blocks begin at the upper left."""
+    side, at = block_px(camera), at_lens_position(camera, lens_position)
+    # A pixel's centre is a whole number, the corner of the first block half a pixel before.
+    lens = Lens(
+        round(at.f_px * PX_ONE),
+        round((at.cx_px + 0.5) * PX_ONE),
+        round((at.cy_px + 0.5) * PX_ONE),
+        round(at.bend * BEND_ONE),
+        round(at.ahead_m / UNIT_M),
+        side,
+        camera.width_px // side,
+    )
+    return lens, camera.height_px // side
+
+
+def frame_of(
+    peaks: BlockPeaks, eye: Eye, calibration: Calibration, origin: str, incarnation: int, number: int
+) -> Frame | None:
+    """The keyframe of one sweep; None where no block has a depth."""
+    lens, rows = lens_of(calibration.camera, peaks.focus)
+    if (peaks.cols, peaks.block_px, peaks.rows) != (lens.cols, lens.block, rows):
+        return None
+    forward = eye.rotation[2][2]  # of the optical axis upwards
+    fit = at_tilt(calibration.focus, math.asin(min(max(forward, -1.0), 1.0)))
+    count = lens.cols * rows
+    depths: list[float | None] = [None] * count
+    sigmas = [0.0] * count
+    for k, position, sigma in peaks.peaks:
+        if k < count and (z_m := h(fit, position)) is not None:
+            depths[k], sigmas[k] = z_m, math.sqrt(sum(range_variance(fit, position, sigma)))
+    if all(z_m is None for z_m in depths):
+        return None
+    packed = quantised(Blocks(lens.cols, tuple(depths), tuple(sigmas)))
+    place, turn = place_of(eye.position_m), quaternion(eye.rotation)
+    return Frame(origin, incarnation, number, place, turn, lens, *packed)
