@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-from agent.kernel.coverage.claim import Claim
-from agent.kernel.coverage.keyframe import Keyframe
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
 from agent.kernel.presence import Presence
 
@@ -104,7 +104,9 @@ class Heard(Message, frozen=True, kw_only=True):
     arrived_ns: int
     src: Id  # from the key it came on
     payload: bytes
-    topic: Literal["near", "claim", "keyframe"] | UnsetType = UNSET  # the row of topics.py that its key is of; unset: link
+    topic: Literal["near", "claim", "keyframe"] | UnsetType = (
+        UNSET  # the row of topics.py that its key is of; unset: link
+    )
 
 
 class DroppedPayloads(Message, frozen=True, kw_only=True):

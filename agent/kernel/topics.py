@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal, NamedTuple
 
-from agent.kernel.coverage.claim import Claim
-from agent.kernel.coverage.keyframe import Keyframe
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
 from agent.kernel.presence import Presence
 
@@ -108,3 +108,9 @@ def _match(pattern: list[str], parts: list[str]) -> dict[str, str] | None:
 def target_chunk(targets: Collection[str], target: str) -> dict[str, str]:
     """The chunk that tells the targets of a fleet apart, for `key`; none where there is one target."""
     return {"target": target} if len(targets) > 1 else {}
+
+
+def next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:
+    """The next time on a period's grid, so that steps that come a little late do not lower the rate; a grid that is
+    more than a period behind starts anew."""
+    return due_ns + period_ns if now_ns - due_ns < period_ns else now_ns + period_ns

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from agent.kernel.config import Body, Pose
 from agent.kernel.coverage.cast import beam, expected, gain
-from agent.kernel.coverage.claim import View
 from agent.kernel.coverage.grid import Grid
-from agent.kernel.coverage.keyframe import Lens, place_of
 from agent.kernel.coverage.rays import quaternion
+from agent.kernel.keyframes.claim import View
+from agent.kernel.keyframes.keyframe import Lens, place_of
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
 from agent.kernel.ranging.camera_model import camera_pose

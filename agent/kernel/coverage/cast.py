@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from agent.kernel.coverage.evidence import ALONE_COS
 from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, Grid, expected_mm, information
-from agent.kernel.coverage.keyframe import Lens, Place, Quaternion
 from agent.kernel.coverage.rays import Slopes, along, place_m, rotation, slope
+from agent.kernel.keyframes.keyframe import Lens, Place, Quaternion
 from agent.kernel.messages import Vector
 
 ACROSS, DOWN = 9, 7  # rays of a view: as many blocks stand for one

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import msgspec
 
 from agent.kernel.coverage.grid import FARTHEST_M, FLOOR_MM, NEAREST_M, Grid, information
-from agent.kernel.coverage.keyframe import UNIT_M, Frame, measured
 from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
+from agent.kernel.keyframes.keyframe import UNIT_M, Frame, measured
 from agent.kernel.messages import Vector
 
 STARTS = 4

@@ -16,9 +16,9 @@ from msgspec.structs import replace
 
 from agent.kernel.codec import Refusal
 from agent.kernel.config import Fleet
-from agent.kernel.coverage.claim import SHORT_MASK, Claim, Has, View, claim_fault
 from agent.kernel.coverage.evidence import CoverageMap, Key
-from agent.kernel.coverage.keyframe import Frame, Keyframe, frame_fault
+from agent.kernel.keyframes.claim import SHORT_MASK, Claim, Has, View, claim_fault
+from agent.kernel.keyframes.keyframe import Frame, Keyframe, frame_fault
 from agent.kernel.trust.letters import Letters
 from agent.kernel.trust.transit import CLOCKS_NS
 
@@ -46,7 +46,7 @@ class Exchange:
         self._seqs = {neighbour: 0 for neighbour in self.letters.senders}
         self._said = self._due_ns = self._send_due_ns = self._folds = 0
 
-    def begin_step(self) -> None:
+    def end_step(self) -> None:
         self._folds = 0
 
     def hear_claim(self, src: str, claim: Claim, arrived_ns: int) -> None:
@@ -78,12 +78,13 @@ class Exchange:
         """Views that others are about to take, in the order of their names."""
         found = []
         for name, sender in self.letters.senders.items():
-            if sender.newest is None or sender.newest.message.view is UNSET:
-                continue
             letter = sender.newest
+            view = UNSET if letter is None else letter.message.view
+            if letter is None or view is UNSET:
+                continue
             lasts_ns = min(letter.message.until_ns - letter.message.sent_ns, LONGEST_NS)
             if now_ns < letter.arrived_ns - letter.late_ns + lasts_ns:
-                found.append((name, letter.message.view))
+                found.append((name, view))
         return tuple(found)
 
     def send(self, now_ns: int) -> tuple[Keyframe, ...]:
@@ -126,7 +127,9 @@ class Exchange:
         """Neighbours whose newest word says that their map is the same as ours."""
         mine = self.known.digest()
         return tuple(
-            name for name, sender in self.letters.senders.items() if sender.newest and sender.newest.message.digest == mine
+            name
+            for name, sender in self.letters.senders.items()
+            if sender.newest and sender.newest.message.digest == mine
         )
 
     def _speaks(self, origin: str, now_ns: int) -> bool:
@@ -189,4 +192,3 @@ def _is_in(has: Has | None, number: int) -> bool:
         return False
     beyond = number - has.upto - 2
     return number <= has.upto or (0 <= beyond < SHORT_MASK and has.beyond >> beyond & 1 == 1)
-

@@ -62,7 +62,7 @@ def expected_mm(z_m: float) -> float:
 
 
 def _face(face: Face, shape: tuple[int, int, int]) -> Iterator[int]:
-    nx, ny, nz = count
+    nx, ny, nz = shape
     xs, ys, zs = range(nx), range(ny), range(nz)
     if face == "floor":
         zs = range(1)

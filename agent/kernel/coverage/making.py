@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import math
 
-from agent.kernel.coverage.keyframe import BEND_ONE, MOST_BLOCKS, PX_ONE, UNIT_M, Blocks, Frame, Lens, place_of, quantised
 from agent.kernel.coverage.rays import quaternion
+from agent.kernel.keyframes.keyframe import (
+    BEND_ONE,
+    MOST_BLOCKS,
+    PX_ONE,
+    UNIT_M,
+    Blocks,
+    Frame,
+    Lens,
+    place_of,
+    quantised,
+)
 from agent.kernel.ranging.calibration import Calibration, CameraFit, at_lens_position
 from agent.kernel.ranging.camera_model import Eye
 from agent.kernel.ranging.focus import h, range_variance

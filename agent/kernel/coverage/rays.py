@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from agent.kernel.coverage.keyframe import BEND_ONE, PX_ONE, TURN_ONE, UNIT_M, Lens, Place, Quaternion
+from agent.kernel.keyframes.keyframe import BEND_ONE, PX_ONE, TURN_ONE, UNIT_M, Lens, Place, Quaternion
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.camera_model import Rotation
 

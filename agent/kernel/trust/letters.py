@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Generic, NamedTuple, TypeVar
 
 from agent.kernel.codec import Refusal
-from agent.kernel.coverage.claim import Claim
-from agent.kernel.coverage.keyframe import Keyframe
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import Estimate
 from agent.kernel.presence import Presence
 from agent.kernel.trust.transit import CLOCKS_NS, Transit

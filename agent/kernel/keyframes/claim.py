@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-from agent.kernel.coverage.keyframe import MOST_NUMBER, Lens, Place, Quaternion, pose_fault
+from agent.kernel.keyframes.keyframe import MOST_NUMBER, Lens, Place, Quaternion, pose_fault
 from agent.kernel.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, Vector, means
 
 SHORT_MASK = 32  # numbers after the first that is missing, of which it is said whether they are held
