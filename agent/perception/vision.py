@@ -22,7 +22,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import BlockPeaks, Sighting, SweepPlan
 from agent.perception.clarity.block_sweep import BlockSweep
-from agent.perception.clarity.region import UNSEEN, Clarity, around, box_clarity, disc_clarity, prepare
+from agent.perception.clarity.region import UNSEEN, around, prepare, target_clarity
 from agent.perception.detection.detectors import Detector, Found
 from agent.perception.enhancement.enhance import one_thread
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
@@ -194,7 +194,7 @@ class Vision:
         landmarks.rested(sharp, self._lens_position)
 
     def _survey(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
-        """A sweep over whole frames, of no target; each is looked at as between sweeps, so that none is missed."""
+        """A sweep over whole frames, of no target."""
         view = BlockSweep(plan, self._camera)
         self._lens_position = camera.set_focus(plan.focus[0])
         self._wait(part, HOMING_S, until_plan=True)
@@ -268,7 +268,7 @@ class Vision:
         find = partial(detector.find, offset_px=(frame.roi.x, frame.roi.y), lens_position=lens_position)
         enhance = self._settings.enhance and not detector.remembers
         found = self._enhancer.look(find, frame, self._whole) if enhance else find(frame.image)
-        clarity, area_px = UNSEEN if found is None else target_clarity(frame, found, first)
+        clarity, area_px = UNSEEN if found is None else target_clarity(frame, found.centre_px, found, first)
         return Sighting(
             t_ns=frame.t_ns + self._clock.camera_offset_ns,
             frame=frame.seq,
@@ -295,11 +295,3 @@ class Vision:
                 if not part.wait_changed(self._changed, until_ns):
                     break
             self._part = None
-
-
-def target_clarity(frame: Frame, found: Found, first: Sighting | None) -> Clarity:
-    """Clarity over a part as large as in the sweep's first frame: areas stay comparable while the blur changes."""
-    if found.size_px is not None:
-        return box_clarity(frame, found.centre_px, (first and first.size_px) or found.size_px)
-    assert found.radius_px is not None  # a ball
-    return disc_clarity(frame, found.centre_px, (first and first.radius_px) or found.radius_px)
