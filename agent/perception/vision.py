@@ -23,7 +23,7 @@ from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import BlockPeaks, Sighting, SweepPlan
 from agent.perception.clarity.block_sweep import BlockSweep
 from agent.perception.clarity.region import UNSEEN, around, prepare, target_clarity
-from agent.perception.detection.detectors import Detector, Found
+from agent.perception.detection.detectors import Detector
 from agent.perception.enhancement.enhance import one_thread
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from agent.perception.frame_checks import FrozenWatch, broke_off, check

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from agent.kernel.config import Body, Pose
-from agent.kernel.coverage.cast import beam, expected, gain
+from agent.kernel.coverage.cast import Beam, beam, expected, gain, solid
 from agent.kernel.coverage.grid import Grid
 from agent.kernel.coverage.rays import quaternion
 from agent.kernel.keyframes.claim import View
@@ -88,11 +88,24 @@ def view_of(station: Station, where: Where) -> View:
 def with_claims(cells: Mapping[int, int], views: Iterable[View], grid: Grid) -> dict[int, int]:
     """The map as it will be when others have seen what they are about to see. What each adds goes by the map as it
     is, so that the order of the claims does not count."""
-    found = dict(cells)
+    found, stops = dict(cells), solid(grid, cells)
     for view in views:
-        for number, weight in expected(beam(view.lens, view.rows), view.place, view.turn, grid, cells).items():
+        for number, weight in expected(beam(view.lens, view.rows), view.place, view.turn, grid, stops).items():
             found[number] = found.get(number, 0) + weight
     return found
+
+
+class Ahead(NamedTuple):
+    """What a choice goes by: the same for all of its candidates."""
+
+    grid: Grid
+    cells: Mapping[int, int]  # the map with what others claim
+    stops: frozenset[int]  # cells that no ray passes
+    beam: Beam
+
+
+def ahead(where: Where, grid: Grid, cells: Mapping[int, int], claims: Iterable[View]) -> Ahead:
+    return Ahead(grid, with_claims(cells, claims, grid), solid(grid, cells), beam(where.lens, where.rows))
 
 
 class Best(NamedTuple):
@@ -106,15 +119,14 @@ class Best(NamedTuple):
 def better(
     best: Best | None,
     candidate: Candidate,
-    grid: Grid,
-    cells: Mapping[int, int],
+    by: Ahead,
     allowed: Callable[[Candidate], bool] = lambda _: True,
 ) -> Best | None:
     """The better of the two; the first of equals, and nothing for what is not allowed or gains nothing."""
     if not allowed(candidate):
         return best
     view = candidate.view
-    gains = gain(expected(beam(view.lens, view.rows), view.place, view.turn, grid, cells), grid, cells)
+    gains = gain(expected(by.beam, view.place, view.turn, by.grid, by.stops), by.grid, by.cells)
     worth = int(1000 * gains / candidate.seconds)
     if gains <= 0 or (best is not None and worth <= best.worth):
         return best

@@ -4,11 +4,11 @@ one that something is in, or a wall or the floor."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from agent.kernel.coverage.evidence import ALONE_COS
-from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, Grid, expected_mm, information
+from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, Grid, expected_mm, information, is_inner
 from agent.kernel.coverage.rays import Slopes, along, place_m, rotation, slope
 from agent.kernel.keyframes.keyframe import Lens, Place, Quaternion
 from agent.kernel.messages import Vector
@@ -31,12 +31,18 @@ def beam(lens: Lens, rows: int) -> Beam:
     return Beam(slopes, max(round(100 * lens.cols * rows / (ACROSS * DOWN)), 1))
 
 
-def expected(beam: Beam, place: Place, turn: Quaternion, grid: Grid, cells: Mapping[int, int]) -> dict[int, int]:
-    """Which cells a view would add how much to; what of them counts is for `gain` to say."""
+def solid(grid: Grid, cells: Mapping[int, int]) -> frozenset[int]:
+    """Cells away from floor and walls in which something is known to be."""
+    return frozenset(n for n, have in cells.items() if 4 * have >= grid.goal and is_inner(n, grid))
+
+
+def expected(beam: Beam, place: Place, turn: Quaternion, grid: Grid, stops: Collection[int]) -> dict[int, int]:
+    """Which cells a view would add how much to; what of them counts is for `gain` to say. stops: cells that no ray
+    passes."""
     r, at = rotation(turn), place_m(place)
     found: dict[int, int] = {}
     for s in beam.slopes:
-        hit = cast(at, along(r, s), grid, cells)
+        hit = cast(at, along(r, s), grid, stops)
         if hit is None:
             continue
         number, z_m, cos = hit
@@ -45,7 +51,7 @@ def expected(beam: Beam, place: Place, turn: Quaternion, grid: Grid, cells: Mapp
     return found
 
 
-def cast(at: Vector, way: Vector, grid: Grid, cells: Mapping[int, int]) -> tuple[int, float, float] | None:
+def cast(at: Vector, way: Vector, grid: Grid, stops: Collection[int]) -> tuple[int, float, float] | None:
     """The first cell that stops a ray, its depth, and the cosine there; None: it leaves through the surface, or goes
     too far. way: world direction per metre of depth (Amanatides and Woo, A fast voxel traversal algorithm for ray
     tracing, Eurographics 1987)."""
@@ -70,7 +76,6 @@ def cast(at: Vector, way: Vector, grid: Grid, cells: Mapping[int, int]) -> tuple
         steps.append(step)
         strides.append(step * stride)
     length = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
-    quarter = (grid.goal + 3) // 4
     tx, ty, tz = nexts
     dx, dy, dz = ends
     sx, sy, sz = strides
@@ -92,17 +97,11 @@ def cast(at: Vector, way: Vector, grid: Grid, cells: Mapping[int, int]) -> tuple
             tz, index = after, index + sz
         z = ahead
         # On the floor and the walls the plane itself is what stops the ray: their cells are known to be there.
-        if index != first and cells.get(index, 0) >= quarter and _is_inner(index, grid):
+        if index in stops and index != first:
             return index, z, ALONE_COS
     if exit_z > FARTHEST_M or (exit_axis == 2 and steps[2] > 0):
         return None
     return index, exit_z, abs(way[exit_axis]) / length
-
-
-def _is_inner(number: int, grid: Grid) -> bool:
-    nx, ny, _ = grid.shape
-    i, j = number % nx, number // nx % ny
-    return number >= nx * ny and 0 < i < nx - 1 and 0 < j < ny - 1
 
 
 def gain(adds: Mapping[int, int], grid: Grid, cells: Mapping[int, int]) -> int:
@@ -110,7 +109,7 @@ def gain(adds: Mapping[int, int], grid: Grid, cells: Mapping[int, int]) -> int:
     sum of min((I + dI) / I_goal, 1) - min(I / I_goal, 1)."""
     total, goal = 0, grid.goal
     for number, weight in adds.items():
-        if number in grid.wanted or _is_inner(number, grid):
+        if number in grid.wanted or is_inner(number, grid):
             have = cells.get(number, 0)
             total += min(have + weight, goal) - min(have, goal)
     return 1000 * total // goal

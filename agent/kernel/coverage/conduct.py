@@ -71,7 +71,7 @@ class Conduct:
     def act(self, seek: Seek, level: Attitude | None, status: Status, now_ns: int) -> tuple[bool, SweepPlan | None]:
         """Whether the camera is a survey's now, and the plan of a sweep that shall begin."""
         surveyor, exchange = self.surveyor, self.exchange
-        if surveyor is None or exchange is None or surveyor.done:
+        if surveyor is None or exchange is None or surveyor.done or seek.pointing.goal_us is None:
             return False, None
         pose, rests = seek.pose, True
         if self._swimmer is not None:

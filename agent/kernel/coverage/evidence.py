@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from agent.kernel.coverage.grid import FARTHEST_M, FLOOR_MM, NEAREST_M, Grid, information
+from agent.kernel.coverage.grid import FARTHEST_M, FLOOR_MM, NEAREST_M, Grid, information, is_inner
 from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
 from agent.kernel.keyframes.keyframe import UNIT_M, Frame, measured
 from agent.kernel.messages import Vector
@@ -38,7 +38,8 @@ class CoverageMap:
         self.cells: dict[int, int] = {}  # information, grid.ONE per mm^2
         self.starts: dict[str, tuple[int, ...]] = {}  # incarnations of each origin, newest first
         self.version = 0  # counts changes
-        self._share: tuple[int, float] | None = None
+        self._share: tuple[int, float] | None = None  # of which version, and what it is
+        self._digest: tuple[int, str] | None = None
 
     def add(self, frame: Frame) -> bool:
         """Take a keyframe in whose content was found to be possible; returns whether it changes anything."""
@@ -62,7 +63,7 @@ class CoverageMap:
         """Of the wanted cells, and of things within the tank that were found, how many are known well enough."""
         if self._share is None or self._share[0] != self.version:
             goal, wanted = self.grid.goal, self.grid.wanted
-            inside = [n for n in self.cells if n not in wanted and self.occupied(n) and self.is_inner(n)]
+            inside = [n for n in self.cells if n not in wanted and self.occupied(n) and is_inner(n, self.grid)]
             seen = sum(self.cells.get(n, 0) >= goal for n in wanted) + sum(self.cells[n] >= goal for n in inside)
             self._share = self.version, seen / max(len(wanted) + len(inside), 1)
         return self._share[1]
@@ -70,12 +71,6 @@ class CoverageMap:
     def occupied(self, number: int) -> bool:
         """Whether something is known to be there."""
         return 4 * self.cells.get(number, 0) >= self.grid.goal
-
-    def is_inner(self, number: int) -> bool:
-        """Whether a cell is on none of the tank's faces."""
-        nx, ny, _ = self.grid.shape
-        i, j, k = number % nx, number // nx % ny, number // (nx * ny)
-        return 0 < i < nx - 1 and 0 < j < ny - 1 and k > 0
 
     def as_bytes(self) -> bytes:
         """The whole map, the same on every robot that holds the same keyframes."""
@@ -85,8 +80,10 @@ class CoverageMap:
 
     def digest(self) -> str:
         """Sixteen hexadecimal digits of the map and of the keys of its keyframes."""
-        keys = repr(sorted(self.held)).encode()
-        return hashlib.sha256(self.as_bytes() + keys).hexdigest()[:16]
+        if self._digest is None or self._digest[0] != self.version:
+            keys = repr(sorted(self.held)).encode()
+            self._digest = self.version, hashlib.sha256(self.as_bytes() + keys).hexdigest()[:16]
+        return self._digest[1]
 
     def _counts(self, origin: str, incarnation: int) -> bool:
         """Whether this start of a robot is among its newest; what an older one gives way for is forgotten."""

@@ -61,6 +61,13 @@ def expected_mm(z_m: float) -> float:
     return SIGMA_MM + SIGMA_MM_M2 * z_m * z_m
 
 
+def is_inner(number: int, grid: Grid) -> bool:
+    """Whether a cell is on none of the tank's faces."""
+    nx, ny, _ = grid.shape
+    i, j = number % nx, number // nx % ny
+    return number >= nx * ny and 0 < i < nx - 1 and 0 < j < ny - 1
+
+
 def _face(face: Face, shape: tuple[int, int, int]) -> Iterator[int]:
     nx, ny, nz = shape
     xs, ys, zs = range(nx), range(ny), range(nz)
