@@ -24,6 +24,7 @@ from agent.kernel.coverage.evidence import CoverageMap
 from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, STEEPEST, expected_mm, grid_of
 from agent.kernel.coverage.making import block_px
 from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.ranging.camera_model import camera_pose, gimbal_deg
 from agent.kernel.ranging.focus import lens_position
@@ -119,7 +120,8 @@ class World:
     def _carry(self, name: str, outputs: Outputs) -> None:
         if not self.shares:
             return
-        for word in (*(outputs.claims or ()), *(outputs.keyframes or ())):
+        words: tuple[Claim | Keyframe, ...] = (*(outputs.claims or ()), *(outputs.keyframes or ()))
+        for word in words:
             if self.rng.random() >= self.loss:
                 topic: Literal["claim", "keyframe"] = "claim" if isinstance(word, Claim) else "keyframe"
                 heard = Heard(arrived_ns=self.now_ns, src=name, payload=encode(word), topic=topic)

@@ -13,8 +13,9 @@ from agent.kernel.coverage.rays import Slopes, along, place_m, rotation, slope
 from agent.kernel.keyframes.keyframe import Lens, Place, Quaternion
 from agent.kernel.messages import Vector
 
-ACROSS, DOWN = 9, 7  # rays of a view: as many blocks stand for one
+ACROSS, DOWN = 13, 10  # rays of a view: as many blocks stand for one
 FAR = 1e9
+ROUNDING_M = 1e-9  # a wall lies on the edge of a cell, and the ray ends before it is in none
 
 
 class Beam(NamedTuple):
@@ -87,7 +88,7 @@ def cast(at: Vector, way: Vector, grid: Grid, stops: Collection[int]) -> tuple[i
             ahead, after, stride = ty, ty + dy, 1
         else:
             ahead, after, stride = tz, tz + dz, 2
-        if ahead >= exit_z or ahead > FARTHEST_M:
+        if ahead >= exit_z - ROUNDING_M or ahead > FARTHEST_M:
             break
         if stride == 0:
             tx, index = after, index + sx

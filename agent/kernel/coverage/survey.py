@@ -35,7 +35,7 @@ from agent.kernel.step_io import BlockPeaks, SweepPlan
 
 Phase = Literal["choose", "go", "look", "sweep", "done"]
 
-EACH_STEP = 4  # candidates: 3 ms
+EACH_STEP = 3  # candidates: 3 ms
 GO_NS = 25_000_000_000  # at most, then it looks for another view
 LOOK_NS = 12_000_000_000  # likewise until body and gimbal are at rest
 NEAR_M, NEAR_RAD = 0.12, math.radians(12.0)  # of where it wants to be: what it sees from there is nearly the same
