@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+from agent.demo.coverage import SurveyWatch
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, Vector
 
@@ -44,10 +45,13 @@ class History(NamedTuple):
 Histories = dict[str, dict[str, History]]  # by target, then by robot
 
 
-def summarize(fleet: Fleet, histories: Histories, truth: dict[str, Any], wall_s: float) -> dict[str, Any]:
+def summarize(
+    fleet: Fleet, histories: Histories, truth: dict[str, Any], wall_s: float, survey: SurveyWatch | None = None
+) -> dict[str, Any]:
     """The content of summary.json, schema 1. `truth`: as the twin wrote it.
 
-    `targets` has every target; `truth_m` and `agents` are those of the first.
+    `targets` has every target; `truth_m` and `agents` are those of the first. survey: of a fleet with [coverage], whose
+    verdict is over what it surveyed, for its cameras are at that and not at targets.
     """
     targets: dict[str, Any] = {}
     why = []
@@ -57,6 +61,8 @@ def summarize(fleet: Fleet, histories: Histories, truth: dict[str, Any], wall_s:
         rows = {name: score(history, truth_m, radii_m) for name, history in of_target.items()}
         targets[target] = {"truth_m": list(truth_m), "radii_m": radii_m, "agents": rows}
         why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in reasons(rows)]
+    if survey is not None:
+        why = list(survey.reasons())
     first, depth_m = next(iter(targets)), next(iter(fleet.robot.values())).depth_m
     return {
         "schema": 1,
@@ -68,6 +74,7 @@ def summarize(fleet: Fleet, histories: Histories, truth: dict[str, Any], wall_s:
         "agents": targets[first]["agents"],
         "targets": targets,
         "control": control(histories[first].values(), depth_m),
+        **({} if survey is None else {"coverage": survey.as_json()}),
         "verdict": "fail" if why else "pass",
         "reasons": why,
     }
