@@ -48,9 +48,9 @@ class Run(NamedTuple):
     shares: tuple[float, ...]  # of the visible cells, after each keyframe
 
 
-def fleet_of(goal_mm: float = 4.0) -> Fleet:
-    """Five moored robots, each linked to all."""
-    names = [f"r{k + 1}" for k in range(len(PLACES))]
+def fleet_of(goal_mm: float = 4.0, count: int = len(PLACES)) -> Fleet:
+    """Moored robots, five at most, each linked to all."""
+    names = [f"r{k + 1}" for k in range(count)]
     robots = {
         name: Robot(
             neighbours=tuple(other for other in names if other != name),
@@ -62,7 +62,7 @@ def fleet_of(goal_mm: float = 4.0) -> Fleet:
             calibration=f"{name}.toml",
             behaviour=Survey(),
         )
-        for k, (name, (x, y, yaw)) in enumerate(zip(names, PLACES, strict=True))
+        for k, (name, (x, y, yaw)) in enumerate(zip(names, PLACES, strict=False))
     }
     return Fleet(
         fleet="survey",
