@@ -21,7 +21,7 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
 from agent.kernel.core import Agent
 from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, STEEPEST, expected_mm, grid_of
+from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, STEEPEST, grid_of
 from agent.kernel.coverage.making import block_px
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
@@ -35,6 +35,7 @@ SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5
 PLACES = ((0.25, 0.25, 45.0), (1.25, 0.25, 135.0), (1.25, 0.95, 225.0), (0.25, 0.95, 315.0), (0.75, 0.20, 90.0))
 DEPTHS_M = (0.30, 0.22, 0.32, 0.24, 0.28)
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=857.0, cx_px=319.5, cy_px=239.5, bend=0.39, ahead_m=0.001)
+SIGMA_M = 0.002, 0.007  # of a block: 2 mm + 7 mm/m^2 z^2, as of sweeps of 1280x960 pixels in the twin
 SHOWS = 0.75  # of the blocks have texture enough for a peak
 KNOWN, MOST = 0.9, 250  # share of the cells that ends a run, and keyframes that end one without it
 MOST_S = 900.0
@@ -157,7 +158,7 @@ class World:
         for k, z_m in enumerate(seen.z_m):
             if not (0.08 < z_m < 1.6) or self.rng.random() > SHOWS or seen.cos[k] < STEEPEST:
                 continue
-            sigma_m = expected_mm(z_m) * 1e-3
+            sigma_m = SIGMA_M[0] + SIGMA_M[1] * z_m * z_m
             rho = lens_position(FOCUS, max(z_m + self.rng.normal(0.0, sigma_m), 0.06))
             slope = abs(FOCUS.b_m) / (rho - FOCUS.rho0) ** 2
             peaks.append((k, float(rho), float(sigma_m / slope)))

@@ -54,6 +54,7 @@ class Where(NamedTuple):
     body: Body
     lens: Lens
     rows: int
+    sigma: int  # of its blocks, as View has it
     room: tuple[Planar, Planar] | None  # lower and upper corner of where it may swim; None: it is moored
 
 
@@ -82,7 +83,7 @@ def view_of(station: Station, where: Where) -> View:
     (x, y), yaw_deg = station.place_m, math.degrees(station.yaw)
     pose = Pose(x_m=x, y_m=y, yaw_deg=yaw_deg)
     eye = camera_pose(pose, where.body, where.depth_m, 0.0, 0.0, station.pan_deg, station.tilt_deg, where.surface_m)
-    return View(place_of(eye.position_m), quaternion(eye.rotation), where.lens, where.rows)
+    return View(place_of(eye.position_m), quaternion(eye.rotation), where.lens, where.rows, where.sigma)
 
 
 def with_claims(cells: Mapping[int, int], views: Iterable[View], grid: Grid) -> dict[int, int]:
@@ -90,7 +91,7 @@ def with_claims(cells: Mapping[int, int], views: Iterable[View], grid: Grid) -> 
     is, so that the order of the claims does not count."""
     found, stops = dict(cells), solid(grid, cells)
     for view in views:
-        for number, weight in expected(beam(view.lens, view.rows), view.place, view.turn, grid, stops).items():
+        for number, weight in expected(view, beam(view.lens, view.rows), grid, stops).items():
             found[number] = found.get(number, 0) + weight
     return found
 
@@ -126,7 +127,7 @@ def better(
     if not allowed(candidate):
         return best
     view = candidate.view
-    gains = gain(expected(by.beam, view.place, view.turn, by.grid, by.stops), by.grid, by.cells)
+    gains = gain(expected(view, by.beam, by.grid, by.stops), by.grid, by.cells)
     worth = int(1000 * gains / candidate.seconds)
     if gains <= 0 or (best is not None and worth <= best.worth):
         return best

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from agent.kernel.coverage.evidence import ALONE_COS
 from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, Grid, expected_mm, information, is_inner
 from agent.kernel.coverage.rays import Slopes, along, place_m, rotation, slope
-from agent.kernel.keyframes.keyframe import Lens, Place, Quaternion
+from agent.kernel.keyframes.claim import View
+from agent.kernel.keyframes.keyframe import Lens
 from agent.kernel.messages import Vector
 
 ACROSS, DOWN = 13, 10  # rays of a view: as many blocks stand for one
@@ -37,17 +38,17 @@ def solid(grid: Grid, cells: Mapping[int, int]) -> frozenset[int]:
     return frozenset(n for n, have in cells.items() if 4 * have >= grid.goal and is_inner(n, grid))
 
 
-def expected(beam: Beam, place: Place, turn: Quaternion, grid: Grid, stops: Collection[int]) -> dict[int, int]:
+def expected(view: View, beam: Beam, grid: Grid, stops: Collection[int]) -> dict[int, int]:
     """Which cells a view would add how much to; what of them counts is for `gain` to say. stops: cells that no ray
     passes."""
-    r, at = rotation(turn), place_m(place)
+    r, at = rotation(view.turn), place_m(view.place)
     found: dict[int, int] = {}
     for s in beam.slopes:
         hit = cast(at, along(r, s), grid, stops)
         if hit is None:
             continue
         number, z_m, cos = hit
-        if NEAREST_M < z_m < FARTHEST_M and (weight := information(cos, expected_mm(z_m))):
+        if NEAREST_M < z_m < FARTHEST_M and (weight := information(cos, expected_mm(z_m, view.sigma))):
             found[number] = found.get(number, 0) + weight * beam.worth // 100
     return found
 

@@ -12,7 +12,7 @@ ONE = 1_000_000  # of information: 1 / mm^2
 NEAREST_M, FARTHEST_M = 0.12, 1.5  # depths that count
 STEEPEST = 0.15  # cosine between a surface's normal and the ray: what is more aslant does not count
 FLOOR_MM = 2.0  # standard deviation that nobody's block is better than, whatever it says
-SIGMA_MM, SIGMA_MM_M2 = 2.0, 7.0  # expected of a block at z: 2 mm + 7 mm/m^2 z^2
+SIGMA_AT_M, SIGMA_UNIT_MM = 0.5, 0.01  # of what a camera says of its blocks
 
 
 class Grid(NamedTuple):
@@ -56,9 +56,11 @@ def information(cos: float, sigma_mm: float) -> int:
     return int(cos * ONE / (sigma_mm * sigma_mm) + 0.5)
 
 
-def expected_mm(z_m: float) -> float:
-    """Standard deviation of a block at that depth, before it was measured."""
-    return SIGMA_MM + SIGMA_MM_M2 * z_m * z_m
+def expected_mm(z_m: float, sigma: int) -> float:
+    """Standard deviation of a block at that depth, before it was measured: equal lens steps are equal steps in
+    dioptres, so that it grows with the square of the depth. sigma: at SIGMA_AT_M, in units of SIGMA_UNIT_MM."""
+    far = z_m / SIGMA_AT_M
+    return max(sigma * SIGMA_UNIT_MM * far * far, FLOOR_MM)
 
 
 def is_inner(number: int, grid: Grid) -> bool:

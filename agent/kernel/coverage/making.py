@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from agent.kernel.coverage.rays import quaternion
+from agent.kernel.coverage.grid import SIGMA_AT_M, SIGMA_UNIT_MM
 from agent.kernel.keyframes.keyframe import (
     BEND_ONE,
     MOST_BLOCKS,
@@ -18,7 +19,7 @@ from agent.kernel.keyframes.keyframe import (
 )
 from agent.kernel.ranging.calibration import Calibration, CameraFit, at_lens_position
 from agent.kernel.ranging.camera_model import Eye
-from agent.kernel.ranging.focus import h, range_variance
+from agent.kernel.ranging.focus import h, lens_position, phase_sigma, range_variance
 from agent.kernel.ranging.lens_sag import at_tilt
 from agent.kernel.step_io import BlockPeaks
 
@@ -47,6 +48,14 @@ def lens_of(camera: CameraFit, lens_position: float | None) -> tuple[Lens, int]:
         camera.width_px // side,
     )
     return lens, camera.height_px // side
+
+
+def sigma_of(calibration: Calibration) -> int:
+    """What is expected of a block's depth at SIGMA_AT_M, in units of SIGMA_UNIT_MM: by the grid of its pixels, the
+    lens's noise, and the calibration."""
+    fit, side = calibration.focus, block_px(calibration.camera)
+    variance = range_variance(fit, lens_position(fit, SIGMA_AT_M), phase_sigma(fit.width, side * side))
+    return min(max(round(1000.0 * math.sqrt(sum(variance)) / SIGMA_UNIT_MM), 1), 10**5)
 
 
 def frame_of(

@@ -24,7 +24,7 @@ from agent.kernel.coverage.candidates import (
 )
 from agent.kernel.coverage.evidence import CoverageMap
 from agent.kernel.coverage.grid import grid_of
-from agent.kernel.coverage.making import block_px, frame_of, lens_of
+from agent.kernel.coverage.making import block_px, frame_of, lens_of, sigma_of
 from agent.kernel.keyframes.claim import View
 from agent.kernel.keyframes.keyframe import MOST_NUMBER, UNIT_M, Frame
 from agent.kernel.navigation.angle import wrap
@@ -53,6 +53,7 @@ class Surveyor:
         assert fleet.coverage is not None
         self._fleet, self._name, self._calibration, self._incarnation = fleet, name, calibration, incarnation
         self._robot, self._settings = fleet.robot[name], fleet.coverage
+        self._sigma = sigma_of(calibration)
         self.known = CoverageMap(grid_of(fleet))
         self.looks = isinstance(self._robot.behaviour, Survey)
         self.phase: Phase = "choose" if self.looks else "done"
@@ -195,7 +196,7 @@ class Surveyor:
         clear = WALL_M + 2.0 * MARGIN_M
         room = ((clear, clear), (max(length - clear, clear), max(breadth - clear, clear))) if self._swims else None
         surface_m = self._fleet.tank.surface_m
-        return Where(pose, self._robot.depth_m, surface_m, self._fleet.body, lens, rows, room)
+        return Where(pose, self._robot.depth_m, surface_m, self._fleet.body, lens, rows, self._sigma, room)
 
     def _allowed(self, candidate: Candidate) -> bool:
         """Whether no robot and nothing that was found is too near to where it wants to be."""

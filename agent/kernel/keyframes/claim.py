@@ -20,6 +20,7 @@ class View(msgspec.Struct, frozen=True, array_like=True):
     turn: Annotated[Quaternion, means("w x y z of the turn from camera to world, times 2^30")]
     lens: Annotated[Lens, means("where blocks look")]
     rows: Annotated[int, Meta(ge=1, le=64), means("blocks down")]
+    sigma: Annotated[int, Meta(ge=1, le=10**5), means("0.01 mm: standard deviation of a block's depth at 0.5 m")]
 
 
 class Has(msgspec.Struct, frozen=True, array_like=True):

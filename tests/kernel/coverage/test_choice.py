@@ -24,7 +24,7 @@ ROOM = ((0.3, 0.3), (1.2, 0.9))
 
 def where(k: int = 0, room=None) -> Where:
     x, y, yaw = PLACES[k]
-    return Where(Pose(x_m=x, y_m=y, yaw_deg=yaw), 0.25, SURFACE_M, Body(), LENS, ROWS, room)
+    return Where(Pose(x_m=x, y_m=y, yaw_deg=yaw), 0.25, SURFACE_M, Body(), LENS, ROWS, 375, room)
 
 
 def seen(scene, candidate: Candidate, number: int, rng) -> Frame:

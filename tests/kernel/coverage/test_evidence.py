@@ -15,6 +15,7 @@ from agent.kernel.coverage.cast import beam, cast, expected, gain, solid
 from agent.kernel.coverage.evidence import STARTS, CoverageMap, dose
 from agent.kernel.coverage.grid import Grid, information
 from agent.kernel.coverage.rays import along, block_slopes, quaternion, rotation
+from agent.kernel.keyframes.claim import View
 from agent.kernel.keyframes.keyframe import SIGMAS_M, UNIT_M, Keyframe, measured, place_of, sigma_byte
 from tests.kernel.coverage.frames import FLEET, GRID, LENS, ROWS, SCENE, drawn_frames, frame
 
@@ -136,9 +137,8 @@ def test_rays_of_a_guess_meet_what_brute_force_meets():
 def test_gain_is_what_brute_force_says():
     known = map_of(FRAMES)
     eye = eye_of(FLEET, "r4", (1450.0, 1280.0))
-    adds = expected(
-        beam(LENS, ROWS), place_of(eye.position_m), quaternion(eye.rotation), GRID, solid(GRID, known.cells)
-    )
+    view = View(place_of(eye.position_m), quaternion(eye.rotation), LENS, ROWS, 375)
+    adds = expected(view, beam(LENS, ROWS), GRID, solid(GRID, known.cells))
     goal = GRID.goal
     floats = sum(
         min((known.cells.get(n, 0) + more) / goal, 1.0) - min(known.cells.get(n, 0) / goal, 1.0)
@@ -155,7 +155,7 @@ def test_what_a_view_promises_is_about_what_it_brings():
     empty: Grid = GRID
     for us in (900.0, 1200.0, 1500.0, 1800.0, 2100.0):
         one = frame(servos=(us, 1330.0))
-        promised += gain(expected(beam(one.lens, ROWS), one.place, one.turn, empty, ()), empty, {})
+        promised += gain(expected(View(one.place, one.turn, LENS, ROWS, 375), beam(LENS, ROWS), empty, ()), empty, {})
         brought += gain(dict(dose(one, empty)), empty, {})
     assert 0.6 < brought / promised < 1.5
 

@@ -142,7 +142,7 @@ def test_a_robot_that_hears_anything_at_all_goes_on_surveying():
     fleet = fleet_of(count=2)
     world = World(fleet, draw_scene((SIZE_M[0], SIZE_M[1], SURFACE_M), 1), 1, True, 0.0)
     agent: Agent = world.agents["r1"]
-    view = View(GOOD.place, GOOD.turn, replace(LENS, f=10**6, cx=-(10**6), bend=-20_000, block=1000), ROWS)
+    view = View(GOOD.place, GOOD.turn, replace(LENS, f=10**6, cx=-(10**6), bend=-20_000, block=1000), ROWS, 1)
     payloads = [
         encode(word(replace(GOOD, lens=replace(LENS, f=100, bend=20_000, ahead=-5000)))),
         encode(word(replace(GOOD, number=MOST_NUMBER, sigmas=b"\xff" * 475, depths=b"\xff\xff" * 475), seq=2)),
