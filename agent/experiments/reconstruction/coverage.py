@@ -1,9 +1,9 @@
 """How many keyframes it takes until a tank is known, by robots that share what they saw, and by robots that do not.
 
-The kernel's agents in virtual time, moored around drawn things. A sweep takes three seconds; what its blocks measure
-is the truth of the drawn scene with the noise that the blocks of a focus sweep have. What is said comes a step later,
-or is lost. Of each run it is counted how many keyframes all robots together had made when nine tenths of the cells that
-can be seen at all were known to 4 mm, by all keyframes together.
+The kernel's agents in virtual time, moored around drawn things. A sweep takes three seconds; what its blocks measure is
+the truth of the drawn scene, with the noise that the blocks of 1280x960 pixels owe to their grid. What is said comes a
+step later, or is lost. Of each run it is counted how many keyframes all robots together had made when nine tenths of
+the cells that can be seen at all were known to 4 mm, by all keyframes together.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.ranging.calibration import Calibration, CameraFit
 from agent.kernel.ranging.camera_model import camera_pose, gimbal_deg
-from agent.kernel.ranging.focus import lens_position
+from agent.kernel.ranging.focus import lens_position, phase_sigma
 from agent.kernel.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan, Telemetry
 
 START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
 SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5
 PLACES = ((0.25, 0.25, 45.0), (1.25, 0.25, 135.0), (1.25, 0.95, 225.0), (0.25, 0.95, 315.0), (0.75, 0.20, 90.0))
 DEPTHS_M = (0.30, 0.22, 0.32, 0.24, 0.28)
-CAMERA = CameraFit(width_px=640, height_px=480, f_px=857.0, cx_px=319.5, cy_px=239.5, bend=0.39, ahead_m=0.001)
-SIGMA_M = 0.002, 0.007  # of a block: 2 mm + 7 mm/m^2 z^2, as of sweeps of 1280x960 pixels in the twin
+CAMERA = CameraFit(width_px=1280, height_px=960, f_px=1714.0, cx_px=639.5, cy_px=479.5, bend=0.39, ahead_m=0.001)
+SIDE_PX = block_px(CAMERA)
+SIGMA = math.hypot(FOCUS.noise, phase_sigma(FOCUS.width, SIDE_PX * SIDE_PX))  # of a block's peak, lens positions
 SHOWS = 0.75  # of the blocks have texture enough for a peak
 KNOWN, MOST = 0.9, 250  # share of the cells that ends a run, and keyframes that end one without it
 MOST_S = 900.0
@@ -158,10 +159,7 @@ class World:
         for k, z_m in enumerate(seen.z_m):
             if not (0.08 < z_m < 1.6) or self.rng.random() > SHOWS or seen.cos[k] < STEEPEST:
                 continue
-            sigma_m = SIGMA_M[0] + SIGMA_M[1] * z_m * z_m
-            rho = lens_position(FOCUS, max(z_m + self.rng.normal(0.0, sigma_m), 0.06))
-            slope = abs(FOCUS.b_m) / (rho - FOCUS.rho0) ** 2
-            peaks.append((k, float(rho), float(sigma_m / slope)))
+            peaks.append((k, lens_position(FOCUS, float(z_m)) + float(self.rng.normal(0.0, SIGMA)), SIGMA))
         cols, rows = CAMERA.width_px // side, CAMERA.height_px // side
         return BlockPeaks(
             t_ns=self.now_ns - STEP_NS,
@@ -172,6 +170,11 @@ class World:
             rows=rows,
             peaks=tuple(peaks),
         )
+
+
+def sigma_m(z_m: float) -> float:
+    """Of a block's depth there."""
+    return SIGMA * (z_m - FOCUS.u_inf_m) ** 2 / FOCUS.b_m
 
 
 def eye_of(fleet: Fleet, name: str, servos: Sequence[float]) -> Any:

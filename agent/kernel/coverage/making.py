@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from agent.kernel.coverage.rays import quaternion
 from agent.kernel.coverage.grid import SIGMA_AT_M, SIGMA_UNIT_MM
+from agent.kernel.coverage.rays import quaternion
 from agent.kernel.keyframes.keyframe import (
     BEND_ONE,
     MOST_BLOCKS,

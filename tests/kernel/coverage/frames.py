@@ -2,17 +2,20 @@
 
 import numpy as np
 
-from agent.experiments.reconstruction.coverage import CAMERA, SIZE_M, SURFACE_M, eye_of, fleet_of
+from agent.experiments.navigation.drawn_ball import FOCUS
+from agent.experiments.reconstruction.coverage import CAMERA, SIZE_M, SURFACE_M, eye_of, fleet_of, sigma_m
 from agent.experiments.reconstruction.drawn_scene import draw_scene, look
 from agent.kernel.coverage.grid import Grid, grid_of
-from agent.kernel.coverage.making import lens_of
+from agent.kernel.coverage.making import lens_of, sigma_of
 from agent.kernel.coverage.rays import quaternion
 from agent.kernel.keyframes.keyframe import Blocks, Frame, place_of, quantised
+from agent.kernel.ranging.calibration import Calibration
 
 FLEET = fleet_of()
 GRID: Grid = grid_of(FLEET)
 SCENE = draw_scene((SIZE_M[0], SIZE_M[1], SURFACE_M), 3)
 LENS, ROWS = lens_of(CAMERA, None)
+SIGMA = sigma_of(Calibration(robot="r1", made="", source="", focus=FOCUS, camera=CAMERA))
 
 
 def frame(origin: str = "r1", number: int = 1, incarnation: int = 1, servos=(1500.0, 1300.0), seed: int = 0) -> Frame:
@@ -20,7 +23,7 @@ def frame(origin: str = "r1", number: int = 1, incarnation: int = 1, servos=(150
     rng = np.random.default_rng(seed)
     eye = eye_of(FLEET, origin, servos)
     seen = look(SCENE, np.array(eye.position_m), np.array(eye.rotation), CAMERA, LENS.block)
-    sigma = 0.002 + 0.007 * seen.z_m**2
+    sigma = sigma_m(np.minimum(seen.z_m, 5.0))
     shows = np.isfinite(seen.z_m) & (rng.random(seen.z_m.size) < 0.8)
     z = [float(d + s * rng.normal()) if ok else None for d, s, ok in zip(seen.z_m, sigma, shows, strict=True)]
     sigmas = tuple(float(s) if ok else 0.0 for s, ok in zip(sigma, shows, strict=True))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.experiments.reconstruction.coverage import CAMERA, PLACES, SIZE_M, SURFACE_M, fleet_of
+from agent.experiments.reconstruction.coverage import CAMERA, PLACES, SIZE_M, SURFACE_M, fleet_of, sigma_m
 from agent.experiments.reconstruction.drawn_scene import draw_scene, look
 from agent.kernel.config import Body, Navigation, Pose
 from agent.kernel.coverage.candidates import TILTS_DEG, Candidate, Where, ahead, better, drawn
@@ -16,7 +16,7 @@ from agent.kernel.coverage.rays import place_m, rotation
 from agent.kernel.coverage.survey import APART_M, Surveyor
 from agent.kernel.keyframes.keyframe import Blocks, Frame, quantised
 from agent.kernel.ranging.calibration import Calibration
-from tests.kernel.coverage.frames import GRID, LENS, ROWS
+from tests.kernel.coverage.frames import GRID, LENS, ROWS, SIGMA
 from tests.known_lens import PLAIN
 
 ROOM = ((0.3, 0.3), (1.2, 0.9))
@@ -24,14 +24,14 @@ ROOM = ((0.3, 0.3), (1.2, 0.9))
 
 def where(k: int = 0, room=None) -> Where:
     x, y, yaw = PLACES[k]
-    return Where(Pose(x_m=x, y_m=y, yaw_deg=yaw), 0.25, SURFACE_M, Body(), LENS, ROWS, 375, room)
+    return Where(Pose(x_m=x, y_m=y, yaw_deg=yaw), 0.25, SURFACE_M, Body(), LENS, ROWS, SIGMA, room)
 
 
 def seen(scene, candidate: Candidate, number: int, rng) -> Frame:
     """What the sweep of a candidate would measure there."""
     view = candidate.view
     found = look(scene, np.array(place_m(view.place)), np.array(rotation(view.turn)), CAMERA, LENS.block)
-    sigma = 0.002 + 0.007 * np.minimum(found.z_m, 5.0) ** 2
+    sigma = sigma_m(np.minimum(found.z_m, 5.0))
     noise = rng.normal(size=sigma.size)
     z = [float(d + s * e) if d < 1.6 else None for d, s, e in zip(found.z_m, sigma, noise, strict=True)]
     packed = quantised(Blocks(LENS.cols, tuple(z), tuple(map(float, sigma))))

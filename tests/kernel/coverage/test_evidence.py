@@ -17,7 +17,7 @@ from agent.kernel.coverage.grid import Grid, information
 from agent.kernel.coverage.rays import along, block_slopes, quaternion, rotation
 from agent.kernel.keyframes.claim import View
 from agent.kernel.keyframes.keyframe import SIGMAS_M, UNIT_M, Keyframe, measured, place_of, sigma_byte
-from tests.kernel.coverage.frames import FLEET, GRID, LENS, ROWS, SCENE, drawn_frames, frame
+from tests.kernel.coverage.frames import FLEET, GRID, LENS, ROWS, SCENE, SIGMA, drawn_frames, frame
 
 FRAMES = drawn_frames(12)
 
@@ -137,7 +137,7 @@ def test_rays_of_a_guess_meet_what_brute_force_meets():
 def test_gain_is_what_brute_force_says():
     known = map_of(FRAMES)
     eye = eye_of(FLEET, "r4", (1450.0, 1280.0))
-    view = View(place_of(eye.position_m), quaternion(eye.rotation), LENS, ROWS, 375)
+    view = View(place_of(eye.position_m), quaternion(eye.rotation), LENS, ROWS, SIGMA)
     adds = expected(view, beam(LENS, ROWS), GRID, solid(GRID, known.cells))
     goal = GRID.goal
     floats = sum(
@@ -155,7 +155,7 @@ def test_what_a_view_promises_is_about_what_it_brings():
     empty: Grid = GRID
     for us in (900.0, 1200.0, 1500.0, 1800.0, 2100.0):
         one = frame(servos=(us, 1330.0))
-        promised += gain(expected(View(one.place, one.turn, LENS, ROWS, 375), beam(LENS, ROWS), empty, ()), empty, {})
+        promised += gain(expected(View(one.place, one.turn, LENS, ROWS, SIGMA), beam(LENS, ROWS), empty, ()), empty, {})
         brought += gain(dict(dose(one, empty)), empty, {})
     assert 0.6 < brought / promised < 1.5
 
