@@ -9,7 +9,7 @@ the cells that can be seen at all were known to 4 mm, by all keyframes together.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -85,6 +85,7 @@ class World:
         self.agents = {name: Agent(fleet, name, self.calibration, START_NS) for name in fleet.robot}
         self.now_ns = START_NS
         self.all = CoverageMap(grid_of(fleet))  # of everybody's keyframes
+        self.record: Callable[[str, int, bytes, bytes], None] = lambda *step: None  # for a black box
         self._post: dict[str, list[Heard]] = {name: [] for name in fleet.robot}
         self._sweeps: dict[str, tuple[SweepPlan, int, Outputs]] = {}
 
@@ -99,6 +100,7 @@ class World:
             blocks = UNSET if peaks is None else (peaks,)
             inputs = Inputs(telemetry=(self._telemetry(name),), heard=heard, blocks=blocks)
             outputs = agent.step(inputs, self.now_ns)
+            self.record(name, self.now_ns, encode(inputs), encode(outputs))
             surveyor = agent.survey.surveyor
             if surveyor is not None and surveyor.keyframes > before:
                 self.all.add(surveyor.known.held[name, START_NS, surveyor.keyframes].frame)
