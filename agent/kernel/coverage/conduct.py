@@ -73,6 +73,8 @@ class Conduct:
         surveyor, exchange = self.surveyor, self.exchange
         if surveyor is None or exchange is None or surveyor.done or seek.pointing.goal_us is None:
             return False, None
+        if seek.measuring and not seek.surveys:  # of a target, from before it knew how it swims
+            return False, None
         pose, rests = seek.pose, True
         if self._swimmer is not None:
             here = self._swimmer.here
