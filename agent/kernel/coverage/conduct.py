@@ -18,6 +18,7 @@ from agent.kernel.coverage.exchange import Exchange
 from agent.kernel.coverage.survey import Surveyor
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye
@@ -35,7 +36,7 @@ class Conduct:
     def __init__(
         self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, swimmer: Swimmer | None
     ) -> None:
-        self._swimmer = swimmer
+        self._fleet, self._name, self._swimmer = fleet, name, swimmer
         self.surveyor = None if fleet.coverage is None else Surveyor(fleet, name, calibration, incarnation)
         self.exchange = None if self.surveyor is None else Exchange(fleet, name, incarnation, self.surveyor.known)
 
@@ -58,7 +59,7 @@ class Conduct:
             return
         for peaks in blocks:
             if surveyor.awaits(peaks):
-                made = surveyor.see(peaks, self._eye(peaks.t_ns, attitude, seek), now_ns)
+                made = surveyor.see(peaks, self._eye(peaks.t_ns, attitude, seek), self._hulls(), now_ns)
                 if made is None:
                     status.log.note("info", f"view {peaks.sweep} gave no keyframe", now_ns)
                 else:
@@ -112,7 +113,15 @@ class Conduct:
         if self._swimmer is None:
             return ()
         claiming = {name for name, _ in exchange.claims(now_ns)}
-        return self._swimmer.company.neighbours.places(claiming)
+        return tuple(place[:2] for place in self._swimmer.company.neighbours.places(claiming))
+
+    def _hulls(self) -> tuple[Vector, ...]:
+        """Where other robots are, world frame: as they say, or where they are moored."""
+        surface_m = self._fleet.tank.surface_m
+        if self._swimmer is not None:
+            return tuple((x, y, surface_m - depth) for x, y, depth in self._swimmer.company.neighbours.places())
+        others = (robot for name, robot in self._fleet.robot.items() if name != self._name)
+        return tuple((robot.pose.x_m, robot.pose.y_m, surface_m - robot.depth_m) for robot in others)
 
     def _eye(self, t_ns: int, attitude: AttitudeLog, seek: Seek) -> Eye | None:
         """Where the camera was; None: nobody knows well enough."""

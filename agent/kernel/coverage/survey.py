@@ -27,6 +27,7 @@ from agent.kernel.coverage.grid import grid_of
 from agent.kernel.coverage.making import block_px, frame_of, lens_of, sigma_of
 from agent.kernel.keyframes.claim import View
 from agent.kernel.keyframes.keyframe import MOST_NUMBER, UNIT_M, Frame
+from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import MARGIN_M, WALL_M, Planar
 from agent.kernel.ranging.calibration import Calibration
@@ -163,11 +164,12 @@ class Surveyor:
     def awaits(self, peaks: BlockPeaks) -> bool:
         return self.phase == "sweep" and peaks.sweep == self._sweeps
 
-    def see(self, peaks: BlockPeaks, eye: Eye | None, now_ns: int) -> Frame | None:
-        """What the sweep showed, from where; None: nothing, or nobody knows from where. Another view is chosen."""
+    def see(self, peaks: BlockPeaks, eye: Eye | None, hulls_m: tuple[Vector, ...], now_ns: int) -> Frame | None:
+        """What the sweep showed, from where, but for other robots, which are at hulls_m; None: nothing, or nobody knows
+        from where. Another view is chosen."""
         made = None
         if eye is not None:
-            made = frame_of(peaks, eye, self._calibration, self._name, self._incarnation, self._number + 1)
+            made = frame_of(peaks, eye, hulls_m, self._calibration, self._name, self._incarnation, self._number + 1)
         if made is not None:
             self._number += 1
             self.known.add(made)

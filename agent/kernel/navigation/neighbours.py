@@ -57,10 +57,10 @@ class Neighbours:
         x, y = (min(max(at, ring_m), side - ring_m) for at, side in zip(at_m, (length_m, breadth_m), strict=True))
         return x, y
 
-    def places(self, but: Collection[str]) -> tuple[Planar, ...]:
-        """Where all are that ever said so, but those of these names."""
+    def places(self, but: Collection[str] = ()) -> tuple[tuple[float, float, float], ...]:
+        """x, y and depth of all that ever said where they are, but those of these names."""
         heard = (letter.message for letter in self._heard())
-        return tuple((said.x_m, said.y_m) for said in heard if said.src not in but)
+        return tuple((said.x_m, said.y_m, said.depth_m) for said in heard if said.src not in but)
 
     def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
         """Where those are that do the same about the same target, in the order of their names; silent ones left out."""
