@@ -15,7 +15,7 @@ from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine, Mode
-from agent.kernel.step_io import Flow, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan, Telemetry
+from agent.kernel.step_io import BlockPeaks, Flow, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan, Telemetry
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
 
@@ -33,6 +33,7 @@ class Eyes(Protocol):
     def drain(self) -> Sequence[Sighting]: ...
     def plan(self, plan: SweepPlan) -> None: ...
     def rest(self, lens_position: int | None) -> None: ...
+    def views(self) -> Sequence[BlockPeaks]: ...
 
 
 class ControlModule(Protocol):
@@ -93,6 +94,7 @@ class Runtime:
             self._resume()
         heard, refused = self._part("links", self._network.drain) or ((), ())
         sightings = tuple(self._part("vision", self._eyes.drain) or ())
+        blocks = tuple(self._part("views", self._eyes.views) or ())
         tags, flow = self._part("landmarks", self._landmarks) or ((), ())
         now_ns = self._clock.now_ns()
         keys = self._part("keys", lambda: self._keys(now_ns))
@@ -105,6 +107,7 @@ class Runtime:
             refused=refused,
             landmarks=tags or UNSET,
             flow=flow or UNSET,
+            blocks=blocks or UNSET,
             faults=faults or UNSET,
             keys=UNSET if keys is None else keys,
         )
@@ -133,6 +136,10 @@ class Runtime:
             self._network.say(self._sign(estimate))
         for presence in outputs.near or ():
             self._network.say(presence)
+        for claim in outputs.claims or ():
+            self._network.say(claim)
+        for keyframe in outputs.keyframes or ():
+            self._network.say(keyframe)
         for message in (*(() if outputs.state is None else (outputs.state,)), *outputs.log):
             self._network.show(message)
 

@@ -16,15 +16,18 @@ from agent.clock import machine
 from agent.kernel import topics
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
 from agent.kernel.presence import Presence
 from agent.kernel.step_io import DroppedPayloads, Heard
-from agent.kernel.topics import IMAGE, LINK, LOG, NEAR, STATE, TOPICS, Topic
-from agent.links.inboxes import Inboxes
+from agent.kernel.topics import IMAGE, LINK, LOG, STATE, TOPICS, Topic
+from agent.links.inboxes import Inboxes, rows_of
 from agent.links.tokens import Tokens
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 
+Told = Presence | Claim | Keyframe
 OBSERVED = 4096  # messages an observer keeps between two drains, oldest dropped first: a minute of three robots
 
 
@@ -40,7 +43,8 @@ class Transport:
         self._fleet, self._robot, self._clock = fleet, robot, clock
         self._random = random.Random(f"{fleet.link.loss_seed} {robot}")
         self._inboxes, self._tokens = Inboxes(fleet, robot), Tokens(fleet, robot)
-        self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target; "": of where we are ourselves
+        self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target
+        self._tell: dict[tuple[str, type[Message]], Publish] = {}  # neighbour, what it is told beside estimates
         self._shows: dict[tuple[type[Message], str], Publish] = {}  # kind, target
         self._open = contextlib.ExitStack()
 
@@ -60,8 +64,8 @@ class Transport:
             self._shows[Image, ""] = session.publisher(IMAGE, topics.key(IMAGE, **names))
             heard = topics.key(LINK, fleet=self._fleet.fleet, src="*", dst=self._robot, target="**")
             session.subscribe(heard, self._arrived)
-            if self._fleet.navigation is not None:
-                self._swims(session)
+            for row in rows_of(self._fleet):
+                self._tells(session, row)
             session.announce(topics.ALIVE.format(**names, session=session.id))
             session.watch_tokens(topics.ALIVE.format(fleet="*", robot="*", session="*"), self._token)
             session.watch_tokens(topics.TWICE.format(**names, witness="*"), self._token)
@@ -76,19 +80,22 @@ class Transport:
         """The newest link messages since the last call, neighbours in turn, and how many were turned away."""
         return self._inboxes.drain(self._clock())
 
-    def _swims(self, session: Session) -> None:
-        """Robots that swim tell their neighbours where they are."""
+    def _tells(self, session: Session, row: Topic) -> None:
+        """What neighbours tell each other beside estimates: where one that swims is, what a survey saw."""
         for name in self._fleet.robot[self._robot].neighbours:
-            key = topics.key(NEAR, fleet=self._fleet.fleet, src=self._robot, dst=name)
-            self._links[name, ""] = session.publisher(NEAR, key)
-        session.subscribe(topics.key(NEAR, fleet=self._fleet.fleet, src="*", dst=self._robot), self._arrived)
+            key = topics.key(row, fleet=self._fleet.fleet, src=self._robot, dst=name)
+            self._tell[name, row.message] = session.publisher(row, key)
+        session.subscribe(topics.key(row, fleet=self._fleet.fleet, src="*", dst=self._robot), self._arrived)
 
-    def say(self, message: Estimate | Presence) -> None:
+    def say(self, message: Estimate | Told) -> None:
         """Send to the neighbour `message.dst`. Never blocks; under pressure, or by fault injection, it is lost."""
         if self._random.random() < self._fleet.link.loss:
             self.lost += 1
             return
-        self._links[message.dst, message.target if isinstance(message, Estimate) else ""](encode(message))
+        if isinstance(message, Estimate):
+            self._links[message.dst, message.target](encode(message))
+        else:
+            self._tell[message.dst, type(message)](encode(message))
 
     def show(self, message: State | LogLine | Image) -> None:
         """Publish to whoever looks. Never blocks; previews come from vision's thread."""

@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.live import Live
 
 from agent.clock import machine
+from agent.demo.coverage import SurveyWatch
 from agent.demo.display import how_to_look, progress_table, result_table
 from agent.demo.endpoints import reserved
 from agent.demo.fleet import demo_fleet, listening
@@ -33,9 +34,10 @@ from agent.fleet_files import fleet_file, with_pictures
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Access, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.keyframes.claim import Claim
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
+from agent.kernel.topics import CLAIM, STATE
 from agent.keys.make import FOLDER, make_keys
 from agent.keys.robot_keys import VARIABLE
 from agent.launch import Crew, crew, wait_for
@@ -88,13 +90,16 @@ def demo(
         stack.enter_context(keeping(run, console))
         processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
         calibrate(fleet, path, processes, console)
-        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console)
+        survey = SurveyWatch(fleet) if fleet.coverage is not None else None
+        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console, survey)
     with with_spinner(console, "reading the recordings"):
         followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
-    summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed)
+    summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed, survey)
     (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     for target in summary["targets"]:
         console.print(result_table(summary, target))
+    for line in survey.lines() if survey is not None else ():
+        console.print(line, highlight=False)
     return run, summary
 
 
@@ -129,9 +134,17 @@ def keeping(run: Path, console: Console) -> Iterator[None]:
 
 
 def dive(
-    fleet: Fleet, path: Path, run: Path, duration_s: float, speed: float, processes: Crew, console: Console
+    fleet: Fleet,
+    path: Path,
+    run: Path,
+    duration_s: float,
+    speed: float,
+    processes: Crew,
+    console: Console,
+    survey: SurveyWatch | None = None,
 ) -> tuple[Histories, dict[str, Any]]:
-    """Twin, recorder and agents until they settle or time is up; returns what they showed, and the truth."""
+    """Twin, recorder and agents until they settle, or have surveyed, or time is up; returns what they showed, and the
+    truth."""
     folder = twin_dir(fleet)
     with with_spinner(console, "starting the twin"):
         processes.start("twin", "twin", str(path), "--speed", "max" if speed == math.inf else str(speed))
@@ -148,22 +161,29 @@ def dive(
     until_ns = start_ns + round(duration_s * 1e9)
     for line in how_to_look(fleet, path):
         console.print(line, highlight=False)
+    ends = f"know where it is and {until(fleet)}" if survey is None else "know all that they survey, and the same"
     console.print(
-        f"diving until all robots know where it is and {until(fleet)}, at most {duration_s:.0f} s; Ctrl-C ends it; "
-        f"logs are in {run / 'logs'}"
+        f"diving until all robots {ends}, at most {duration_s:.0f} s; Ctrl-C ends it; logs are in {run / 'logs'}"
     )
     live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
-    with Observer(fleet, clock.now_ns, (STATE,)) as observer, live or nullcontext():
+    with (
+        Observer(fleet, clock.now_ns, (STATE,) if survey is None else (STATE, CLAIM)) as observer,
+        live or nullcontext(),
+    ):
         while (now_ns := clock.now_ns()) < until_ns:
             for seen in observer.drain():
                 try:
+                    if survey is not None and seen.topic is CLAIM:
+                        survey.add(decode(seen.payload, Claim))
+                        continue
                     state = decode(seen.payload, State)
                     histories[state.target][seen.chunks["robot"]].states.append(state)
                 except (Refusal, KeyError):
                     continue  # a stranger's sample: the recorder has it
             if live is not None:
                 live.update(progress_table(histories, (now_ns - start_ns) * 1e-9, duration_s, clock.rate()))
-            if all(settled_on(fleet, target, of_target) for target, of_target in histories.items()):
+            settled_all = all(settled_on(fleet, target, of_target) for target, of_target in histories.items())
+            if settled_all if survey is None else survey.over:
                 break
             processes.check()
             machine.sleep(0.1)

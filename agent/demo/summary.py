@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from agent.demo import following
+from agent.demo.coverage import SurveyWatch
 from agent.demo.history import Histories, History
 from agent.kernel.config import Fleet
 from agent.kernel.messages import State, Vector
@@ -30,11 +31,13 @@ def summarize(
     truth: dict[str, Any],
     wall_s: float,
     followed: Mapping[str, dict[str, Any]] | None = None,
+    survey: SurveyWatch | None = None,
 ) -> dict[str, Any]:
     """The content of summary.json, schema 1. `truth`: as the twin wrote it; `followed`: following.scored of each target
     that swims.
 
-    `targets` has every target; `truth_m` and `agents` are those of the first.
+    `targets` has every target; `truth_m` and `agents` are those of the first. survey: of a fleet with [coverage], whose
+    verdict is over what it surveyed, for its cameras are at that and not at targets.
     """
     targets: dict[str, Any] = {}
     why = []
@@ -49,6 +52,8 @@ def summarize(
         rows = {name: score(history, truth_m, radii_m) for name, history in of_target.items()}
         targets[target] = {"truth_m": list(truth_m), "radii_m": radii_m, "agents": rows}
         why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in reasons(rows)]
+    if survey is not None:
+        why = list(survey.reasons())
     first, depth_m = next(iter(targets)), next(iter(fleet.robot.values())).depth_m
     return {
         "schema": 1,
@@ -60,6 +65,7 @@ def summarize(
         "agents": targets[first]["agents"],
         "targets": targets,
         "control": control(histories[first].values(), depth_m),
+        **({} if survey is None else {"coverage": survey.as_json()}),
         "verdict": "fail" if why else "pass",
         "reasons": why,
     }

@@ -178,7 +178,12 @@ class Search(Struct, frozen=True, kw_only=True, tag_field="kind", tag="search"):
     speed_m_s: Positive = 0.06  # in a quarter of a minute, when the gaze has gone round, a lane's width
 
 
-Behaviour = Hold | Goto | Turn | Orbit | Trial | Follow | Search
+class Survey(Struct, frozen=True, kw_only=True, tag_field="kind", tag="survey"):
+    """Look where the fleet's map gains most by it: go there, or, moored, turn the camera; until all is known that
+    [coverage] asks for."""
+
+
+Behaviour = Hold | Goto | Turn | Orbit | Trial | Follow | Search | Survey
 
 
 class Robot(Struct, frozen=True, kw_only=True):
@@ -229,6 +234,15 @@ class Navigation(Struct, frozen=True, kw_only=True):
     gyro: bool = False  # every control module has one that says how fast the robot turns
 
 
+class Coverage(Struct, frozen=True, kw_only=True):
+    """What robots are to see of the tank, and how well. Those whose behaviour is `survey` look; all share the map."""
+
+    goal_mm: Annotated[float, Meta(ge=2, le=50)] = 4.0  # standard deviation at which a cell is known well enough
+    cell_mm: Annotated[float, Meta(ge=20, le=200)] = 40.0
+    share: Annotated[float, Meta(gt=0, le=1)] = 0.9  # of the wanted cells; then the survey is done
+    faces: Annotated[tuple[Face, ...], Meta(min_length=1)] = ("floor", "x0", "x1", "y0", "y1")
+
+
 class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
@@ -251,4 +265,5 @@ class Fleet(Struct, frozen=True, kw_only=True):
     robot: dict[Name, Robot]
     landmarks: Landmarks | None = None
     navigation: Navigation | None = None  # none: every robot is moored where `pose` says
+    coverage: Coverage | None = None  # none: no keyframes, nobody says what it has seen
     twin: Twin = Twin()

@@ -14,6 +14,7 @@ from agent.kernel.control.attitude import AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.control.target_scheduler import TargetScheduler
+from agent.kernel.coverage.conduct import Conduct
 from agent.kernel.estimation.choice import iteration_ns
 from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
@@ -33,7 +34,7 @@ from agent.kernel.ranging.own_pose import EXACT, OwnPose
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
-from agent.kernel.topics import NEAR
+from agent.kernel.topics import NEAR, next_due_ns
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
 NEAR_NS = round(1e9 / NEAR.hz)
@@ -59,9 +60,10 @@ class Agent:
         self.seek = Seek(fleet, robot, calibration)
         self.swimmer = Swimmer(fleet, name, calibration, incarnation) if fleet.navigation else None
         self.pursuit = Pursuit(fleet, name, calibration, self.swimmer)
+        self.survey = Conduct(fleet, name, calibration, incarnation, self.swimmer)
         self.attitude = AttitudeLog()
         neighbours = self.swimmer.company.neighbours if self.swimmer else None
-        self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours)
+        self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours, self.survey)
         self.status = Status(fleet.fleet, name, incarnation)
         self.net = Net()
         self._signed = False
@@ -102,18 +104,23 @@ class Agent:
         if self.swimmer is not None:
             self.swimmer.feel(inputs.telemetry)
             self.swimmer.see(inputs.landmarks or (), inputs.flow or (), self.attitude, self.seek, now_ns)
+        self.survey.see(inputs.blocks or (), self.attitude, self.seek, self.status, now_ns)
         self.status.devices(self._with_faults(inputs, now_ns), self.attitude, now_ns)
         outcome = self._measure(now_ns)
         self._iterate(now_ns)
         sweep = self._act(now_ns)
-        says = self._say(now_ns)
-        state = self._state(now_ns)
-        log = self.status.log.fetch(now_ns)
-        set_point = self._set_point(now_ns)
-        near = self._near(now_ns) or UNSET
-        lens = self.pursuit.lens()
+        claims, keyframes = self.survey.say(now_ns)
         return Outputs(
-            set_point=set_point, sweep=sweep, says=says, state=state, log=log, near=near, lens=lens, outcome=outcome
+            sweep=sweep,
+            says=self._say(now_ns),
+            state=self._state(now_ns),
+            log=self.status.log.fetch(now_ns),
+            set_point=self._set_point(now_ns),
+            near=self._near(now_ns) or UNSET,
+            claims=claims,
+            keyframes=keyframes,
+            lens=self.pursuit.lens(),
+            outcome=outcome,
         )
 
     def _measure(self, now_ns: int) -> SweepOutcome | UnsetType:
@@ -198,13 +205,15 @@ class Agent:
             self.swimmer.steer(self.seek, None if by is None else self.targets[by].estimator.by_others(), now_ns)
             about = self.targets.get(self.swimmer.about or "")
             did = self.swimmer.does
+            self.swimmer.survey(self.survey.goal())
             self.swimmer.heed(about.estimate(now_ns) if about else None, self.seek, now_ns)
             if self.swimmer.does != did:
                 self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
         if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
             return None
-        if self.pursuit.look(self.current, self.seek, level, now_ns):
-            return None
+        surveys, plan = self.survey.act(self.seek, level, self.status, now_ns)
+        if surveys or self.pursuit.look(self.current, self.seek, level, now_ns):
+            return plan
         calm = self.swimmer is None or (self.swimmer.calm(now_ns) and self.current.name != self.pursuit.target)
         wanted = self.current.prior is None and not self._settling and calm
         plan = self.seek.act(now_ns, self.scheduler.target, level, self.current.believed_m, wanted)
@@ -280,21 +289,10 @@ class Agent:
         servos_us = pan_us, tilt_us, centre_us, centre_us
         if self.swimmer is None:
             return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us)
-        ahead_n, left_n, moment_nm = self.swimmer.thrust(self._may_swim(now_ns), self.current.believed_m, now_ns)
+        ahead_n, left_n, moment_nm = self.swimmer.thrust(self.attitude.obeys(now_ns), self.current.believed_m, now_ns)
         return SetPoint(
             depth_m=self.swimmer.depth_m(now_ns),
             force_n=(ahead_n, left_n),
             yaw_moment_nm=moment_nm,
             servos_us=servos_us,
         )
-
-    def _may_swim(self, now_ns: int) -> bool:
-        """The module refuses to arm while it is asked for forces, and none act while it has taken over."""
-        newest = self.attitude.newest
-        return newest is not None and not self.attitude.silent(now_ns, 0) and newest.armed and newest.ladder == 0
-
-
-def next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:
-    """The next time on a period's grid, so that steps that come a little late do not lower the rate; a grid that is
-    more than a period behind starts anew."""
-    return due_ns + period_ns if now_ns - due_ns < period_ns else now_ns + period_ns

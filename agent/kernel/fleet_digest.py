@@ -29,6 +29,8 @@ def common(fleet: Fleet) -> str:
     }
     if fleet.landmarks is not None:
         shared["landmarks"] = _landmarks(fleet.landmarks)
+    if fleet.coverage is not None:
+        shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
     text = msgspec.json.encode(_plain(shared), order="sorted")
     return hashlib.sha256(text).hexdigest()[:16]
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from msgspec import UNSET
+
 from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Tank
+from agent.kernel.coverage.conduct import Conduct
 from agent.kernel.estimation.evidence_checks import inside, is_covariance
 from agent.kernel.messages import Estimate
 from agent.kernel.navigation.neighbours import Neighbours
@@ -29,10 +32,12 @@ class Inbox:
         common: str,
         schema: int,
         neighbours: Neighbours | None = None,
+        survey: Conduct | None = None,
     ) -> None:
         """common: digest of what all fleet files share. schema: of the messages that are taken in. neighbours: where
-        they are, of a robot that swims."""
+        they are, of a robot that swims. survey: what is told of what was seen."""
         self._targets, self._tank, self._common, self._neighbours = targets, tank, common, neighbours
+        self._survey = survey
         self._accepted = frozenset({schema})
         self.refused: dict[str, int] = {}
         self._faults: dict[tuple[str, str], tuple[str, int]] = {}  # neighbour and kind: what is wrong, and when last
@@ -66,6 +71,9 @@ class Inbox:
                 raise Refusal("fleet file", "it swims, and our file has no [navigation]; give all robots the same file")
             presence = decode(item.payload, Presence, NEAR.limit, self._accepted)
             self._neighbours.hear(item.src, presence, item.arrived_ns)
+            return
+        if item.topic is not UNSET and self._survey is not None:
+            self._survey.hear(item, self._accepted)
             return
         estimate = decode(item.payload, Estimate, accepted=self._accepted)
         if estimate.common and self._common and estimate.common != self._common:

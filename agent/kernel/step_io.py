@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
 from agent.kernel.presence import Presence
 
@@ -64,6 +66,19 @@ class Flow(Message, frozen=True, kw_only=True):
     pairs: Annotated[tuple[tuple[float, float, float, float], ...], Meta(max_length=64)] = ()  # x, y then; x, y now
 
 
+class BlockPeaks(Message, frozen=True, kw_only=True):
+    """What a sweep over whole frames showed: where the clarity of each block of its largest picture has its peak."""
+
+    t_ns: int  # middle of the exposure of the frame that the blocks are counted in
+    sweep: Count  # number of its plan
+    focus: int  # lens position of that frame
+    block_px: Annotated[int, Meta(ge=8)]
+    cols: Annotated[int, Meta(ge=1, le=64)]
+    rows: Annotated[int, Meta(ge=1, le=64)]
+    # Index, row by row, lens position of the peak and its standard deviation; blocks without a clear one left out.
+    peaks: Annotated[tuple[tuple[Count, float, float], ...], Meta(max_length=4096)] = ()
+
+
 class Telemetry(Message, frozen=True, kw_only=True):
     """One telemetry frame of the control module."""
 
@@ -89,7 +104,9 @@ class Heard(Message, frozen=True, kw_only=True):
     arrived_ns: int
     src: Id  # from the key it came on
     payload: bytes
-    topic: Literal["near"] | UnsetType = UNSET  # the row of topics.py that its key is of; unset: link
+    topic: Literal["near", "claim", "keyframe"] | UnsetType = (
+        UNSET  # the row of topics.py that its key is of; unset: link
+    )
 
 
 class DroppedPayloads(Message, frozen=True, kw_only=True):
@@ -109,6 +126,7 @@ class Inputs(Message, frozen=True, kw_only=True):
     refused: tuple[DroppedPayloads, ...] = ()
     landmarks: tuple[SeenTags, ...] | UnsetType = UNSET  # whole frames that were searched for them; unset: none was
     flow: tuple[Flow, ...] | UnsetType = UNSET  # points of key frames in these frames; unset: none
+    blocks: tuple[BlockPeaks, ...] | UnsetType = UNSET  # of sweeps over whole frames that ended; unset: none did
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
 
@@ -122,6 +140,7 @@ class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
     sweep: Count
     focus: tuple[int, ...]
     target: Id | None = None  # whose clarity to take; left out where the fleet has one target
+    block_px: Count = 0  # of the blocks of whole frames, whose clarity is taken instead; left out: a target's
 
 
 class SetPoint(Message, frozen=True, kw_only=True):
@@ -158,5 +177,7 @@ class Outputs(Message, frozen=True, kw_only=True):
     state: State | None = None
     log: tuple[LogLine, ...] = ()
     near: tuple[Presence, ...] | UnsetType = UNSET  # where a robot that swims is, to its neighbours; unset: not now
+    claims: tuple[Claim, ...] | UnsetType = UNSET  # where it looks next and what it holds; unset: not now
+    keyframes: tuple[Keyframe, ...] | UnsetType = UNSET  # what was seen, to neighbours that lack it; unset: nothing
     lens: int | UnsetType | None = UNSET  # position between sweeps from now on; none: for landmarks; unset: as before
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal, NamedTuple
 
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
 from agent.kernel.presence import Presence
 
@@ -35,6 +37,14 @@ LINK = Topic(
 NEAR = Topic(
     "near", "aucamp/{fleet}/near/{src}/{dst}", Presence, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src", limit=1024
 )
+# Of a survey. Where somebody looks next stands until he says another; what he holds is all of it in each word.
+CLAIM = Topic(
+    "claim", "aucamp/{fleet}/claim/{src}/{dst}", Claim, 2.0, QoS("DATA", "RELIABLE", 2), "src", limit=8 * 1024
+)
+# What was seen goes to a neighbour once, and again where its claims show that it came to nothing.
+KEYFRAME = Topic(
+    "keyframe", "aucamp/{fleet}/keyframe/{src}/{dst}", Keyframe, 0.0, QoS("DATA", "RELIABLE", 2), "src", limit=2048
+)
 STATE = Topic(
     "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
 )
@@ -51,7 +61,7 @@ IMAGE = Topic(
     limit=MAX_JPEG + 1024,
 )
 
-TOPICS = (LINK, NEAR, STATE, LOG, IMAGE)
+TOPICS = (LINK, NEAR, CLAIM, KEYFRAME, STATE, LOG, IMAGE)
 
 # Liveliness tokens: who is listed, never whose word counts. Two agents of one name differ in their sessions.
 ALIVE = "aucamp/{fleet}/alive/{robot}/{session}"
@@ -98,3 +108,9 @@ def _match(pattern: list[str], parts: list[str]) -> dict[str, str] | None:
 def target_chunk(targets: Collection[str], target: str) -> dict[str, str]:
     """The chunk that tells the targets of a fleet apart, for `key`; none where there is one target."""
     return {"target": target} if len(targets) > 1 else {}
+
+
+def next_due_ns(due_ns: int, period_ns: int, now_ns: int) -> int:
+    """The next time on a period's grid, so that steps that come a little late do not lower the rate; a grid that is
+    more than a period behind starts anew."""
+    return due_ns + period_ns if now_ns - due_ns < period_ns else now_ns + period_ns

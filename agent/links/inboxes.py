@@ -11,21 +11,30 @@ import math
 import threading
 from collections import Counter, deque
 from collections.abc import Mapping
+from typing import Literal
 
 from msgspec import UNSET
 
 from agent.kernel import topics
 from agent.kernel.config import Fleet
 from agent.kernel.step_io import DroppedPayloads, Heard
-from agent.kernel.topics import LINK, NEAR, Topic
+from agent.kernel.topics import CLAIM, KEYFRAME, LINK, NEAR, Topic
 from router_config.door import Sample, unusable
 
 KEPT = LINK.qos.buffer
 FASTEST_HZ = 40.0  # twice what a fleet file may ask for: who speaks more often for long floods
 BURST = 64.0  # messages that may come at once after a cable was out: links are given up after two seconds of silence
 
+NAMES: Mapping[Topic, Literal["near", "claim", "keyframe"]] = {NEAR: "near", CLAIM: "claim", KEYFRAME: "keyframe"}
+
 STRANGER = "unknown sender"
 FLOOD = "flood"
+
+
+def rows_of(fleet: Fleet) -> tuple[Topic, ...]:
+    """What neighbours of this fleet tell each other beside estimates."""
+    swims = () if fleet.navigation is None else (NEAR,)
+    return swims if fleet.coverage is None else (*swims, CLAIM, KEYFRAME)
 
 
 class _Inbox:
@@ -50,10 +59,11 @@ class Inboxes:
             for target in targets
             for src in neighbours
         }
-        if fleet.navigation is not None:
-            self._by_key |= {
-                topics.key(NEAR, fleet=fleet.fleet, src=src, dst=robot): _Inbox(src, NEAR) for src in neighbours
-            }
+        self._by_key |= {
+            topics.key(row, fleet=fleet.fleet, src=src, dst=robot): _Inbox(src, row)
+            for row in rows_of(fleet)
+            for src in neighbours
+        }
         # Who speaks of a target that our file lacks has another fleet file. One place for all such: the step says so.
         self._elsewhere: Mapping[str, _Inbox] = {src: _Inbox(src) for src in neighbours}
         self._inboxes = (*self._by_key.values(), *self._elsewhere.values())  # by target, then by neighbour
@@ -95,7 +105,7 @@ class Inboxes:
                 arrived_ns=payloads[k][0],
                 src=inbox.src,
                 payload=payloads[k][1],
-                topic="near" if inbox.topic is NEAR else UNSET,
+                topic=NAMES.get(inbox.topic, UNSET),
             )
             for k in range(KEPT)
             for inbox, payloads in kept

@@ -13,6 +13,7 @@ import msgspec
 
 from agent.kernel import messages, topics
 from agent.kernel.codec import encoding
+from agent.kernel.keyframes import claim, keyframe
 from agent.kernel.messages import SCHEMA, Message
 from agent.kernel.topics import TOPICS
 
@@ -33,13 +34,18 @@ def schema(kind: type[Message]) -> dict[str, Any]:
     (reference,), parts = msgspec.json.schema_components((kind,))
     for name, part in parts.items():
         if part["type"] == "array":  # a struct that travels without the names of its fields
-            for field, item in zip(getattr(messages, name).__struct_fields__, part["prefixItems"], strict=True):
+            for field, item in zip(_struct(name).__struct_fields__, part["prefixItems"], strict=True):
                 item["title"] = field
         elif "schema" in part["properties"]:
             part["properties"]["schema"]["const"] = SCHEMA
             part["required"].insert(0, "schema")  # it has a default for us who write it; who reads it insists
     top = parts.pop(reference["$ref"].rpartition("/")[2])
     return {"$schema": DIALECT, **top, "$comment": AS_MSGPACK, **({"$defs": parts} if parts else {})}
+
+
+def _struct(name: str) -> Any:
+    """A part of a message, by its name."""
+    return next(getattr(home, name) for home in (messages, claim, keyframe) if hasattr(home, name))
 
 
 def index() -> dict[str, Any]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import zlib
 from collections import OrderedDict
+from pathlib import Path
+from traceback import extract_tb
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from hw.camera.camera import CameraError, Frame, Roi
 FROZEN_NS = 2_000_000_000  # for so long the same picture: eight looks at the idle rate
 FROZEN_FRAMES = 4  # and in so many frames: a machine that stood still saw few
 EVERY_ROW = 16  # of the rows compared; the noise of a sensor is in each of them
+MAX_FAULT = 200  # characters
 KEPT = 8  # parts of the frame whose last picture is remembered; a sweep looks at one, the search at another
 
 
@@ -61,3 +64,9 @@ class FrozenWatch:
             return None
         what = "the same frame again and again" if again else "the same picture in every frame"
         return f"{what}; plug the camera in again, or give it light"
+
+
+def broke_off(error: BaseException) -> str:
+    """What went wrong and where, in one line."""
+    where = [f"{Path(step.filename).name}:{step.lineno}" for step in extract_tb(error.__traceback__)]
+    return f"{type(error).__name__} in {where[-1] if where else 'vision'}: {' '.join(str(error).split())}"[:MAX_FAULT]

@@ -11,9 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from threading import Condition, Thread
-from traceback import extract_tb
 
 import cv2
 
@@ -22,12 +20,13 @@ from agent.clock.clock import Clock, Part
 from agent.clock.part_names import CAMERA, part_name
 from agent.kernel.config import Fleet
 from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import Sighting, SweepPlan
-from agent.perception.clarity.region import UNSEEN, Clarity, around, box_clarity, disc_clarity, prepare
-from agent.perception.detection.detectors import Detector, Found
+from agent.kernel.step_io import BlockPeaks, Sighting, SweepPlan
+from agent.perception.clarity.block_sweep import BlockSweep
+from agent.perception.clarity.region import UNSEEN, around, prepare, target_clarity
+from agent.perception.detection.detectors import Detector
 from agent.perception.enhancement.enhance import one_thread
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
-from agent.perception.frame_checks import FrozenWatch, check
+from agent.perception.frame_checks import FrozenWatch, broke_off, check
 from agent.perception.landmarks.watch import LandmarkWatch
 from hw.camera.camera import Camera, CameraError, Frame
 
@@ -36,7 +35,6 @@ HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
 SLACK_S = 0.025  # how long a frame may be looked at before a dive's clock waits
-MAX_FAULT = 200  # characters
 QUEUE = 256  # sightings nobody has fetched: 8 s of frames at 30 per second
 
 
@@ -64,6 +62,7 @@ class Vision:
         self._open_camera = open_camera
         self._settings = fleet.camera
         self._detectors = detectors
+        self._camera = camera
         self._whole = camera.width_px, camera.height_px
         self._clock, self._robot = clock, robot
         self._part: Part | None = None  # while it waits between frames
@@ -74,6 +73,7 @@ class Vision:
         self._plan: SweepPlan | None = None
         self._closing = False
         self._out: deque[Sighting] = deque(maxlen=QUEUE)
+        self._views: deque[BlockPeaks] = deque(maxlen=2)
         self._thread = Thread(target=self._run, name="vision", daemon=True)
         self._last: dict[str, Sighting] = {}  # of each target, in the last frame in which it was looked for
         self._lens_position: int | None = None  # as the device reported it
@@ -99,6 +99,13 @@ class Vision:
         with self._changed:
             self._plan = plan
             self._wake()
+
+    def views(self) -> list[BlockPeaks]:
+        """What sweeps over whole frames showed that ended since the last call."""
+        with self._changed:
+            out = list(self._views)
+            self._views.clear()
+        return out
 
     def rest(self, lens_position: int | None) -> None:
         """Where the lens shall be between sweeps, as near to it as landmarks allow; None: where they are sharpest."""
@@ -175,6 +182,8 @@ class Vision:
             self._wait(part, idle_s, until_plan=True)
         elif camera.focus_range() is None:
             self.refused += 1
+        elif plan.block_px:
+            self._survey(camera, plan, part)
         else:
             self._sweep(camera, plan, part)
 
@@ -183,6 +192,20 @@ class Vision:
         if camera.focus_range() is not None:
             self._lens_position = camera.set_focus(sharp)
         landmarks.rested(sharp, self._lens_position)
+
+    def _survey(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
+        """A sweep over whole frames, of no target."""
+        view = BlockSweep(plan, self._camera)
+        self._lens_position = camera.set_focus(plan.focus[0])
+        self._wait(part, HOMING_S, until_plan=True)
+        for lens_position in plan.focus[1:]:
+            if self._closing or self._plan is not None:
+                return
+            self._lens_position = camera.set_focus(lens_position)
+            self._look(camera, tuple(self._detectors), keep=view)
+        peaks = view.peaks()
+        with self._changed:
+            self._views.append(peaks)
 
     def _sweep(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))
@@ -204,6 +227,7 @@ class Vision:
         sweep: int = 0,
         index: int = -1,
         first: Sighting | None = None,
+        keep: BlockSweep | None = None,
     ) -> Sighting:
         """Read a frame, find the targets in it and say so; returns what it says of the first of them.
 
@@ -218,6 +242,8 @@ class Vision:
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         check(frame, camera.size)
         self.frozen = self._frozen_watch.see(frame, self._clock.now_ns())
+        if keep is not None and self._lens_position is not None:
+            keep.add(frame.image, self._lens_position, frame.t_ns + self._clock.camera_offset_ns)
         sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
         self._last.update(zip(targets, sightings, strict=True))
         if self._landmarks is not None and searched:
@@ -242,7 +268,7 @@ class Vision:
         find = partial(detector.find, offset_px=(frame.roi.x, frame.roi.y), lens_position=lens_position)
         enhance = self._settings.enhance and not detector.remembers
         found = self._enhancer.look(find, frame, self._whole) if enhance else find(frame.image)
-        clarity, area_px = UNSEEN if found is None else target_clarity(frame, found, first)
+        clarity, area_px = UNSEEN if found is None else target_clarity(frame, found.centre_px, found, first)
         return Sighting(
             t_ns=frame.t_ns + self._clock.camera_offset_ns,
             frame=frame.seq,
@@ -269,17 +295,3 @@ class Vision:
                 if not part.wait_changed(self._changed, until_ns):
                     break
             self._part = None
-
-
-def broke_off(error: BaseException) -> str:
-    """What went wrong and where, in one line."""
-    where = [f"{Path(step.filename).name}:{step.lineno}" for step in extract_tb(error.__traceback__)]
-    return f"{type(error).__name__} in {where[-1] if where else 'vision'}: {' '.join(str(error).split())}"[:MAX_FAULT]
-
-
-def target_clarity(frame: Frame, found: Found, first: Sighting | None) -> Clarity:
-    """Clarity over a part as large as in the sweep's first frame: areas stay comparable while the blur changes."""
-    if found.size_px is not None:
-        return box_clarity(frame, found.centre_px, (first and first.size_px) or found.size_px)
-    assert found.radius_px is not None  # a ball
-    return disc_clarity(frame, found.centre_px, (first and first.radius_px) or found.radius_px)

@@ -25,13 +25,14 @@ class SceneWater(Struct, frozen=True, kw_only=True):
 
 
 class Solid(Struct, frozen=True, kw_only=True):
-    """An ellipsoid that stands where it is put. The agents' targets are among these."""
+    """An ellipsoid or a box that stands where it is put. The agents' targets are among these."""
 
-    kind: Literal["ball", "stone"]
+    kind: Literal["ball", "stone", "box"]
     name: str | None = None  # of a target that robots know from a picture: what tells who judges which one it was
-    colour: Colour = "red"  # of a ball; stones are grey
+    colour: Colour = "red"  # of a ball; stones and boxes are grey
     position_m: tuple[float, float, float]
-    radii_m: tuple[Positive, Positive, Positive]
+    radii_m: tuple[Positive, Positive, Positive]  # of a box half its length, breadth and height
+    turn_deg: Vector = (0.0, 0.0, 0.0)  # yaw, pitch, roll: R = Rz Ry Rx
 
 
 class Creature(Struct, frozen=True, kw_only=True):

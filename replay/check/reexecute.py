@@ -15,10 +15,12 @@ from typing import Any, Literal, NamedTuple
 from agent.clock import machine
 from agent.kernel.codec import READABLE, Refusal, decode, encode
 from agent.kernel.core import Agent
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import SCHEMA, Estimate
 from agent.kernel.presence import Presence
 from agent.kernel.step_io import Heard, Inputs
-from agent.kernel.topics import NEAR
+from agent.kernel.topics import CLAIM, KEYFRAME, NEAR
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences, written
 from replay.check.older import must_differ, note
@@ -233,6 +235,12 @@ def heard_words(heard: Heard) -> str:
     if heard.topic == NEAR.name:
         p = decode(heard.payload, Presence, accepted=READABLE)
         return f"seq {p.seq}, it is at ({p.x_m:.3f}, {p.y_m:.3f}) m"
+    if heard.topic == CLAIM.name:
+        c = decode(heard.payload, Claim, accepted=READABLE)
+        return f"seq {c.seq}, it knows {100 * c.share:.0f} % of what is wanted"
+    if heard.topic == KEYFRAME.name:
+        k = decode(heard.payload, Keyframe, accepted=READABLE).frame
+        return f"keyframe {k.number} of {k.origin}"
     e = decode(heard.payload, Estimate, accepted=READABLE)
     return f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
 

@@ -29,6 +29,7 @@ from agent.keys.signing import signing, unsigned
 from replay.files.log import parts
 from replay.files.names import active
 from tests.golden.frames import paint
+from tests.golden.survey import survey
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 from tests.places import GOLDEN, ROOT
 from tests.replay.step_box import StepBox
@@ -68,6 +69,7 @@ CASES = {
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
 }
 TORN = "torn"  # r1 of `three`, cut
+SURVEY = "survey"  # two robots that map a drawn tank
 SEEN = "seen"  # frames, for vision
 TILT_DEG, SINK_M, SWINGS_HZ, CALMS_S = 9.0, 0.03, 1.6, 0.5  # what a knock does, and how it dies away
 
@@ -79,6 +81,8 @@ def make(folder: Path, names: list[str]) -> None:
         shutil.rmtree(out, ignore_errors=True)
         if name == TORN:
             tear(folder / "three" / "r1.mcap", out)
+        elif name == SURVEY:
+            survey(out)
         elif name == SEEN:
             paint(fleet_of(CASES["three"]), out, START_NS, STEP_NS)
         else:
@@ -262,4 +266,4 @@ def tear(whole: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(GOLDEN, sys.argv[1:] or [*CASES, TORN, SEEN])
+    make(GOLDEN, sys.argv[1:] or [*CASES, TORN, SURVEY, SEEN])

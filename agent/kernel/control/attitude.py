@@ -37,6 +37,12 @@ class AttitudeLog:
         newest_ns = self._log[-1].t_ns if self._log else since_ns
         return now_ns - newest_ns > FRESH_NS
 
+    def obeys(self, now_ns: int) -> bool:
+        """Whether forces act: the module refuses to arm while it is asked for them, and none act while it has taken
+        over."""
+        newest = self.newest
+        return newest is not None and not self.silent(now_ns, 0) and newest.armed and newest.ladder == 0
+
     def at(self, t_ns: int) -> Attitude | None:
         """Linear between the two frames around a time; None where there are none near."""
         before = after = None

@@ -42,12 +42,13 @@ class Seek:
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
+        self.surveys = False  # a sweep over whole frames is under way, of no target
         self._look_us = servos_us(self._camera, fleet.body, robot.look.pan_deg, robot.look.tilt_deg)
 
     @property
     def measuring(self) -> bool:
         """A sweep is under way."""
-        return self._memory[self._target].sweep.running
+        return self.surveys or self._memory[self._target].sweep.running
 
     def sees(self, target: str, now_ns: int) -> bool:
         """Whether it is in view where the gimbal looks, or was as the gimbal came to rest there."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from agent.kernel.config import Behaviour, Fleet, Follow, Pose, Search
+from agent.kernel.config import Behaviour, Fleet, Follow, Pose, Search, Survey
 from agent.kernel.control.roam import Roam, all_around, spiral
 from agent.kernel.control.seek import Seek
 from agent.kernel.estimation.choice import dynamics
-from agent.kernel.navigation.barrier import SIGMAS, TARGET_M, Disc
+from agent.kernel.navigation.barrier import SIGMAS, TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviours.behaviour import Progress, effective
 from agent.kernel.navigation.behaviours.search import Hunt
 from agent.kernel.navigation.behaviours.surroundings import Surroundings, velocity_m_s
@@ -25,6 +25,7 @@ class Errand:
         self._fleet, self._camera = fleet, calibration.camera
         self._speed_m_s = fleet.navigation.limits.speed_m_s
         self.around: Surroundings | None = None
+        self.station: tuple[Planar, float] | None = None  # where a survey looks from; by whoever chooses views
         self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
 
     def heed(
@@ -39,6 +40,9 @@ class Errand:
     ) -> None:
         """Once a step, before the camera is told where to look; depth_m: where the robot hovers."""
         self.does = what
+        if isinstance(what, Survey):
+            self.around = Surroundings(self._fleet.tank.size_m[:2], self._speed_m_s, station=self.station)
+            return
         if not isinstance(what, Follow | Search):
             self.around, seek.roam = None, None
             return

@@ -6,6 +6,7 @@ Nothing of it comes back in what the robot says itself: it steers by it, and tha
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 from agent.kernel.codec import Refusal
 from agent.kernel.config import Fleet
@@ -55,6 +56,11 @@ class Neighbours:
         ring_m, (length_m, breadth_m, _) = 0.5 * RINGS_M, self._tank_m
         x, y = (min(max(at, ring_m), side - ring_m) for at, side in zip(at_m, (length_m, breadth_m), strict=True))
         return x, y
+
+    def places(self, but: Collection[str] = ()) -> tuple[tuple[float, float, float], ...]:
+        """x, y and depth of all that ever said where they are, but those of these names."""
+        heard = (letter.message for letter in self._heard())
+        return tuple((said.x_m, said.y_m, said.depth_m) for said in heard if said.src not in but)
 
     def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
         """Where those are that do the same about the same target, in the order of their names; silent ones left out."""

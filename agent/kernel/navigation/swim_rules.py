@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 
-from agent.kernel.config import Behaviour, Fleet, Follow, Goto, Orbit, Robot, Search, Trial
+from agent.kernel.config import Behaviour, Fleet, Follow, Goto, Orbit, Robot, Search, Survey, Trial
 from agent.kernel.navigation.barrier import MARGIN_M, WALL_M
 
 ROUNDING_M = 1e-9  # what a centre less its radius may lack
@@ -14,9 +14,15 @@ ROUNDING_M = 1e-9  # what a centre less its radius may lack
 
 def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     """Every mistake as (key, what to change)."""
+    surveys = [name for name, robot in fleet.robot.items() if isinstance(robot.behaviour, Survey)]
+    if fleet.coverage is None:
+        for name in surveys:
+            yield f"robot.{name}.behaviour", "nobody says what there is to see; add a table [coverage]"
+    elif not surveys:
+        yield "coverage", 'nobody surveys; give a robot the behaviour { kind = "survey" }, or remove the table'
     if fleet.navigation is None:
         for name, robot in fleet.robot.items():
-            if robot.behaviour is not None:
+            if robot.behaviour is not None and not isinstance(robot.behaviour, Survey):
                 yield f"robot.{name}.behaviour", "it is moored; add a table [navigation], or remove the behaviour"
         return
     if fleet.landmarks is None:

@@ -99,6 +99,10 @@ class Swimmer:
         if here is not None and self._progress is not None:
             self._progress = start(here.pose, self._progress.turned, now_ns)
 
+    def survey(self, station: tuple[Planar, float] | None) -> None:
+        """Where a survey looks from next, and how the body is turned there, rad; None: where it is."""
+        self._errand.station = station
+
     @property
     def about(self) -> str | None:
         """The name of the target that its behaviour is about."""

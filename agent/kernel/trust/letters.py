@@ -12,6 +12,8 @@ from __future__ import annotations
 from typing import Generic, NamedTuple, TypeVar
 
 from agent.kernel.codec import Refusal
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import Estimate
 from agent.kernel.presence import Presence
 from agent.kernel.trust.transit import CLOCKS_NS, Transit
@@ -21,7 +23,7 @@ AHEAD_S = 10  # of such messages that may be missing at any time
 INSISTS = 3  # messages in a row whose numbers fell back: a neighbour that had told a wrong one
 TWIN_NS = 10_000_000_000  # two starts of one robot that take turns within this time are two robots
 
-M = TypeVar("M", Estimate, Presence)
+M = TypeVar("M", Estimate, Presence, Claim, Keyframe)
 
 
 class Letter(NamedTuple, Generic[M]):

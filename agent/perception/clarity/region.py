@@ -6,6 +6,8 @@ behind it at a third.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,15 @@ ROI_BORDER_PX = 24  # the blur at the end of a tracking sweep
 
 Clarity = tuple[float | None, float | None]  # per pixel, and over how many; None where the frame shows none of it
 UNSEEN: Clarity = (None, None)
+
+
+class Sized(Protocol):
+    """What was found: as large as a box, or as a ball."""
+
+    @property
+    def size_px(self) -> tuple[float, float] | None: ...
+    @property
+    def radius_px(self) -> float | None: ...
 
 
 def around(centre_px: tuple[float, float] | None, radius_px: float | None, size: tuple[int, int]) -> Roi | None:
@@ -66,6 +77,14 @@ def box_clarity(frame: Frame, centre_px: tuple[float, float], size_px: tuple[flo
         return UNSEEN
     clarity = tenengrad_grid(frame.image, np.array([top, bottom]), np.array([left, right]))
     return float(clarity[0, 0]), float((right - left) * (bottom - top))
+
+
+def target_clarity(frame: Frame, centre_px: tuple[float, float], found: Sized, first: Sized | None) -> Clarity:
+    """Clarity over a part as large as in the sweep's first frame: areas stay comparable while the blur changes."""
+    if found.size_px is not None:
+        return box_clarity(frame, centre_px, (first and first.size_px) or found.size_px)
+    assert found.radius_px is not None  # a ball
+    return disc_clarity(frame, centre_px, (first and first.radius_px) or found.radius_px)
 
 
 def _span(middle: float, length: float, limit: int) -> tuple[int, int]:

@@ -59,6 +59,7 @@ class View(NamedTuple):
     bounds: NDArray[np.int64]  # (E, 4) no pixel of the ellipsoid lies outside x0 <= x < x1, y0 <= y < y1
     radii: Floats  # (E, 3) semi-axes
     up: Floats  # (E, 3) the world's z in the ellipsoid's axes
+    cubes: NDArray[np.int64]  # (E,) 1: a box of these semi-axes, not an ellipsoid
     pattern: Floats  # (E, 2) where on its texture an ellipsoid has its middle, m
     material: NDArray[np.int64]  # (SOLID_ID + E,) row of texture.MATERIALS for each identity
 
@@ -118,7 +119,10 @@ def trace(view: View, x0: int, y0: int, depth: Floats, identity: Identities) -> 
     if view.chessboard_half[0] > ZERO:
         _trace_chessboard(view, x0, y0, depth, identity)
     for e in range(view.solids.shape[0]):
-        _trace_solid(view, e, x0, y0, depth, identity)
+        if view.cubes[e]:
+            _trace_cube(view, e, x0, y0, depth, identity)
+        else:
+            _trace_solid(view, e, x0, y0, depth, identity)
 
 
 @kernel
@@ -153,3 +157,27 @@ def _trace_solid(view: View, e: int, x0: int, y0: int, depth: Floats, identity: 
                 if u > ZERO and u < depth[row, col]:
                     depth[row, col] = u
                     identity[row, col] = SOLID_ID + e
+
+
+@inlined
+def enter_and_leave(speed: F, start: F) -> tuple[F, F]:
+    """z-depths at which a ray enters and leaves the slab from -1 to 1."""
+    speed = speed if abs(speed) > TINY else TINY
+    first, second = (-ONE - start) / speed, (ONE - start) / speed
+    return min(first, second), max(first, second)
+
+
+@kernel
+def _trace_cube(view: View, e: int, x0: int, y0: int, depth: Floats, identity: Identities) -> None:
+    qx, qy, qz = map_row(view.solids, e, 0), map_row(view.solids, e, 1), map_row(view.solids, e, 2)
+    bounds = view.bounds[e]
+    for row in range(max(bounds[1] - y0, 0), min(bounds[3] - y0, depth.shape[0])):
+        for col in range(max(bounds[0] - x0, 0), min(bounds[2] - x0, depth.shape[1])):
+            mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
+            in_x, out_x = enter_and_leave(along(qx, mx, my), at(qx, a, b, ZERO))
+            in_y, out_y = enter_and_leave(along(qy, mx, my), at(qy, a, b, ZERO))
+            in_z, out_z = enter_and_leave(along(qz, mx, my), at(qz, a, b, ZERO))
+            u = max(in_x, max(in_y, in_z))
+            if u < min(out_x, min(out_y, out_z)) and u > ZERO and u < depth[row, col]:
+                depth[row, col] = u
+                identity[row, col] = SOLID_ID + e

@@ -137,13 +137,26 @@ def shade(
 
 
 @inlined
+def _face(kx: F, ky: F, kz: F) -> tuple[F, F, F]:
+    """Normal of the unit cube's face that a point is on, in the cube's axes."""
+    x, y, z = abs(kx), abs(ky), abs(kz)
+    if x > y and x > z:
+        return math.copysign(ONE, kx), np.float32(0), np.float32(0)
+    if y > z:
+        return np.float32(0), math.copysign(ONE, ky), np.float32(0)
+    return np.float32(0), np.float32(0), math.copysign(ONE, kz)
+
+
+@inlined
 def _on_solid(view: View, e: int, px: F, py: F, u: F) -> tuple[F, F, F]:
-    """Texture coordinates [m] and light of a point on an ellipsoid: the face of the cube that the point looks at."""
+    """Texture coordinates [m] and light of a point on a solid: the face of the cube that it looks at."""
     kx = at(map_row(view.solids, e, 0), px, py, u)
     ky = at(map_row(view.solids, e, 1), px, py, u)
     kz = at(map_row(view.solids, e, 2), px, py, u)
     rx, ry, rz = view.radii[e, 0], view.radii[e, 1], view.radii[e, 2]
     nx, ny, nz = kx / rx, ky / ry, kz / rz
+    if view.cubes[e]:
+        nx, ny, nz = _face(kx, ky, kz)
     rise = view.up[e, 0] * nx + view.up[e, 1] * ny + view.up[e, 2] * nz
     facing = WALL_LIGHT + SLOPE_LIGHT * rise / math.sqrt(nx * nx + ny * ny + nz * nz)
     x, y, z = kx * rx, ky * ry, kz * rz

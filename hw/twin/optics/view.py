@@ -65,6 +65,7 @@ class Ellipsoid(NamedTuple):
     radii_m: tuple[float, float, float]
     material: int
     pattern_m: tuple[float, float] = (0.0, 0.0)  # where on its texture its middle is
+    cube: bool = False  # a box of these half lengths
 
 
 class Swimming(NamedTuple):
@@ -94,7 +95,13 @@ def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float,
     slope = lens.pixel_m / image_distance_m
     camera = affine(eye.rotation, eye.position_m)
     bodies = [
-        Ellipsoid(s.position_m, np.eye(3), s.radii_m, BALLS[s.colour] if s.kind == "ball" else STONE)
+        Ellipsoid(
+            s.position_m,
+            turned(s.turn_deg),
+            s.radii_m,
+            BALLS[s.colour] if s.kind == "ball" else STONE,
+            cube=s.kind == "box",
+        )
         for s in moment.solids
     ]
     bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in moment.hulls]
@@ -111,6 +118,7 @@ def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float,
         bounds=np.array([pixel_bounds(b, camera, lens, index / slope) for b in bodies], np.int64).reshape(-1, 4),
         radii=np.array([b.radii_m for b in bodies], np.float32).reshape(-1, 3),
         up=np.array([np.asarray(b.rotation)[2] for b in bodies], np.float32).reshape(-1, 3),
+        cubes=np.array([b.cube for b in bodies], np.int64),
         pattern=np.array([b.pattern_m for b in bodies], np.float32).reshape(-1, 2),
         material=np.array(FACES + [b.material for b in bodies]),
     )
@@ -118,7 +126,7 @@ def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float,
 
 def pixel_bounds(body: Ellipsoid, camera: Affine, lens: Lens, focal_px: float) -> tuple[int, int, int, int]:
     """Pixels x0, y0, x1, y1 that the sphere around an ellipsoid can cover; all of them when the camera is close."""
-    radius_m = max(body.radii_m)
+    radius_m = float(np.hypot(np.hypot(*body.radii_m[:2]), body.radii_m[2])) if body.cube else max(body.radii_m)
     x, y, z = camera[:, :3].T @ (np.asarray(body.position_m) - camera[:, 3])
     low, high = [], []
     for across, centre_px in zip((x, y), lens.centre_px, strict=True):
@@ -132,6 +140,15 @@ def pixel_bounds(body: Ellipsoid, camera: Affine, lens: Lens, focal_px: float) -
         low.append(int(min(edges[0], edges[0] * BEND) + centre_px) - SLACK_PX)
         high.append(int(max(edges[1], edges[1] * BEND) + centre_px) + SLACK_PX)
     return low[0], low[1], high[0], high[1]
+
+
+def turned(turn_deg: tuple[float, float, float]) -> Affine:
+    """(3, 3) body to world, by yaw, pitch and roll: Rz Ry Rx."""
+    (cy, cp, cr), (sy, sp, sr) = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(yaw @ pitch @ roll)
 
 
 def affine(rotation: ArrayLike, position_m: ArrayLike) -> Affine:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.kernel.config import Behaviour, Follow, Goto, Hold, Orbit, Search, Trial, Turn
+from agent.kernel.config import Behaviour, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
@@ -76,6 +76,10 @@ def reference(
         case Trial():
             to, stage = trial(what, progress.stage, pose, now_ns)
             progress = progress._replace(stage=stage)
+        case Survey():
+            if around is not None and around.station is not None:
+                progress = progress._replace(from_m=around.station[0], yaw=around.station[1])
+            to = Reference(progress.from_m, progress.yaw)
         case Follow() | Search():
             assert around is not None
             to, progress = _about_a_target(what, progress, pose, around, now_ns)

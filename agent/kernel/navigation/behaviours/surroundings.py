@@ -37,6 +37,7 @@ class Surroundings(NamedTuple):
     looks: bool = False  # its gaze still goes round where the target was last
     fellows_m: tuple[Planar, ...] = ()  # robots that say they do the same about the same target
     robots_m: tuple[Planar, ...] = ()  # all that say where they are
+    station: tuple[Planar, float] | None = None  # where a survey looks from, and how it is turned there, rad
 
 
 def within_walls(place_m: Planar, tank_m: Planar) -> Planar:

@@ -1,0 +1,1 @@
+"""A scene from recordings, and a map that robots share."""

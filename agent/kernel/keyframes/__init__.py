@@ -1,0 +1,1 @@
+"""What robots say to each other of what they saw: keyframes, and claims on the next."""
