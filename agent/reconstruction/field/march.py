@@ -56,7 +56,7 @@ def look(field: Field, rays: Rays, near_m: Tensor, far_m: Tensor, offsets: Tenso
     weights = ray_weights(density(sdf, field.beta_m), step[:, None])
     row, piece = torch.nonzero(weights.detach() > NEGLIGIBLE, as_tuple=True)
     there = field.seen(field.colour(places[row, piece].detach()), t[row, piece])
-    colour = torch.zeros((n, 3), device=there.device).index_add(0, row, weights[row, piece, None] * there)
+    colour = torch.zeros((n, 3), dtype=there.dtype, device=there.device).index_add(0, row, weights[row, piece, None] * there)
     kept = torch.where(weights.detach() > NEGLIGIBLE, weights, 0.0)
     total = kept.sum(dim=1).clamp_min(NEGLIGIBLE)
     return Seen(colour / total[:, None], (weights * t).sum(dim=1))
