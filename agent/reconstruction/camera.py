@@ -12,7 +12,7 @@ p_z, from the pivot along the axis.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,7 @@ def ray_slopes(camera: Camera, pixels: Floats) -> Floats:
     return np.asarray(seen * (1.0 / (1.0 + camera.bend * radius * radius))[..., None])
 
 
-def unproject(camera: Camera, pixels: Floats, depth_m: Floats) -> Floats:
+def unproject(camera: Camera, pixels: Floats, depth_m: NDArray[Any]) -> Floats:
     """Pixels (..., 2) at depths (...) -> points of the camera frame (..., 3)."""
     slopes = ray_slopes(camera, pixels)
     return np.concatenate([slopes * (depth_m - camera.ahead_m)[..., None], depth_m[..., None]], axis=-1)

@@ -49,7 +49,7 @@ def composite(
         frame = shrunk_frame(images[n], float(size[n]), centre_px, times, gamma)
         total += weight[..., None] * frame
         weights += weight
-    return total / np.maximum(weights, 1e-6)[..., None]
+    return np.asarray(total / np.maximum(weights, 1e-6)[..., None], np.float32)
 
 
 def shrunk_frame(image: Image, scale: float, centre_px: tuple[float, float], times: int, gamma: float) -> Picture:
@@ -59,7 +59,9 @@ def shrunk_frame(image: Image, scale: float, centre_px: tuple[float, float], tim
         x, y = ((1.0 - scale) * c for c in centre_px)
         there = np.array([[scale, 0.0, x], [0.0, scale, y]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        light = cv2.warpAffine(light, there, light.shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        size = light.shape[1], light.shape[0]
+        warped = cv2.warpAffine(light, there, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        light = np.asarray(warped, np.float32)
     height, width = (length // times for length in light.shape[:2])
     tiles = light[: height * times, : width * times].reshape(height, times, width, times, 3)
     return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
@@ -71,6 +73,4 @@ def _shares(squares: Picture, side_px: float, times: int, small: tuple[int, int]
     shift = ((times - 1) / 2.0 - (side_px - 1) / 2.0) / side_px
     there = np.array([[scale, 0.0, shift], [0.0, scale, shift]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(
-        cv2.warpAffine(squares, there, small, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32
-    )
+    return np.asarray(cv2.warpAffine(squares, there, small, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)

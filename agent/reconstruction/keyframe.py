@@ -56,9 +56,7 @@ def keyframe(
     focus = at_tilt(calibration.focus, tilt_rad)
     found = measure(swept, block, focus)
     fit = at_lens_position(calibration.camera, float(lens_positions[swept.reference]))
-    whole = Camera(
-        fit.f_px, fit.cx_px - corner_px[0], fit.cy_px - corner_px[1], fit.bend, fit.ahead_m, width, height
-    )
+    whole = Camera(fit.f_px, fit.cx_px - corner_px[0], fit.cy_px - corner_px[1], fit.bend, fit.ahead_m, width, height)
     size = 1.0 + growth * (lens_positions - lens_positions[0]) / (lens_positions[-1] - lens_positions[0])
     size = size / size[swept.reference]
     centre, gamma = (whole.cx_px, whole.cy_px), calibration.camera.gamma

@@ -55,4 +55,5 @@ def _rays(lens: Lens, lens_position: float) -> tuple[Floats, Floats]:
 
 
 def _seen(numbers: Floats, lens: Lens, points: Floats) -> Floats:
-    return project(Camera(*numbers.tolist(), lens.width, lens.height), points)
+    f, cx, cy, bend, ahead = numbers.tolist()
+    return project(Camera(f, cx, cy, bend, ahead, lens.width, lens.height), points)
