@@ -48,18 +48,47 @@ def look(field: Field, rays: Rays, near_m: Tensor, far_m: Tensor, offsets: Tenso
 
     offsets: place of each sample within its piece, 0 to 1.
     """
-    n, pieces = offsets.shape
-    step = (far_m - near_m) / pieces
-    t = near_m[:, None] + (torch.arange(pieces, device=offsets.device) + offsets) * step[:, None]
-    places = rays.origin_m[:, None] + t[..., None] * rays.toward[:, None]
-    sdf = field.distance(places.reshape(-1, 3)).reshape(n, pieces)
-    weights = ray_weights(density(sdf, field.beta_m), step[:, None])
-    row, piece = torch.nonzero(weights.detach() > NEGLIGIBLE, as_tuple=True)
-    there = field.seen(field.colour(places[row, piece].detach()), t[row, piece])
-    colour = torch.zeros((n, 3), dtype=there.dtype, device=there.device).index_add(0, row, weights[row, piece, None] * there)
-    kept = torch.where(weights.detach() > NEGLIGIBLE, weights, 0.0)
-    total = kept.sum(dim=1).clamp_min(NEGLIGIBLE)
-    return Seen(colour / total[:, None], (weights * t).sum(dim=1))
+    step = (far_m - near_m) / offsets.shape[1]
+    t = near_m[:, None] + (torch.arange(offsets.shape[1], device=offsets.device) + offsets) * step[:, None]
+    return _mean(field, rays, t, step[:, None])
+
+
+def search(field: Field, rays: Rays, offsets: Tensor, fine: int) -> Seen:
+    """What rays see of a field of which nobody knows where its surface is: samples in equal pieces of the whole way,
+    one at each of `offsets` (n, s), tell where to take `fine` more, and these count."""
+    far_m = leaving(field, rays)
+    step = ((far_m - NEAREST_M) / offsets.shape[1])[:, None]
+    with torch.no_grad():
+        coarse = NEAREST_M + (torch.arange(offsets.shape[1], device=offsets.device) + offsets) * step
+        weights = ray_weights(density(_distance(field, rays, coarse), field.beta_m), step) + 1e-4
+        share = torch.cumsum(weights, dim=1) / weights.sum(dim=1, keepdim=True)
+        wanted = (torch.arange(fine, device=offsets.device) + offsets[:, :fine]) / fine
+        piece = torch.searchsorted(share, wanted.contiguous()).clamp_max(offsets.shape[1] - 1)
+        before = torch.cat([torch.zeros_like(share[:, :1]), share[:, :-1]], dim=1).gather(1, piece)
+        within = ((wanted - before) / (share.gather(1, piece) - before).clamp_min(1e-9)).clamp(0.0, 1.0)
+        t = NEAREST_M + (piece + within) * step
+        gaps = torch.diff(t, dim=1, append=far_m[:, None]).clamp_max(float(step.max()))
+    return _mean(field, rays, t, gaps)
+
+
+def _distance(field: Field, rays: Rays, t: Tensor) -> Tensor:
+    return field.distance(_places(rays, t).reshape(-1, 3)).reshape(t.shape)
+
+
+def _places(rays: Rays, t: Tensor) -> Tensor:
+    return rays.origin_m[:, None] + t[..., None] * rays.toward[:, None]
+
+
+def _mean(field: Field, rays: Rays, t: Tensor, step_m: Tensor) -> Seen:
+    """Over samples at t (n, s), pieces of length step_m (n, s) or (n, 1), by their weights."""
+    weights = ray_weights(density(_distance(field, rays, t), field.beta_m), step_m)
+    counts = weights.detach() > NEGLIGIBLE
+    row, piece = torch.nonzero(counts, as_tuple=True)
+    there = field.seen(field.colour(_places(rays, t)[row, piece]), t[row, piece])
+    sums = torch.zeros((len(t), 3), dtype=there.dtype, device=there.device)
+    sums = sums.index_add(0, row, weights[row, piece, None] * there)
+    total = torch.where(counts, weights, 0.0).sum(dim=1).clamp_min(NEGLIGIBLE)
+    return Seen(sums / total[:, None], (weights * t).sum(dim=1))
 
 
 def depth(rays: Rays, range_m: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+Start = Literal["surface", "nothing"]
 Device = Literal["auto", "cpu", "cuda", "mps"]
 
 
@@ -20,4 +21,5 @@ class FieldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     seed: int = 0
     plane_mm: Annotated[float, Meta(gt=0)] = 3.0  # cells of the colours' planes
     line_mm: Annotated[float, Meta(gt=0)] = 6.0  # and of their lines
+    start: Start = "surface"  # nothing: a thin fog everywhere, no depths; what a field is worth without focus
     anchor: Annotated[float, Meta(ge=0)] = 0.01  # weight of the depths that focus and stereo found

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from agent.reconstruction.field.march import NEAREST_M, Seen, depth, look, trace
+from agent.reconstruction.field.march import NEAREST_M, Seen, depth, look, search, trace
 from agent.reconstruction.field.rays import Bundle, Pixels, Rays
 from agent.reconstruction.field.settings import FieldSettings
 from agent.reconstruction.field.volume import Field
@@ -28,6 +28,7 @@ LAST_RATE = 0.05  # of the rates at the end
 WARM_UP = 20  # steps
 SAMPLES = 8
 BAND_M, WIDE_M = 10e-3, 25e-3  # half of what is sampled about a surface: at the end, and more at the start
+SEARCH = (64, 24)  # samples of a ray that nobody knows anything of: to find where, and to see
 ROUNDS, AGAIN_ROUNDS = 40, 10  # of tracing a pixel for the first time, and when it is known where it was
 BACK_M = 0.03  # how far before that tracing goes on
 
@@ -75,15 +76,20 @@ def learn(
         chosen = order[at : at + settings.rays].to(device)
         at += settings.rays
         rays, true = bundle.rays(chosen), bundle.pixels(chosen)
-        before = met_m[chosen]
-        fresh = bool(torch.isnan(before).any())
-        start = torch.nan_to_num(before - BACK_M, nan=NEAREST_M).clamp_min(NEAREST_M)
-        met = trace(field, rays, start, ROUNDS if fresh else AGAIN_ROUNDS)
-        met_m[chosen] = met
-        half = BAND_M + WIDE_M * (1.0 - progress)
-        offsets = torch.rand((len(chosen), SAMPLES), generator=pick).to(device)
-        seen = look(field, rays, (met - half).clamp_min(NEAREST_M), met + half, offsets)
-        value = loss(seen, rays, true, settings.anchor)
+        if settings.start == "nothing":
+            offsets = torch.rand((len(chosen), SEARCH[0]), generator=pick).to(device)
+            seen = search(field, rays, offsets, SEARCH[1])
+            value = loss(seen, rays, true, 0.0)
+        else:
+            before = met_m[chosen]
+            fresh = bool(torch.isnan(before).any())
+            start = torch.nan_to_num(before - BACK_M, nan=NEAREST_M).clamp_min(NEAREST_M)
+            met = trace(field, rays, start, ROUNDS if fresh else AGAIN_ROUNDS)
+            met_m[chosen] = met
+            half = BAND_M + WIDE_M * (1.0 - progress)
+            offsets = torch.rand((len(chosen), SAMPLES), generator=pick).to(device)
+            seen = look(field, rays, (met - half).clamp_min(NEAREST_M), met + half, offsets)
+            value = loss(seen, rays, true, settings.anchor)
         for group, rate in zip(optimiser.param_groups, base, strict=True):
             group["lr"] = rate * min(1.0, (step + 1) / WARM_UP) * LAST_RATE**progress
         optimiser.zero_grad()
