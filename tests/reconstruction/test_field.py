@@ -121,7 +121,7 @@ def test_a_seed_makes_the_same_field_again() -> None:
 
 
 def test_it_learns_the_picture_of_a_plane() -> None:
-    field, new = _learnt(120, 1024), a_view("r9", 0, (0.02, 0.02, 0.0), (0.0, 0.05, 0.0))
+    field, new = _learnt(100, 512), a_view("r9", 0, (0.02, 0.02, 0.0), (0.0, 0.05, 0.0))
     light, depth = picture(field, new)
     error = light ** (1 / 2.2) - new.picture ** (1 / 2.2)
     assert -10 * np.log10(np.mean(error[8:-8, 8:-8] ** 2)) > 24.0
