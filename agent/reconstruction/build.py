@@ -1,4 +1,4 @@
-"""Views -> surface: focus alone first, then the plane sweep where it finds anything, fused with focus where it is silent.
+"""Views -> surface: focus alone, then the plane sweep where it finds anything, fused with focus where it is silent.
 
 Which of a view's depths came from where stays known: `sharpened` gives views whose depths are the best there are.
 """
@@ -16,7 +16,7 @@ from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.neighbours import neighbours
-from agent.reconstruction.stack import Stack, stacked
+from agent.reconstruction.stack import stacked
 from agent.reconstruction.stereo import plane_sweep
 from agent.reconstruction.view import View
 
@@ -76,6 +76,3 @@ def _sigma(sigma: np.ndarray, view: View) -> np.ndarray:
 def _part(show: Show, first: int, share: int, what: str) -> Progress:
     """A progress that is so many per cent of the whole, from `first` on."""
     return lambda done, total: show(first + share * done // max(total, 1), 100, what)
-
-
-__all__ = ["CELL_M", "Built", "Stack", "build", "focus_surface", "sharpened"]

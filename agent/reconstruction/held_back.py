@@ -11,7 +11,7 @@ EVERY = 10
 
 
 def held_back(views: Sequence[View]) -> tuple[list[View], list[View]]:
-    """Views to build from, and one in EVERY to judge by, each in their order; none where there are fewer than ENOUGH."""
+    """Views to build from, and one in EVERY to judge by, each in order; none where there are fewer than ENOUGH."""
     if len(views) < ENOUGH:
         return list(views), []
     spared = range(EVERY // 2, len(views), EVERY)

@@ -45,8 +45,8 @@ def keyframe(
 ) -> Swept:
     """Frames of one sweep, in the order of their lens positions (n,); the camera looks up by tilt_rad.
 
-    corner_px: upper left corner of the frames in the whole picture, if they show a part of it. grown_about_px: what stays
-    where it is in the frames as they grow; None: the optical axis.
+    corner_px: upper left corner of the frames in the whole picture, if they show a part of it. grown_about_px: what
+    stays where it is in the frames as they grow; None: the optical axis.
     sharp_everywhere: else the picture is the one frame that is sharp in most of it. Raises ConfigError for frames that
     are smaller than a block.
     """

@@ -7,6 +7,7 @@ frames lie on each other; where there is none they are registered.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -139,7 +140,7 @@ def _drift(frames: Sequence[SweepFrame]) -> Floats | None:
     at = [np.array([x + width / 2.0, y + height / 2.0])]
     window = cv2.createHanningWindow((width, height), cv2.CV_32F)
     before = luminance(frames[0].image).astype(np.float32)
-    for last, frame in zip(frames, frames[1:], strict=False):
+    for last, frame in itertools.pairwise(frames):
         grey = luminance(frame.image).astype(np.float32)
         shift, _ = cv2.phaseCorrelate(before, grey, window)
         moved = np.array(shift) + np.array(frame.roi[:2], float) - np.array(last.roi[:2], float)

@@ -19,6 +19,7 @@ from agent.reconstruction.recorded import recorded_views
 from agent.reconstruction.report.report import write_report
 from agent.reconstruction.transforms_in import transforms_views
 from agent.reconstruction.view import View
+from agent.reconstruction.without_focus import scale_of, scaled, scaled_mesh, with_depths
 
 RESULT = "result.json"
 
@@ -47,17 +48,10 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
 
     Raises ConfigError for input that is none or damaged, Failed where nothing can be made of it.
     """
-    views, passed_over = _views(settings, show)
-    if not views:
-        why = "; ".join(f"{count} with {reason}" for reason, count in passed_over.items())
-        raise Failed(
-            f"no whole sweep of the focus in these recordings{f' ({why})' if why else ''}: nothing to build on"
-        )
-    used, held = held_back(views)
-    # Without depths the sweep is what finds them: there is nothing to do without it.
-    built = build(used, settings.cell_m, settings.stereo, show)
-    if not len(built.mesh.faces):
-        raise Failed("no two depths agree on a surface: check poses and calibration, or make --cell-mm larger")
+    if settings.transforms is not None:
+        built, held, passed_over = _from_pictures(settings, settings.transforms, show)
+    else:
+        built, held, passed_over = _from_recordings(settings, show)
     files = [export(kind, built.views, built.mesh, settings.cell_m, out) for kind in settings.exports]
     figures = figures_of(built, held)
     files += write_report(built, held, figures, out, settings.video, show)
@@ -66,11 +60,31 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     return Result(built, held, [*files, path], passed_over, figures)
 
 
-def _views(settings: Settings, show: Show) -> tuple[list[View], dict[str, int]]:
-    if settings.transforms is not None:
-        return transforms_views(settings.transforms, show), {}
-    recorded = recorded_views(settings.runs, lambda done, total: show(done, total, "reading sweeps"))
-    return recorded.views, recorded.passed_over
+def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View], dict[str, int]]:
+    views, passed_over = recorded_views(settings.runs, lambda done, total: show(done, total, "reading sweeps"))
+    if not views:
+        why = ", ".join(f"{count} with {reason}" for reason, count in passed_over.items())
+        raise Failed(f"no whole sweep of the focus to build on in these recordings{f': {why}' if why else ''}")
+    used, held = held_back(views)
+    return _built(used, settings, settings.stereo, show), held, passed_over
+
+
+def _from_pictures(settings: Settings, folder: Path, show: Show) -> tuple[Built, list[View], dict[str, int]]:
+    """What others took has poses alone; it is worked on at the size of a tank, and given back at its own."""
+    views = transforms_views(folder, show)
+    by = scale_of(views)
+    used, held = held_back(scaled(views, by))
+    found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
+    built = _built(found, settings, True, show)
+    back = 1.0 / by
+    return Built(scaled(built.views, back), scaled_mesh(built.mesh, back), built.swept), scaled(held, back), {}
+
+
+def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:
+    built = build(views, settings.cell_m, stereo, show)
+    if not len(built.mesh.faces):
+        raise Failed("no two depths agree on a surface: check poses and calibration, or make --cell-mm larger")
+    return built
 
 
 def figures_of(built: Built, held: Sequence[View]) -> dict[str, Any]:
