@@ -40,11 +40,13 @@ def keyframe(
     calibration: Calibration,
     tilt_rad: float,
     corner_px: tuple[int, int] = (0, 0),
+    grown_about_px: tuple[float, float] | None = None,
     sharp_everywhere: bool = True,
 ) -> Swept:
     """Frames of one sweep, in the order of their lens positions (n,); the camera looks up by tilt_rad.
 
-    corner_px: upper left corner of the frames in the whole picture, if they show a part of it.
+    corner_px: upper left corner of the frames in the whole picture, if they show a part of it. grown_about_px: what
+    stays where it is in the frames as they grow; None: the optical axis.
     sharp_everywhere: else the picture is the one frame that is sharp in most of it. Raises ConfigError for frames that
     are smaller than a block.
     """
@@ -59,7 +61,7 @@ def keyframe(
     whole = Camera(fit.f_px, fit.cx_px - corner_px[0], fit.cy_px - corner_px[1], fit.bend, fit.ahead_m, width, height)
     size = 1.0 + growth * (lens_positions - lens_positions[0]) / (lens_positions[-1] - lens_positions[0])
     size = size / size[swept.reference]
-    centre, gamma = (whole.cx_px, whole.cy_px), calibration.camera.gamma
+    centre, gamma = grown_about_px or (whole.cx_px, whole.cy_px), calibration.camera.gamma
     finest = swept.clarity if swept.finer is None else swept.finer.parts
     if sharp_everywhere:
         picture = composite(images, size, centre, finest, block / found.along, times, gamma)

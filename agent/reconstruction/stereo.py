@@ -45,19 +45,37 @@ class Swept(NamedTuple):
     sigma_m: NDArray[np.float32]
 
 
-def plane_sweep(stack: Stack, neighbours: Neighbours, progress: Progress = lambda done, total: None) -> Swept:
-    """Depths of all views, the more exact where they are; stack has the focus depths that say where to look."""
+class Range(NamedTuple):
+    """Where to look if no focus says it: so many equal steps of 1/z between two depths, and who has to agree."""
+
+    near_m: float
+    far_m: float
+    hypotheses: int = 96
+    witnesses: int = 2
+
+
+def plane_sweep(
+    stack: Stack,
+    neighbours: Neighbours,
+    progress: Progress = lambda done, total: None,
+    everywhere: Range | None = None,
+) -> Swept:
+    """Depths of all views; stack has the focus depths that say where to look, unless it is told to look everywhere."""
     grey = np.ascontiguousarray(stack.pictures.mean(axis=-1))
     count = len(grey)
     found = np.full(stack.depth_m.shape, np.nan, np.float32)
     tilt = np.zeros((*stack.depth_m.shape[1:], 2))
     for n in range(count):
         progress(n, count)
-        slopes_of_map(stack.depth_m[n], tilt)
-        _sweep(stack, grey, n, neighbours.of[n, :COMPARED], tilt, found[n])
+        if everywhere is None:
+            slopes_of_map(stack.depth_m[n], tilt)
+            ends, hypotheses = (0.0, 0.0), HYPOTHESES
+        else:
+            ends, hypotheses = (1.0 / everywhere.near_m, 1.0 / everywhere.far_m), everywhere.hypotheses
+        _sweep(stack, grey, n, neighbours.of[n, :COMPARED], tilt, ends, np.empty(hypotheses), found[n])
     kept = np.full_like(found, np.nan)
     for n in range(count):
-        _agreeing(stack, found, n, neighbours.of[n], kept[n])
+        _agreeing(stack, found, n, neighbours.of[n], 1 if everywhere is None else everywhere.witnesses, kept[n])
     progress(count, count)
     z = kept.astype(float)
     return Swept(kept, (SIGMA_M + SIGMA_PER_M * z * z).astype(np.float32))
@@ -128,30 +146,31 @@ def _between(stack: Stack, n: int, others: NDArray[np.int64], turns: Floats, shi
 @kernel
 def _sweep(
     stack: Stack, grey: NDArray[np.float32], n: int, others: NDArray[np.int64], tilt: Floats,
-    found: NDArray[np.float32],
+    ends: tuple[float, float], costs: Floats, found: NDArray[np.float32],
 ) -> None:  # fmt: skip
     turns, shifts = np.empty((MOST_NEIGHBOURS, 3, 3)), np.empty((MOST_NEIGHBOURS, 3))
     _between(stack, n, others, turns, shifts)
     mine = _camera(stack, n)
     own = np.empty(25, np.float32)
-    costs = np.empty(HYPOTHESES)
     for row in range(HALF, mine.height - HALF):
         for col in range(HALF, mine.width - HALF):
             depth, sigma = float(stack.depth_m[n, row, col]), float(stack.sigma_m[n, row, col])
-            if not depth > 0.0:
+            if not depth > 0.0 and ends[0] == 0.0:
                 continue
             texture = _window(grey, n, row, col, own)
             if texture < LEAST_TEXTURE:
                 continue
             reach = SIGMAS * sigma + MARGIN_M
             near, far = 1.0 / max(depth - reach, 0.05), 1.0 / (depth + reach)
-            step = (near - far) / (HYPOTHESES - 1)
+            if ends[0] > 0.0:
+                near, far = ends
+            step = (near - far) / (len(costs) - 1)
             # Rays of the middle and of the window's right and lower edge: the plane through them has 1/z linear.
             x0, y0 = slopes_of(mine, float(col), float(row))
             x1, y1 = slopes_of(mine, float(col + HALF), float(row))
             x2, y2 = slopes_of(mine, float(col), float(row + HALF))
             right, down = HALF * tilt[row, col, 0], HALF * tilt[row, col, 1]
-            for h in range(HYPOTHESES):
+            for h in range(len(costs)):
                 inverse = far + h * step
                 z0 = 1.0 / inverse
                 z1, z2 = 1.0 / max(inverse + right, 1e-3), 1.0 / max(inverse + down, 1e-3)
@@ -224,10 +243,10 @@ def _zncc(
 def _peak(costs: Floats, far: float, step: float) -> float:
     """Depth of the best hypothesis, with a parabola over it; NaN where it is at an end or not good enough."""
     top = 0
-    for h in range(1, HYPOTHESES):
+    for h in range(1, len(costs)):
         if costs[h] > costs[top]:
             top = h
-    if top == 0 or top == HYPOTHESES - 1 or not costs[top] > LEAST:
+    if top == 0 or top == len(costs) - 1 or not costs[top] > LEAST:
         return math.nan
     before, after = costs[top - 1], costs[top + 1]
     curve = before + after - 2.0 * costs[top]
@@ -237,9 +256,10 @@ def _peak(costs: Floats, far: float, step: float) -> float:
 
 @compiled(error_model="numpy")
 def _agreeing(
-    stack: Stack, found: NDArray[np.float32], n: int, others: NDArray[np.int64], kept: NDArray[np.float32]
-) -> None:
-    """The depths of view n that at least one neighbour has, too."""
+    stack: Stack, found: NDArray[np.float32], n: int, others: NDArray[np.int64], least: int,
+    kept: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """The depths of view n that so many neighbours have, too."""
     turns, shifts = np.empty((MOST_NEIGHBOURS, 3, 3)), np.empty((MOST_NEIGHBOURS, 3))
     _between(stack, n, others, turns, shifts)
     mine = _camera(stack, n)
@@ -250,6 +270,7 @@ def _agreeing(
                 continue
             x, y = slopes_of(mine, float(col), float(row))
             px, py = x * (z - mine.ahead_m), y * (z - mine.ahead_m)
+            agreed = 0
             for k in range(len(others)):
                 o = others[k]
                 if o < 0:
@@ -260,5 +281,7 @@ def _agreeing(
                     continue
                 there = turns[k, 2, 0] * px + turns[k, 2, 1] * py + turns[k, 2, 2] * z + shifts[k, 2]
                 if abs(float(found[o, int(v + 0.5), int(u + 0.5)]) - there) < AGREE * there:
-                    kept[row, col] = z
-                    break
+                    agreed += 1
+                    if agreed == least:
+                        kept[row, col] = z
+                        break

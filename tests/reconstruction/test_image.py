@@ -8,10 +8,10 @@ import pytest
 
 from agent.experiments.reconstruction.noisy import ROBOT_SIGMA, noisy
 from agent.kernel.config import ConfigError
-from agent.reconstruction import image as seam
+from agent.reconstruction.image import model as seam
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.held_back import judged, psnr_db, smaller
-from agent.reconstruction.image import ImageModel, ImageSettings, filled, image
+from agent.reconstruction.image.judged import judged, psnr_db, smaller
+from agent.reconstruction.image.model import ImageModel, ImageSettings, filled, image
 from agent.reconstruction.poses.twist import apart
 from agent.reconstruction.stack import stacked
 from agent.reconstruction.view import moved, surface_points

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from agent.experiments.reconstruction.render import Rendered
 from agent.experiments.result import Row
-from agent.reconstruction.held_back import HeldBack, judged
-from agent.reconstruction.image import ImageModel
+from agent.reconstruction.image.judged import HeldBack, judged
+from agent.reconstruction.image.model import ImageModel
 from agent.reconstruction.poses.twist import Motion, apart, between, by_motion
 from agent.reconstruction.view import View
 
