@@ -6,6 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, get_args
 
+import msgspec
 import typer
 
 from agent.commands.options import complain, terminal
@@ -16,6 +17,8 @@ app = typer.Typer()
 
 KINDS = ("ply", "glb", "colmap", "transforms.json", "splat")
 # typer takes a list of an Enum, not of a Literal
+Image = StrEnum("Image", [(kind, kind) for kind in ("auto", "field", "surfels", "none")])  # type: ignore[misc]
+Device = StrEnum("Device", [(name, name) for name in ("auto", "cpu", "cuda", "mps")])  # type: ignore[misc]
 Export = StrEnum("Export", [(kind, kind) for kind in KINDS])  # type: ignore[misc]
 
 
@@ -36,11 +39,20 @@ def reconstruct_command(
     stereo: Annotated[
         bool, typer.Option("--stereo/--no-stereo", help="Compare pictures, too; without: by focus alone, in seconds.")
     ] = True,
+    refine: Annotated[
+        bool, typer.Option("--refine/--no-refine", help="Move robots' poses to where their pictures fit best.")
+    ] = True,
+    image: Annotated[
+        Image, typer.Option(help="Image model; auto: a field if torch is installed, else surfels, in a minute.")
+    ] = Image.auto,
+    image_seconds: Annotated[float, typer.Option(min=1.0, help="How long a field learns.")] = 300.0,
+    device: Annotated[Device, typer.Option(help="Where a field learns; auto: a GPU if there is one.")] = Device.auto,
     video: Annotated[bool, typer.Option("--video/--no-video", help="A film once round the scene.")] = True,
 ) -> None:
     """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""
     from agent.progress import with_bar
     from agent.reconstruction.export.kinds import Kind
+    from agent.reconstruction.image.model import ImageSettings
     from agent.reconstruction.run import Settings, run
     from replay.files.auto_recover import auto_recovered
 
@@ -54,8 +66,16 @@ def reconstruct_command(
     there = auto_recovered(list(runs or ()), complain)
     folder = run_folder(out)
     exports = tuple(kind for kind in get_args(Kind) if kind in [str(one) for one in export or ("ply",)])
+    learning = {"kind": str(image), "field": {"device": str(device), "seconds": image_seconds}}
     asked = Settings(
-        runs=tuple(there), transforms=transforms, exports=exports, cell_m=cell_mm * 1e-3, stereo=stereo, video=video
+        runs=tuple(there),
+        transforms=transforms,
+        exports=exports,
+        cell_m=cell_mm * 1e-3,
+        stereo=stereo,
+        refine=refine,
+        image=None if image == "none" else msgspec.convert(learning, ImageSettings),
+        video=video,
     )
     console = terminal()
     result = with_bar(console, "reading", lambda show: run(asked, folder, show))
@@ -67,6 +87,11 @@ def reconstruct_command(
         f"{f['sigma_mm']['p50']:.1f} mm (median)",
         highlight=False,
     )
+    if learnt := f.get("image"):
+        worth = learnt["psnr_held_back_db"]
+        on = f"{worth:.1f} dB on {f['held_back']} photographs held back" if worth is not None else "none held back"
+        thick = f"; its surface is {learnt['beta_mm']:.1f} mm thick" if learnt["beta_mm"] is not None else ""
+        console.print(f"image model: {learnt['kind']}, {on}{thick}", highlight=False)
     console.print(
         f"look at {folder / 'report.html'}; beside it {', '.join(p.name for p in result.files[:-2])}", highlight=False
     )

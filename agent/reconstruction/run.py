@@ -10,11 +10,16 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from agent.clock import machine
 from agent.failure import Failed
 from agent.progress import Show
 from agent.reconstruction.build import CELL_M, Built, build
 from agent.reconstruction.export.kinds import Kind, export
 from agent.reconstruction.held_back import held_back
+from agent.reconstruction.image.judged import HeldBack, judged
+from agent.reconstruction.image.model import ImageModel, ImageSettings, image
+from agent.reconstruction.poses.refine import refine
+from agent.reconstruction.poses.scene import scene_of
 from agent.reconstruction.recorded import recorded_views
 from agent.reconstruction.report.report import write_report
 from agent.reconstruction.transforms_in import transforms_views
@@ -33,6 +38,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     cell_m: float = CELL_M
     stereo: bool = True
     video: bool = True
+    refine: bool = True  # poses, by pictures and depths; pictures that others took keep theirs
+    image: ImageSettings | None = ImageSettings()  # None: the surface alone
 
 
 class Result(NamedTuple):
@@ -41,6 +48,7 @@ class Result(NamedTuple):
     files: list[Path]
     passed_over: dict[str, int]  # sweeps that gave no view, by reason
     figures: dict[str, Any]  # of result.json
+    model: ImageModel | None
 
 
 def run(settings: Settings, out: Path, show: Show) -> Result:
@@ -54,10 +62,14 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
         built, held, passed_over = _from_recordings(settings, show)
     files = [export(kind, built.views, built.mesh, settings.cell_m, out) for kind in settings.exports]
     figures = figures_of(built, held)
-    files += write_report(built, held, figures, out, settings.video, show)
+    model = _model(built, settings, show)
+    placed = judged(model.look, held) if model else []
+    if model:
+        figures["image"] = image_figures(model, placed)
+    files += write_report(built, held, placed, figures, out, settings.video, show)
     path = out / RESULT
     path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    return Result(built, held, [*files, path], passed_over, figures)
+    return Result(built, held, [*files, path], passed_over, figures, model)
 
 
 def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View], dict[str, int]]:
@@ -66,6 +78,8 @@ def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View],
         why = ", ".join(f"{count} with {reason}" for reason, count in passed_over.items())
         raise Failed(f"no whole sweep of the focus to build on in these recordings{f': {why}' if why else ''}")
     used, held = held_back(views)
+    if settings.refine:
+        used = refine(used, scene_of, lambda done, total: show(done, total, "refining poses")).views
     return _built(used, settings, settings.stereo, show), held, passed_over
 
 
@@ -85,6 +99,28 @@ def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) 
     if not len(built.mesh.faces):
         raise Failed("no two depths agree on a surface: check poses and calibration, or make --cell-mm larger")
     return built
+
+
+def _model(built: Built, settings: Settings, show: Show) -> ImageModel | None:
+    if settings.image is None:
+        return None
+
+    def learning(done: int, total: int) -> None:
+        show(done, total, "learning the picture")
+
+    return image(built.views, built.mesh, settings.cell_m, settings.image, learning, machine.monotonic_s)
+
+
+def image_figures(model: ImageModel, placed: Sequence[HeldBack]) -> dict[str, Any]:
+    """What the image model is, and what it is worth on photographs that nothing was made of."""
+    return {
+        "kind": model.kind,
+        "device": model.device,
+        "steps": model.steps,
+        "psnr_held_back_db": round(float(np.mean([one.psnr_db for one in placed])), 2) if placed else None,
+        "beta_mm": None if model.beta_mm is None else round(model.beta_mm, 2),
+        "beta_clamped": model.beta_clamped,
+    }
 
 
 def figures_of(built: Built, held: Sequence[View]) -> dict[str, Any]:

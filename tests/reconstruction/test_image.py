@@ -8,8 +8,9 @@ import pytest
 
 from agent.experiments.reconstruction.noisy import ROBOT_SIGMA, noisy
 from agent.kernel.config import ConfigError
-from agent.reconstruction.image import model as seam
+from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.fusion import fuse
+from agent.reconstruction.image import model as seam
 from agent.reconstruction.image.judged import judged, psnr_db, smaller
 from agent.reconstruction.image.model import ImageModel, ImageSettings, filled, image
 from agent.reconstruction.poses.twist import apart
@@ -21,8 +22,8 @@ from tests.reconstruction.a_plane import a_view, some_views
 @pytest.fixture(scope="module")
 def model() -> ImageModel:
     views = some_views()
-    surface = fuse(stacked(views), 6e-3)
-    return image(views, surface, ImageSettings(kind="surfels"), lambda done, total: None, lambda: 0.0)
+    mesh = mesh_of(fuse(stacked(views), 6e-3))
+    return image(views, mesh, 6e-3, ImageSettings(kind="surfels"), lambda done, total: None, lambda: 0.0)
 
 
 def test_a_photograph_is_placed_before_it_is_compared(model: ImageModel) -> None:
@@ -36,11 +37,11 @@ def test_a_photograph_is_placed_before_it_is_compared(model: ImageModel) -> None
 def test_without_torch_there_are_surfels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(seam, "has_torch", lambda: False)
     views = some_views()[:2]
-    surface = fuse(stacked(views), 10e-3)
-    found = image(views, surface, ImageSettings(), lambda done, total: None, lambda: 0.0)
+    mesh = mesh_of(fuse(stacked(views), 10e-3))
+    found = image(views, mesh, 10e-3, ImageSettings(), lambda done, total: None, lambda: 0.0)
     assert found.kind == "surfels" and found.beta_mm is None and found.water.shape == (3, 3)
     with pytest.raises(ConfigError, match=r"aucamp\[reconstruct\]"):
-        image(views, surface, ImageSettings(kind="field"), lambda done, total: None, lambda: 0.0)
+        image(views, mesh, 10e-3, ImageSettings(kind="field"), lambda done, total: None, lambda: 0.0)
 
 
 def test_a_device_that_is_not_there_is_said_in_one_line() -> None:

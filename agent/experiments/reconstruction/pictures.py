@@ -39,9 +39,7 @@ def picture_row(model: ImageModel, rendered: Rendered, views: Sequence[View]) ->
     }
 
 
-def held_back(
-    model: ImageModel, rendered: Rendered, views: Sequence[View]
-) -> tuple[list[HeldBack], list[HeldBack]]:
+def held_back(model: ImageModel, rendered: Rendered, views: Sequence[View]) -> tuple[list[HeldBack], list[HeldBack]]:
     """Photographs of known and of new stations beside what the model shows there."""
     there = inverse(between(views, rendered.trained))
     known, new = (

@@ -34,13 +34,13 @@ class Learnt(NamedTuple):
     beta_clamped: bool
 
 
-def learnt(
-    views: Sequence[View], settings: FieldSettings, progress: Progress, now_s: Callable[[], float]
-) -> Learnt:
+def learnt(views: Sequence[View], settings: FieldSettings, progress: Progress, now_s: Callable[[], float]) -> Learnt:
     """Raises ConfigError for a device that is not there, Failed where no view has a depth."""
     device = device_of(settings.device)
     box, searching = box_of_views(views), settings.start == "nothing"
-    field = Field(fog(box) if searching else box, settings.plane_mm * 1e-3, settings.line_mm * 1e-3, settings.seed).to(device)
+    field = Field(fog(box) if searching else box, settings.plane_mm * 1e-3, settings.line_mm * 1e-3, settings.seed).to(
+        device
+    )
     steps = 0
     for step in learn(field, views, settings, now_s):
         steps += 1

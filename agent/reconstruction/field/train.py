@@ -56,9 +56,7 @@ def loss(seen: Seen, rays: Rays, true: Pixels, anchor: float) -> Tensor:
     return tones + anchor * TONE_HUBER**2 * share * functional.huber_loss(off, torch.zeros_like(off), delta=1.0)
 
 
-def learn(
-    field: Field, views: Sequence[View], settings: FieldSettings, now_s: Callable[[], float]
-) -> Iterator[Step]:
+def learn(field: Field, views: Sequence[View], settings: FieldSettings, now_s: Callable[[], float]) -> Iterator[Step]:
     """Change `field`, which lies on its device, one step an item. `now_s` is asked for the time only without `steps`."""
     device = field.sdf_m.device
     bundle, pick = Bundle(views, device), torch.Generator().manual_seed(settings.seed)

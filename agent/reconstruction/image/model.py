@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from agent.kernel.config import ConfigError
 from agent.progress import Progress
-from agent.reconstruction.bricks import Surface
+from agent.reconstruction.extract import Mesh
 from agent.reconstruction.field.settings import FieldSettings
-from agent.reconstruction.poses.scene import cloud_of
+from agent.reconstruction.surfels.cloud import Cloud, cloud_of
 from agent.reconstruction.surfels.fit import fit, picture
 from agent.reconstruction.view import View
 
@@ -55,18 +55,20 @@ def has_torch() -> bool:
 
 def image(
     views: Sequence[View],
-    surface: Surface,
+    mesh: Mesh,
+    cell_m: float,
     settings: ImageSettings,
     progress: Progress,
     now_s: Callable[[], float],
 ) -> ImageModel:
     """Learn from all views, whose poses are taken as they are. now_s: any clock that counts seconds.
 
-    Raises ConfigError for a field without torch, or a device that is not there.
+    mesh: the surface, from cells of cell_m; a field starts from one of its own, of the views' depths. Raises
+    ConfigError for a field without torch, or a device that is not there.
     """
     kind = settings.kind if settings.kind != "auto" else "field" if has_torch() else "surfels"
     if kind == "surfels":
-        return _surfels(views, surface, progress)
+        return _surfels(views, cloud_of(mesh, cell_m), progress)
     if not has_torch():
         raise ConfigError("a field needs torch: pip install 'aucamp[reconstruct]', or choose surfels")
     from agent.reconstruction.field.model import learnt  # torch takes seconds to import, and may be absent
@@ -75,8 +77,8 @@ def image(
     return ImageModel("field", found.look, found.water, found.steps, found.device, found.beta_mm, found.beta_clamped)
 
 
-def _surfels(views: Sequence[View], surface: Surface, progress: Progress) -> ImageModel:
-    found = fit(cloud_of(surface), views, EPOCHS, progress)
+def _surfels(views: Sequence[View], cloud: Cloud, progress: Progress) -> ImageModel:
+    found = fit(cloud, views, EPOCHS, progress)
 
     def look(view: View) -> tuple[Pictures, Pictures]:
         light, depth_m = picture(found, view)

@@ -37,9 +37,7 @@ class Refined(NamedTuple):
     costs: tuple[float, ...]  # of pictures and depths before each round, and at the end
 
 
-def refine(
-    views: Sequence[View], build: Build, done: Callable[[int, int], None] = lambda done, total: None
-) -> Refined:
+def refine(views: Sequence[View], build: Build, done: Callable[[int, int], None] = lambda done, total: None) -> Refined:
     """Views in the same order, where they fit each other. done(rounds, in all) is called after each.
 
     A robot's prior is what its views' covariances say, taken as one: they share what is wrong. Its last round gives

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.progress import Progress
-from agent.reconstruction.bricks import Surface
 from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.stack import stacked
-from agent.reconstruction.surfels.cloud import Cloud, thinned
+from agent.reconstruction.surfels.cloud import cloud_of
 from agent.reconstruction.surfels.fit import fit, picture
 from agent.reconstruction.view import View
 
@@ -23,13 +22,7 @@ CELL_M = 6e-3
 EPOCHS = 3
 
 
-def cloud_of(surface: Surface) -> Cloud:
-    """Discs that cover a surface."""
-    mesh = mesh_of(surface)
-    return thinned(mesh.vertices_m, mesh.normals.astype(float), surface.cell_m)
-
-
 def scene_of(views: Sequence[View], progress: Progress = lambda done, total: None) -> Look:
     """Raises Failed where views have no depths."""
-    surfels = fit(cloud_of(fuse(stacked(views), CELL_M)), views, EPOCHS, progress)
+    surfels = fit(cloud_of(mesh_of(fuse(stacked(views), CELL_M)), CELL_M), views, EPOCHS, progress)
     return lambda view: picture(surfels, view)

@@ -29,9 +29,7 @@ def carried(view: View, centre_m: Floats) -> Floats:
 def moved_about(view: View, centre_m: Floats, w_rad: Floats, t_m: Floats) -> View:
     """The view after its robot's motion."""
     turn = rotation_of(w_rad)
-    return replace(
-        view, rotation=turn @ view.rotation, position_m=centre_m + turn @ (view.position_m - centre_m) + t_m
-    )
+    return replace(view, rotation=turn @ view.rotation, position_m=centre_m + turn @ (view.position_m - centre_m) + t_m)
 
 
 class Motion(NamedTuple):

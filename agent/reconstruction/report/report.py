@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from agent.progress import Show
 from agent.reconstruction.build import Built
+from agent.reconstruction.export.encoded import encoded
+from agent.reconstruction.image.judged import HeldBack
 from agent.reconstruction.report.beside import Beside, beside, render_of
 from agent.reconstruction.report.looks import (
     BEST_M,
@@ -43,16 +45,30 @@ class Section(NamedTuple):
 
 
 def write_report(
-    built: Built, held: Sequence[View], figures: dict[str, Any], out: Path, video: bool, show: Show
+    built: Built,
+    held: Sequence[View],
+    placed: Sequence[HeldBack],
+    figures: dict[str, Any],
+    out: Path,
+    video: bool,
+    show: Show,
 ) -> list[Path]:
-    """report.html and turntable.mp4 into the folder; adds what the photographs say to `figures`."""
+    """report.html and turntable.mp4 into the folder; adds what the photographs say to `figures`.
+
+    placed: what an image model makes of `held`, in the same order; empty where there is none.
+    """
     render = render_of(built.mesh)
     # Without photographs to spare, those that it was made of are shown, and not counted.
     compared = [beside(view, render) for view in (held or built.views)[:MOST_SHOWN]]
     known = [one.psnr_db for one in compared if one.psnr_db is not None]
     figures["psnr_held_back_db"] = round(float(np.mean(known)), 2) if held and known else None
     figures["shown_held_back"] = round(float(np.mean([one.shown for one in compared])), 4) if held else None
-    sections = [_surface(built, figures), _photographs(compared, bool(held)), _certainty(built)]
+    sections = [
+        _surface(built, figures),
+        _photographs(compared, bool(held)),
+        *_model(placed, figures),
+        _certainty(built),
+    ]
     files = [out / "report.html"]
     if video:
         files.append(out / "turntable.mp4")
@@ -78,7 +94,7 @@ def _surface(built: Built, figures: dict[str, Any]) -> Section:
             f"{figures['by_plane_sweep']:.0%}",
         ],
     ]
-    looks = [_image(looked_at(built.mesh, built.mesh.colours, bearing, ELEVATION_DEG), f"{bearing} degrees")
+    looks = [_picture(looked_at(built.mesh, built.mesh.colours, bearing, ELEVATION_DEG), f"{bearing} degrees")
              for bearing in (235, 55)]  # fmt: skip
     note = f"From two sides, what faces away left out; turntable.mp4 goes all round in {FRAMES} pictures."
     return Section("surface", "Surface", note, [{"about": "", "rows": rows}], looks)
@@ -90,16 +106,30 @@ def _photographs(compared: Sequence[Beside], held: bool) -> Section:
     for one in compared:
         psnr = "-" if one.psnr_db is None else f"{one.psnr_db:.1f}"
         rows.append([one.name, psnr, f"{one.shown:.0%}"])
-        shown.append(_image(np.hstack([one.photograph, one.rendering]), f"{one.name}: photograph, rendering"))
+        shown.append(_picture(np.hstack([one.photograph, one.rendering]), f"{one.name}: photograph, rendering"))
     which = "that nothing was made of" if held else "that the surface was made of, for there are too few to spare any"
     note = f"Photographs {which}, and the surface's own colours as seen from there. Black: no surface."
     return Section("photographs", "Beside photographs", note, [{"about": "", "rows": rows}], shown)
 
 
+def _model(placed: Sequence[HeldBack], figures: dict[str, Any]) -> list[Section]:
+    """No section where there is no image model, or no photograph to hold it against."""
+    if not placed:
+        return []
+    rows, shown = [["view", "PSNR dB", "before it was placed"]], []
+    for one in placed[:MOST_SHOWN]:
+        name = f"{one.view.robot} {one.view.seq}"
+        rows.append([name, f"{one.psnr_db:.1f}", f"{one.unplaced_db:.1f}"])
+        both = np.hstack([encoded(one.view.picture), encoded(one.light)])
+        shown.append(_picture(both, f"{name}: photograph, {figures['image']['kind']}"))
+    note = "What the image model shows where the photograph found its place in it; nothing was learnt from these."
+    return [Section("image", "Image model", note, [{"about": "", "rows": rows}], shown)]
+
+
 def _certainty(built: Built) -> Section:
     mesh = built.mesh
     looks = [
-        _image(looked_at(mesh, colours, 270.0, TOP_DEG), words)
+        _picture(looked_at(mesh, colours, 270.0, TOP_DEG), words)
         for colours, words in (
             (by_sigma(mesh), f"standard deviation, {1e3 * BEST_M:g} mm (dark) to {1e3 * WORST_M:g} mm (bright)"),
             (by_views(mesh), f"views that saw it, 1 (dark) to {MOST_VIEWS} and more (bright)"),
@@ -109,7 +139,7 @@ def _certainty(built: Built) -> Section:
     return Section("certainty", "How sure, and what was seen", note, [], looks)
 
 
-def _image(image: NDArray[np.uint8], words: str) -> Markup:
+def _picture(image: NDArray[np.uint8], words: str) -> Markup:
     """A picture (height, width, 3) red green blue inside the page."""
     _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
     text = base64.b64encode(data.tobytes()).decode()

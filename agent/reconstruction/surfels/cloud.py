@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.reconstruction.extract import Mesh
+
 Floats = NDArray[np.float64]
 
 SPACING, RADIUS = 0.75, 0.55  # of a cell of the surface's grid: one disc for each cube so wide; its standard deviation
@@ -38,3 +40,8 @@ def thinned(points_m: Floats, normals: Floats, cell_m: float) -> Cloud:
     length = np.linalg.norm(normal, axis=1)
     clear = length > 0.1
     return Cloud(place[clear], normal[clear] / length[clear, None], RADIUS * cell_m)
+
+
+def cloud_of(mesh: Mesh, cell_m: float) -> Cloud:
+    """Discs that cover a surface that was found on cells of cell_m."""
+    return thinned(mesh.vertices_m, mesh.normals.astype(float), cell_m)

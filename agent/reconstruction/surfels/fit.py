@@ -37,9 +37,7 @@ def picture(surfels: Surfels, view: View) -> tuple[Floats, Floats]:
     return _seen(blended(drawn, np.nan_to_num(surfels.colour)), _range(view, drawn), surfels.water), drawn.depth_m
 
 
-def fit(
-    cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None], seed: int = 0
-) -> Surfels:
+def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None], seed: int = 0) -> Surfels:
     """Start at the mean of what pictures show of each disc, then `epochs` times through all of them.
 
     done(pictures seen, in all) is called after each.
