@@ -44,9 +44,9 @@ def reconstruct_command(
     ] = True,
     image: Annotated[
         Image, typer.Option(help="Image model; auto: a field if torch is installed, else surfels, in a minute.")
-    ] = Image.auto,
+    ] = Image("auto"),
     image_seconds: Annotated[float, typer.Option(min=1.0, help="How long a field learns.")] = 300.0,
-    device: Annotated[Device, typer.Option(help="Where a field learns; auto: a GPU if there is one.")] = Device.auto,
+    device: Annotated[Device, typer.Option(help="Where a field learns; auto: a GPU if there is one.")] = Device("auto"),
     video: Annotated[bool, typer.Option("--video/--no-video", help="A film once round the scene.")] = True,
 ) -> None:
     """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""

@@ -45,9 +45,8 @@ def test_discs_that_look_away_are_not_seen(cloud: Cloud) -> None:
 
 def test_what_is_behind_the_front_is_hidden(cloud: Cloud) -> None:
     view = a_view("r1", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    two = Cloud(
-        np.concatenate([cloud.place_m, cloud.place_m + [0.0, 0.0, 0.1]]), np.tile(cloud.normal, (2, 1)), 2.75e-3
-    )
+    behind = cloud.place_m + np.array([0.0, 0.0, 0.1])
+    two = Cloud(np.concatenate([cloud.place_m, behind]), np.tile(cloud.normal, (2, 1)), cloud.radius_m)
     which = np.repeat([[1.0], [0.0]], len(cloud.place_m), axis=0)
     seen = blended(splats(two, view), which)[10:-10, 10:-10]
     assert seen == pytest.approx(1.0)

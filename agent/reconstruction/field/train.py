@@ -57,7 +57,7 @@ def loss(seen: Seen, rays: Rays, true: Pixels, anchor: float) -> Tensor:
 
 
 def learn(field: Field, views: Sequence[View], settings: FieldSettings, now_s: Callable[[], float]) -> Iterator[Step]:
-    """Change `field`, which lies on its device, one step an item. `now_s` is asked for the time only without `steps`."""
+    """Change `field`, which lies on its device, one step an item. `now_s` is not asked where there are `steps`."""
     device = field.sdf_m.device
     bundle, pick = Bundle(views, device), torch.Generator().manual_seed(settings.seed)
     optimiser = _optimiser(field)

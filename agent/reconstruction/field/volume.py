@@ -45,6 +45,8 @@ class Field(nn.Module):
     def __init__(self, start: Box, plane_m: float, line_m: float, seed: int) -> None:
         super().__init__()
         made = torch.Generator().manual_seed(seed)
+        self.origin_m: Tensor
+        self.size_m: Tensor
         self.register_buffer("origin_m", torch.tensor(start.origin_m, dtype=torch.float32))
         self.register_buffer("size_m", torch.tensor(start.size_m, dtype=torch.float32))
         self.sdf_m = nn.Parameter(torch.from_numpy(np.ascontiguousarray(start.sdf_m, np.float32))[None, None])

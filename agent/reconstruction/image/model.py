@@ -92,12 +92,12 @@ def filled(light: Pictures) -> Pictures:
     known = np.isfinite(light).all(axis=-1)
     if known.all() or not known.any():
         return np.nan_to_num(light)
-    out, sums, weight = np.where(known[..., None], light, 0.0).astype(np.float32), None, None
+    out: Pictures = np.where(known[..., None], light, 0.0).astype(np.float32)
     sums, weight = out.copy(), known.astype(np.float32)
-    left, sigma = ~known, 2.0
+    left, sigma = np.asarray(~known), 2.0
     while left.any():
-        mean, share = cv2.GaussianBlur(sums, (0, 0), sigma), cv2.GaussianBlur(weight, (0, 0), sigma)
+        mean, share = (np.asarray(cv2.GaussianBlur(one, (0, 0), sigma), np.float32) for one in (sums, weight))
         now = left & (share > 1e-3)
         out[now] = mean[now] / share[now, None]
-        left, sigma = left & ~now, 2.0 * sigma
+        left, sigma = np.asarray(left & ~now), 2.0 * sigma
     return out

@@ -59,7 +59,7 @@ def refine(views: Sequence[View], build: Build, done: Callable[[int, int], None]
                 cost += sum(one.cost for one in found)
                 hessian = sum((one.hessian for one in found), priors[g].copy())
                 pull = sum((one.pull for one in found), -priors[g] @ gone[g])
-                xi = clipped(np.linalg.solve(hessian, pull), ROBOT_CLIP)
+                xi = clipped(np.asarray(np.linalg.solve(hessian, pull), float), ROBOT_CLIP)
                 gone[g] = gone[g] + xi
                 for k in group:
                     now[k] = moved_about(now[k], centre, xi[:3], xi[3:])
@@ -82,15 +82,16 @@ def place(view: View, look: Look, prior: Floats | None = None, rounds: int = PLA
         found = evidence(now, *look(now))
         costs.append(found.cost)
         hessian = found.hessian + information + 1e-9 * np.eye(6)
-        xi = clipped(np.linalg.solve(hessian, found.pull - information @ gone), VIEW_CLIP)
+        pull = found.pull - information @ gone
+        xi = clipped(np.asarray(np.linalg.solve(hessian, pull), float), VIEW_CLIP)
         gone, now = gone + xi, moved(now, xi[:3], xi[3:])
     costs.append(evidence(now, *look(now)).cost)
     return Refined([now], tuple(costs))
 
 
 def clipped(xi: Floats, clip: tuple[float, float]) -> Floats:
-    """A step (6,) as a whole shortened until it turns by no more than clip[0] rad and goes no farther than clip[1] m."""
-    over = max(np.linalg.norm(xi[:3]) / clip[0], np.linalg.norm(xi[3:]) / clip[1], 1.0)
+    """A step (6,), shortened as a whole until it turns by clip[0] rad at most, and goes no farther than clip[1] m."""
+    over = max(float(np.linalg.norm(xi[:3])) / clip[0], float(np.linalg.norm(xi[3:])) / clip[1], 1.0)
     return np.asarray(xi / over)
 
 

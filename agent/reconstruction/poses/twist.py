@@ -70,4 +70,4 @@ def apart(found: Sequence[View], true: Sequence[View]) -> tuple[Floats, Floats]:
 
 
 def _marks(view: View) -> Floats:
-    return view.position_m + np.concatenate([np.zeros((1, 3)), LEVER_M * view.rotation.T])
+    return np.asarray(view.position_m + np.concatenate([np.zeros((1, 3)), LEVER_M * view.rotation.T]))

@@ -108,8 +108,8 @@ def _project(
 def _reach(discs: Floats, i: int, cut: float, height: int, width: int) -> tuple[int, int, int, int]:
     """Rows and columns that a disc may cover."""
     u, v, half_u, half_v = discs[i, 0], discs[i, 1], cut * discs[i, 6], cut * discs[i, 7]
-    top, down = max(int(math.ceil(v - half_v)), 0), min(int(math.floor(v + half_v)) + 1, height)
-    left, right = max(int(math.ceil(u - half_u)), 0), min(int(math.floor(u + half_u)) + 1, width)
+    top, down = max(math.ceil(v - half_v), 0), min(math.floor(v + half_v) + 1, height)
+    left, right = max(math.ceil(u - half_u), 0), min(math.floor(u + half_u) + 1, width)
     return top, down, left, right
 
 
