@@ -85,7 +85,7 @@ def _pinhole(
         k1, k2, k3, _, p1, p2 = (float(about.get(name) or 0.0) for name in LENS)
     except (KeyError, TypeError, ValueError):
         raise ConfigError(f"{file}: frame {n} has no fl_x and no camera_angle_x") from None
-    scale = width / float(about.get("w", width))  # a folder of smaller copies has the intrinsics of the large ones
+    scale = width / float(about.get("w") or width)  # a folder of smaller copies has the intrinsics of the large ones
     fx, fy, cx, cy = fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5
     straight = not any((k1, k2, k3, p1, p2)) and fx == fy
     if not straight:
