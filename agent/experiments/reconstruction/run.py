@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from agent.clock.machine import processor_s
+from agent.clock.machine import monotonic_s, processor_s
 from agent.experiments.choices import PosesKind, Sensor
-from agent.experiments.reconstruction.noisy import noisy, onto
+from agent.experiments.reconstruction.noisy import noisy
+from agent.experiments.reconstruction.pictures import into_truth, picture_row, pose_row
 from agent.experiments.reconstruction.render import Rendered, render, sweeps_of_a_world
 from agent.experiments.reconstruction.score import Score, score, seen_twice
 from agent.experiments.result import ExperimentResult, Row
@@ -25,7 +26,10 @@ from agent.reconstruction.camera import Floats
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse
+from agent.reconstruction.image.model import ImageSettings, image
 from agent.reconstruction.neighbours import neighbours
+from agent.reconstruction.poses.refine import refine
+from agent.reconstruction.poses.scene import scene_of
 from agent.reconstruction.report.beside import psnr_db, render_of
 from agent.reconstruction.stack import stacked
 from agent.reconstruction.stereo import plane_sweep
@@ -33,7 +37,7 @@ from agent.reconstruction.view import View
 
 SENSOR: Sensor = "crop_1280"
 WATERS: tuple[WaterKind, ...] = ("tap", "coastal")
-POSES: tuple[PosesKind, ...] = ("exact", "noisy")
+POSES: tuple[PosesKind, ...] = ("exact", "noisy", "refined")
 BARS = {"focus_median_mm": 2.5, "focus_complete_10mm": 83.0, "sweep_objects_mm": 1.0, "f5": 85.0}  # exact poses
 
 
@@ -43,6 +47,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     waters: tuple[WaterKind, ...] = WATERS
     poses: tuple[PosesKind, ...] = POSES
+    image: ImageSettings | None = ImageSettings(kind="surfels")  # None: surfaces alone
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):
@@ -66,6 +71,7 @@ class Surfaces(NamedTuple):
     focus: Mesh
     sweep: Mesh
     both: Mesh
+    views: list[View]  # with the depths that the last is made of
     focus_s: float
     both_s: float
 
@@ -83,14 +89,19 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
             rendered = world(seed, water, SENSOR, step)
             truth = seen_twice(rendered)
             for poses in settings.poses:
-                cases.append(case(rendered, truth, poses))
+                cases.append(case(rendered, truth, poses, settings.image))
                 step()
     return Result(cases=cases, coverage={}, missed=missed(cases))
 
 
-def case(rendered: Rendered, truth_m: Floats, poses: PosesKind) -> Row:
-    """Surfaces from one tank's views, scored; pictures by the surface's own colours, where poses are exact."""
+def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSettings | None = None) -> Row:
+    """Surfaces from one tank's views, scored; pictures by the surface's own colours, where poses are exact, and by an
+    image model where one is asked for."""
     views = rendered.trained if poses == "exact" else noisy(rendered.trained, rendered.seed)
+    start = processor_s()
+    if poses == "refined":
+        views = refine(views, scene_of).views
+    refined_s = processor_s() - start
     made = surfaces(views)
     focus, sweep, both = (_scored(mesh, views, rendered, truth_m) for mesh in (made.focus, made.sweep, made.both))
     exact = poses == "exact"  # else views that are held back would have to be aligned first
@@ -105,10 +116,21 @@ def case(rendered: Rendered, truth_m: Floats, poses: PosesKind) -> Row:
         "psnr_new": mean_psnr(made.both, rendered.new) if exact else None,
         "seconds": made.both_s,
         "picture": "surface colours",
+        "refine_seconds": refined_s if poses == "refined" else None,
+        **pose_row(views, rendered),
+        **(_pictured(made, rendered, views, picture) if picture else {}),
         "both": both._asdict(),
         "sweep": sweep._asdict(),
         "focus": {**focus._asdict(), "seconds": made.focus_s},
     }
+
+
+def _pictured(made: Surfaces, rendered: Rendered, views: list[View], settings: ImageSettings) -> Row:
+    """In place of the surface's own colours, which stay in the row by another name."""
+    start = processor_s()
+    model = image(made.views, made.both, CELL_M, settings, lambda done, total: None, monotonic_s)
+    seconds = processor_s() - start
+    return {**picture_row(model, rendered, views), "picture": model.kind, "image_seconds": seconds}
 
 
 def surfaces(views: list[View]) -> Surfaces:
@@ -127,7 +149,13 @@ def surfaces(views: list[View]) -> Surfaces:
         depth_m=np.where(known, found.depth_m, stack.depth_m), sigma_m=np.where(known, found.sigma_m, stack.sigma_m)
     )
     both = coloured(mesh_of(fuse(merged, CELL_M)), merged)
-    return Surfaces(focus, sweep or focus, both, focus_s, processor_s() - start)
+    seconds = processor_s() - start
+    better = [
+        replace(view, depth_m=merged.depth_m[n][inside], sigma_m=merged.sigma_m[n][inside])
+        for n, view in enumerate(views)
+        if (inside := np.s_[: view.camera.height, : view.camera.width])
+    ]
+    return Surfaces(focus, sweep or focus, both, better, focus_s, seconds)
 
 
 def _unknown(view: View) -> View:
@@ -137,7 +165,7 @@ def _unknown(view: View) -> View:
 
 
 def _scored(mesh: Mesh, views: list[View], rendered: Rendered, truth_m: Floats) -> Score:
-    return score(onto(mesh.vertices_m, views, rendered.trained), rendered, truth_m)
+    return score(into_truth(mesh.vertices_m, views, rendered), rendered, truth_m)
 
 
 def mean_psnr(mesh: Mesh, held: list[View]) -> float:

@@ -11,7 +11,9 @@ from agent.experiments.result import Row
 
 def table(result: Result) -> Group:
     """The surfaces, and a line for each bar that was missed."""
-    return Group(surfaces_table(result.cases), *(f"missed: {text}" for text in result.missed))
+    return Group(
+        surfaces_table(result.cases), pictures_table(result.cases), *(f"missed: {text}" for text in result.missed)
+    )
 
 
 def surfaces_table(cases: list[Row]) -> Table:
@@ -34,5 +36,24 @@ def surfaces_table(cases: list[Row]) -> Table:
                 f"{one['f5']:.1f}",
                 f"{case['psnr_in']:.1f}, {case['psnr_new']:.1f}" if told else "",
                 "" if seconds is None else f"{seconds:.1f}",
+            )
+    return shown
+
+
+def pictures_table(cases: list[Row]) -> Table:
+    """Image models on photographs held back, each placed first; and how far off their poses were."""
+    shown = Table(title="image models on photographs held back")
+    left = ("seed", "water", "poses", "model")
+    for column in (*left, "places mm", "angles deg", "PSNR known dB", "PSNR new dB", "CPU s"):
+        shown.add_column(column, justify="left" if column in left else "right")
+    for case in cases:
+        if "image" in case:
+            shown.add_row(
+                *(f"{case[key]}" for key in (*left[:3], "image")),
+                f"{case['place_mm']:.1f}",
+                f"{case['turn_deg']:.2f}",
+                f"{case['psnr_in']:.1f}",
+                f"{case['psnr_new']:.1f}",
+                f"{case['image_seconds']:.0f}",
             )
     return shown
