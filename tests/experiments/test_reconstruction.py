@@ -74,8 +74,8 @@ def test_distances_to_solids_are_those_of_geometry() -> None:
     tank = scene_of_seed(0, "tap")
     world = Rendered(0, "tap", tank, [], [], [], [])
     ball, stone = tank.solid[0], tank.solid[1]
-    above = (*np.array(ball.position_m), 0.0, 0.0, 0.07 + 0.004)
-    beside = (*np.array(stone.position_m), stone.radii_m[0] + 0.002, 0.0, 0.0)
+    above = np.add(ball.position_m, (0.0, 0.0, 0.07 + 0.004))
+    beside = np.add(stone.position_m, (stone.radii_m[0] + 0.002, 0.0, 0.0))
     off, of_solid = distances(np.array([above, beside, [0.001, 0.6, 0.3]]), world)
     np.testing.assert_allclose(off, [0.004, 0.002, 0.001], atol=1e-6)
     assert of_solid.tolist() == [True, True, False]

@@ -7,7 +7,7 @@ from agent.kernel.ranging.calibration import FocusFit
 from agent.kernel.ranging.focus import range_variance
 from agent.pictures.depth_peaks import GridPeaks, Reason
 from agent.pictures.depth_sweep import DepthMap
-from agent.reconstruction.composite import composite, linear
+from agent.reconstruction.composite import composite, linear, shrunk_frame
 from agent.reconstruction.focus_maps import FLOOR_M, focus_map, range_sigma_m
 
 FOCUS = FocusFit(u_inf_m=0.001, b_m=130.0, rho0=90.0, covariance=(0.0,) * 6, noise=0.7, width=250.0, lowest=190,
