@@ -31,7 +31,7 @@ def transforms_views(path: Path, show: Show) -> list[View]:
     file = path / "transforms.json" if path.is_dir() else path
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
-        frames = data["frames"]
+        frames = list(data["frames"])
     except (OSError, ValueError, KeyError, TypeError):
         raise ConfigError(f"{file}: no transforms.json; give a folder in nerfstudio's layout, or its file") from None
     views = []
