@@ -15,7 +15,7 @@ from agent.failure import Failed
 from agent.progress import Show
 from agent.reconstruction.build import CELL_M, Built, build
 from agent.reconstruction.export.kinds import Kind, export
-from agent.reconstruction.held_back import held_back
+from agent.reconstruction.image.held_back import held_back
 from agent.reconstruction.image.judged import HeldBack, judged
 from agent.reconstruction.image.model import ImageModel, ImageSettings, image
 from agent.reconstruction.poses.refine import refine

@@ -103,7 +103,7 @@ def test_robots_share_their_error_and_a_common_one_is_nobodys(floor: Rendered) -
 
 def test_it_all_from_views_to_table(floor: Rendered) -> None:
     result = run(Settings(seeds=(0,), waters=("tap",)), lambda done, total: None, world=lambda *asked: floor)
-    exact, off = result.cases
+    exact, off, refined = result.cases
     assert exact["median_mm"] < 0.5
     assert exact["complete_10mm"] > 85.0
     assert exact["median_mm"] < off["median_mm"]

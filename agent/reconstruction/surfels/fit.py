@@ -49,7 +49,7 @@ def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, i
         sums, shares = sums + back[0], shares + back[1]
         done(n + 1, total)
     with np.errstate(invalid="ignore", divide="ignore"):
-        colour = np.where(shares[:, None] > 0.0, sums / shares[:, None], 0.0)
+        colour = np.where(shares[:, None] > 0.0, np.maximum(sums / shares[:, None], 0.0), 0.0)
     water = np.repeat(np.array(START_WATER)[:, None], 3, axis=1)
     adam = [_Moments(colour), _Moments(water)]
     for n in range(epochs * len(views)):
@@ -89,7 +89,7 @@ def _gradients(cloud: Cloud, view: View, colour: Floats, water: Floats) -> tuple
     t, here = _range(view, drawn), blended(drawn, colour)
     light = _seen(here, t, water)
     good = np.isfinite(light)
-    shown = np.where(good, light, 0.5)
+    shown = np.maximum(np.where(good, light, 0.5), 0.0)
     off = (shown + DARKEST) ** GAMMA - (np.maximum(view.picture, 0.0) + DARKEST) ** GAMMA
     down = np.clip(off, -TONE_HUBER, TONE_HUBER) * GAMMA * (shown + DARKEST) ** (GAMMA - 1.0) * good
     t = np.nan_to_num(t)[..., None]
