@@ -8,6 +8,7 @@ import pytest
 
 from agent.experiments.reconstruction.intrinsics import camera_of
 from agent.experiments.reconstruction.noisy import OWN, SHARED, noisy, onto
+from agent.experiments.reconstruction.pictures import missed_pictures
 from agent.experiments.reconstruction.render import TRUTH_STEP, Rendered
 from agent.experiments.reconstruction.run import Settings, missed, run
 from agent.experiments.reconstruction.score import distances, nearest_m, score, seen_twice
@@ -102,15 +103,27 @@ def test_robots_share_their_error_and_a_common_one_is_nobodys(floor: Rendered) -
 
 
 def test_it_all_from_views_to_table(floor: Rendered) -> None:
-    result = run(Settings(seeds=(0,), waters=("tap",)), lambda done, total: None, world=lambda *asked: floor)
-    exact, off, refined = result.cases
+    asked = Settings(seeds=(0,), waters=("tap",), poses=("exact", "noisy"))  # refined ones have tests of their own
+    result = run(asked, lambda done, total: None, world=lambda *asked: floor)
+    exact, off = result.cases
     assert exact["median_mm"] < 0.5
     assert exact["complete_10mm"] > 85.0
     assert exact["median_mm"] < off["median_mm"]
     assert exact["psnr_in"] > 15.0  # its rim is black: nobody saw it twice
-    assert off["psnr_in"] is None
+    assert exact["image"] == "surfels" and exact["place_mm"] < 1e-6 < off["place_mm"]
     assert {"water", "poses", "median_mm", "complete_10mm", "f5", "psnr_in", "psnr_new", "seconds"} <= set(exact)
     assert table(result)
+
+
+def test_pictures_and_poses_that_miss_their_bars_are_said() -> None:
+    one = {"seed": 2, "water": "tap", "poses": "exact", "image": "surfels", "psnr_in": 31.0, "psnr_new": 28.0, "f5": 77}
+    assert missed_pictures([one, {**one, "poses": "refined", "psnr_in": 30.1, "f5": 73}]) == []
+    assert missed_pictures([{**one, "psnr_new": 26.0}]) == ["seed 2, tap: new stations 26.0 dB"]
+    worse = {**one, "poses": "refined", "psnr_in": 29.9, "f5": 71}
+    assert missed_pictures([one, worse]) == [
+        "seed 2, tap: refined poses lose 1.1 dB at known stations",
+        "seed 2, tap: refined poses lose 6.0 points of F",
+    ]
 
 
 def test_a_bar_that_is_missed_is_said() -> None:

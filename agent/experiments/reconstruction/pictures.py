@@ -20,6 +20,9 @@ from agent.reconstruction.view import View
 
 Floats = NDArray[np.float64]
 
+LEAST_DB = (30.0, 27.0)  # at known and at new stations, exact poses
+MOST_LOST_DB, MOST_LOST_F = 1.0, 5.0  # by poses that had to be refined, against exact ones
+
 
 def picture_row(model: ImageModel, rendered: Rendered, views: Sequence[View]) -> Row:
     """PSNR of photographs from stations that were trained on (in), and from others (new), and what the model is.
@@ -63,6 +66,28 @@ def into_truth(points_m: Floats, views: Sequence[View], rendered: Rendered) -> F
 
 def inverse(motion: Motion) -> Motion:
     return Motion(motion.rotation.T, -motion.rotation.T @ motion.shift_m)
+
+
+def missed_pictures(cases: Sequence[Row]) -> list[str]:
+    """Bars of image models and of refined poses that are not reached; cases without a model are passed over."""
+    pictured = [one for one in cases if "image" in one]
+    exact = {(one["seed"], one["water"]): one for one in pictured if one["poses"] == "exact"}
+    found = []
+    for one in pictured:
+        key = one["seed"], one["water"]
+        name = f"seed {key[0]}, {key[1]}"
+        if one["poses"] == "exact":
+            told = [("known", one["psnr_in"], LEAST_DB[0]), ("new", one["psnr_new"], LEAST_DB[1])]
+            found += [f"{name}: {where} stations {value:.1f} dB" for where, value, least in told if value < least]
+        elif one["poses"] == "refined" and key in exact:
+            lost_db = [exact[key][field] - one[field] for field in ("psnr_in", "psnr_new")]
+            lost_f = exact[key]["f5"] - one["f5"]
+            for where, lost in zip(("known", "new"), lost_db, strict=True):
+                if lost > MOST_LOST_DB:
+                    found.append(f"{name}: refined poses lose {lost:.1f} dB at {where} stations")
+            if lost_f > MOST_LOST_F:
+                found.append(f"{name}: refined poses lose {lost_f:.1f} points of F")
+    return found
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from agent.clock.machine import monotonic_s, processor_s
 from agent.experiments.choices import PosesKind, Sensor
 from agent.experiments.reconstruction.noisy import noisy
-from agent.experiments.reconstruction.pictures import into_truth, picture_row, pose_row
+from agent.experiments.reconstruction.pictures import into_truth, missed_pictures, picture_row, pose_row
 from agent.experiments.reconstruction.render import Rendered, render, sweeps_of_a_world
 from agent.experiments.reconstruction.score import Score, score, seen_twice
 from agent.experiments.result import ExperimentResult, Row
@@ -91,7 +91,7 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
             for poses in settings.poses:
                 cases.append(case(rendered, truth, poses, settings.image))
                 step()
-    return Result(cases=cases, coverage={}, missed=missed(cases))
+    return Result(cases=cases, coverage={}, missed=missed(cases) + missed_pictures(cases))
 
 
 def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSettings | None = None) -> Row:
