@@ -89,12 +89,14 @@ def _surfels(views: Sequence[View], cloud: Cloud, progress: Progress) -> ImageMo
 
 def filled(light: Pictures) -> Pictures:
     """The picture (h, w, 3) with holes (NaN) filled from around them, the coarser the farther: for the eye."""
-    known = np.isfinite(light).all(axis=-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(light).all(axis=-1))
     if known.all() or not known.any():
         return np.nan_to_num(light)
     out: Pictures = np.where(known[..., None], light, 0.0).astype(np.float32)
-    sums, weight = out.copy(), known.astype(np.float32)
-    left, sigma = np.asarray(~known), 2.0
+    sums: Pictures = np.array(out, np.float32)
+    weight: Pictures = np.array(known, np.float32)
+    left: NDArray[np.bool_] = np.array(~known)
+    sigma = 2.0
     while left.any():
         mean, share = (np.asarray(cv2.GaussianBlur(one, (0, 0), sigma), np.float32) for one in (sums, weight))
         now = left & (share > 1e-3)
