@@ -59,11 +59,16 @@ def plane_sweep(
     neighbours: Neighbours,
     progress: Progress = lambda done, total: None,
     everywhere: Range | None = None,
+    before: NDArray[np.float32] | None = None,
 ) -> Swept:
-    """Depths of all views; stack has the focus depths that say where to look, unless it is told to look everywhere."""
+    """Depths of all views; stack has the focus depths that say where to look, unless it is told to look everywhere.
+
+    before (n, height, width): depths that were found already, which are kept and bear witness; they are not looked for
+    again where the stack has no depth.
+    """
     grey = np.ascontiguousarray(stack.pictures.mean(axis=-1))
     count = len(grey)
-    found = np.full(stack.depth_m.shape, np.nan, np.float32)
+    found = np.full(stack.depth_m.shape, np.nan, np.float32) if before is None else before.copy()
     tilt = np.zeros((*stack.depth_m.shape[1:], 2))
     for n in range(count):
         progress(n, count)

@@ -19,9 +19,10 @@ from agent.experiments.reconstruction.pictures import into_truth, missed_picture
 from agent.experiments.reconstruction.render import Rendered, render, sweeps_of_a_world
 from agent.experiments.reconstruction.score import Score, score, seen_twice
 from agent.experiments.result import ExperimentResult, Row
+from agent.failure import Failed
 from agent.kernel.config import WaterKind
 from agent.progress import Progress, step_by_step
-from agent.reconstruction.build import CELL_M
+from agent.reconstruction.build import CELL_M, merged, swept_twice
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
@@ -142,20 +143,19 @@ def surfaces(views: list[View]) -> Surfaces:
     focus_s = processor_s() - start
     plane_sweep(stacked([_unknown(view) for view in views[:2]]), neighbours(stacked(views[:2])))
     start = processor_s()
-    found = plane_sweep(stack, neighbours(stack))
-    known = np.isfinite(found.depth_m)
-    sweep = mesh_of(fuse(stack._replace(depth_m=found.depth_m, sigma_m=found.sigma_m), CELL_M)) if known.any() else None
-    merged = stack._replace(
-        depth_m=np.where(known, found.depth_m, stack.depth_m), sigma_m=np.where(known, found.sigma_m, stack.sigma_m)
-    )
-    both = coloured(mesh_of(fuse(merged, CELL_M)), merged)
-    seconds = processor_s() - start
+    found = swept_twice(views, stack, CELL_M)
+    together = merged(stack, found)
+    both = coloured(mesh_of(fuse(together, CELL_M)), together)
+    both_s = processor_s() - start
+    if not np.isfinite(found.depth_m).any():
+        raise Failed("the plane sweep found nothing in any of these pictures")
+    sweep = mesh_of(fuse(stack._replace(depth_m=found.depth_m, sigma_m=found.sigma_m), CELL_M))
     better = [
-        replace(view, depth_m=merged.depth_m[n][inside], sigma_m=merged.sigma_m[n][inside])
+        replace(view, depth_m=together.depth_m[n][inside], sigma_m=together.sigma_m[n][inside])
         for n, view in enumerate(views)
         if (inside := np.s_[: view.camera.height, : view.camera.width])
     ]
-    return Surfaces(focus, sweep or focus, both, better, focus_s, seconds)
+    return Surfaces(focus, sweep, both, better, focus_s, both_s)
 
 
 def _unknown(view: View) -> View:
