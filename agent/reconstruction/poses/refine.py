@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Look = Callable[[View], tuple[Floats, Floats]]  # linear light (h, w, 3) and depth (h, w) from a view; NaN in holes
 Build = Callable[[Sequence[View]], Look]  # what the scene looks like, made of views as they stand
 
-BLURS_PX = (2.0, 1.5, 1.0, 0.7, 0.0)  # of the rounds of robots
+BLURS_PX = (2.0, 1.5, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)  # of the rounds of robots; the sharp ones gain a point of F each
 STEPS = 2  # of Gauss-Newton in a round
 ROBOT_CLIP = (8e-3, 6e-3)  # rad and m of one step
 VIEW_SIGMA = (np.radians(0.1), 1e-3)  # rad and m: what a view has of its own, beside its robot
