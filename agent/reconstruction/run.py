@@ -14,7 +14,7 @@ from agent.failure import Failed
 from agent.progress import Show
 from agent.reconstruction.build import CELL_M, Built, build
 from agent.reconstruction.export.kinds import Kind, export
-from agent.reconstruction.held_back import held_back
+from agent.reconstruction.image.held_back import held_back
 from agent.reconstruction.recorded import recorded_views
 from agent.reconstruction.report.report import write_report
 from agent.reconstruction.transforms_in import transforms_views
