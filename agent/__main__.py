@@ -13,7 +13,18 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from agent.commands import boards, calibrating, diving, experimenting, exporting, looking, operating, replaying, seeing
+from agent.commands import (
+    boards,
+    calibrating,
+    diving,
+    experimenting,
+    exporting,
+    looking,
+    operating,
+    reconstructing,
+    replaying,
+    seeing,
+)
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 from agent.parent_watch import exit_with_parent
@@ -35,6 +46,7 @@ app.add_typer(boards.app, name="board")
 app.add_typer(experimenting.app, name="experiment")
 app.add_typer(replaying.app, name="replay")
 app.add_typer(exporting.app)
+app.add_typer(reconstructing.app)
 
 
 def say_version(wanted: bool) -> None:

@@ -9,7 +9,15 @@ from typing import Annotated
 import typer
 
 from agent.commands.options import OutFolder, Seed, terminal
-from agent.experiments.choices import DEFAULT_SENSOR, WATERS, LocalizationKind, NavigationCase, Sensor
+from agent.experiments.choices import (
+    DEFAULT_SENSOR,
+    WATERS,
+    ImageKind,
+    LocalizationKind,
+    NavigationCase,
+    PosesKind,
+    Sensor,
+)
 from agent.kernel.config import ConfigError, WaterKind
 
 app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
@@ -140,3 +148,35 @@ def experiment_navigation(
 
     asked = run.Settings(seed=seed, seeds=seeds, quick=quick, only=only)
     perform(run.run, asked, tables.table, out, terminal(), "worlds of robots that swim", figures.figures)
+
+
+@app.command("reconstruction", epilog="Example: aucamp experiment reconstruction --seed 1 --seeds 1 --water tap")
+def experiment_reconstruction(
+    seed: Seed = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="Tanks, from that seed on.")] = 5,
+    water: Waters = None,
+    poses: Annotated[PosesKind | None, typer.Option("--poses", help="Only these; else all.")] = None,
+    image: Annotated[
+        ImageKind, typer.Option(help="Image model; a field takes image-seconds for each case.")
+    ] = "surfels",
+    image_seconds: Annotated[float, typer.Option(min=1.0, help="How long a field learns.")] = 300.0,
+    fog: Annotated[
+        bool, typer.Option("--fog", help="The field starts from nothing, as if there were no focus.")
+    ] = False,
+    out: OutFolder = None,
+) -> None:
+    """Scenes from focus sweeps: surfaces, poses and pictures against the twin's truth, in tap and coastal water."""
+    from agent.experiments.perform import perform
+    from agent.experiments.reconstruction import run, tables
+    from agent.reconstruction.field.settings import FieldSettings
+    from agent.reconstruction.image.model import ImageSettings
+
+    field = FieldSettings(seconds=image_seconds, start="nothing" if fog else "surface")
+
+    asked = run.Settings(
+        seeds=tuple(range(seed, seed + seeds)),
+        waters=kinds(water) if water else run.WATERS,
+        poses=(poses,) if poses else run.POSES,
+        image=None if image == "none" else ImageSettings(kind=image, field=field),
+    )
+    perform(run.run, asked, tables.table, out, terminal(), "sweeps and surfaces")

@@ -9,5 +9,7 @@ from agent.kernel.config import WaterKind
 Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens
 LocalizationKind = Literal["accuracy", "liar"]
 NavigationCase = Literal["fix", "hold", "goto", "turn", "orbit", "separation", "target", "aid", "follow", "search"]
+PosesKind = Literal["exact", "noisy", "refined"]  # of cameras that a scene is reconstructed from
+ImageKind = Literal["field", "surfels", "none"]  # what a scene's pictures are rendered by
 DEFAULT_SENSOR: Sensor = "imx519_640"
 WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

@@ -1,1 +1,1 @@
-"""A scene from recordings, and a map that robots share."""
+"""Scenes from focus sweeps against the twin's truth: surface, picture and poses; and a map that robots share."""

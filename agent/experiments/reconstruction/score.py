@@ -1,0 +1,128 @@
+"""How true a surface is: each of its points against the twin's solids and walls, each place that was seen against it.
+
+Truth of the first is the scene itself, of the second what the painter's ray caster sees from the trained stations.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.experiments.reconstruction.render import Rendered, truth_points
+from agent.fleet_files import shipped_fleet
+from agent.kernel.fleet_reader import load_fleet
+from agent.reconstruction.camera import Floats
+from agent.reconstruction.view import View, see
+from hw.compiled import compiled
+
+NEAR_M, F_M = 10e-3, 5e-3  # a place counts as covered within the first; precision and recall of F within the second
+THIN_M = 4e-3  # cells of which one true place is kept: of the floor no more than of a stone
+HIDDEN = 1.01  # a place is seen if nothing is nearer by more than this factor
+
+
+class Score(NamedTuple):
+    """Millimetres, and per cent."""
+
+    mean_mm: float
+    median_mm: float
+    objects_mean_mm: float  # of points nearest to a solid
+    complete_10mm: float  # share of the places that two trained views see
+    precision_5mm: float
+    recall_5mm: float
+    f5: float
+
+
+def score(points_m: Floats, rendered: Rendered, truth_m: Floats) -> Score:
+    """Points (n, 3) of a surface against one tank; truth_m (m, 3) from `seen_twice`."""
+    distance, of_solid = distances(points_m, rendered)
+    nearest = nearest_m(truth_m, points_m, NEAR_M)
+    precision, recall = float(np.mean(distance < F_M)), float(np.mean(nearest < F_M))
+    return Score(
+        mean_mm=1e3 * float(distance.mean()),
+        median_mm=1e3 * float(np.median(distance)),
+        objects_mean_mm=1e3 * float(distance[of_solid].mean()) if of_solid.any() else float("nan"),
+        complete_10mm=100.0 * float(np.mean(nearest < NEAR_M)),
+        precision_5mm=100.0 * precision,
+        recall_5mm=100.0 * recall,
+        f5=100.0 * 2.0 * precision * recall / max(precision + recall, 1e-9),
+    )
+
+
+def distances(points_m: Floats, rendered: Rendered) -> tuple[Floats, NDArray[np.bool_]]:
+    """From each point (n, 3) to the nearest true surface, metres, and whether that is a solid's."""
+    tank = load_fleet(shipped_fleet()).tank
+    box = np.array([tank.size_m[0], tank.size_m[1], tank.surface_m])
+    walls = np.minimum(np.abs(points_m), np.abs(points_m - box)).min(axis=1)
+    solids = np.full(len(points_m), np.inf)
+    for solid in rendered.scene.solid:
+        solids = np.minimum(solids, _to_ellipsoid(points_m - solid.position_m, np.array(solid.radii_m)))
+    return np.minimum(walls, solids), solids < walls
+
+
+def _to_ellipsoid(points: Floats, radii: Floats) -> Floats:
+    """Distance by a few steps of projection along the gradient of |p / r|; exact on a ball, 1 % within a radius."""
+    foot = points.copy()
+    for _ in range(8):
+        scaled = foot / radii
+        size = np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-9)
+        foot = foot / size  # onto the surface
+        normal = foot / radii**2
+        normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        foot = points - normal * ((points - foot) * normal).sum(axis=1, keepdims=True)
+    scaled = foot / radii
+    foot = foot / np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.linalg.norm(points - foot, axis=1))
+
+
+def seen_twice(rendered: Rendered) -> Floats:
+    """True places (m, 3) that at least two trained views see, one of each cell of THIN_M."""
+    points = np.concatenate(truth_points(rendered))
+    cells = np.floor(points / THIN_M).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    places = points[np.sort(first)]
+    seen = np.zeros(len(places), np.int64)
+    for view, depth in zip(rendered.trained, rendered.truth_m, strict=True):
+        seen += _visible(view, depth, places)
+    return places[seen >= 2]
+
+
+def _visible(view: View, depth: NDArray[np.float32], places: Floats) -> NDArray[np.bool_]:
+    pixels, z = see(view, places)
+    with np.errstate(invalid="ignore"):
+        col, row = (np.where(np.isfinite(pixels[:, k]), np.rint(pixels[:, k]), -1).astype(np.int64) for k in (0, 1))
+    inside = (col >= 0) & (row >= 0) & (col < depth.shape[1]) & (row < depth.shape[0])
+    behind = z > HIDDEN * depth[np.where(inside, row, 0), np.where(inside, col, 0)] + 2e-3
+    return np.asarray(inside & ~behind)
+
+
+def nearest_m(of_m: Floats, among_m: Floats, most_m: float) -> Floats:
+    """From each point (n, 3) to the nearest of others (m, 3), metres; most_m where there is none within it."""
+    low = np.minimum(of_m.min(axis=0), among_m.min(axis=0)) - most_m
+    cells = np.floor((among_m - low) / most_m).astype(np.int64)
+    shape = np.maximum(cells.max(axis=0), np.floor((of_m - low) / most_m).astype(np.int64).max(axis=0)) + 2
+    number = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(int(np.prod(shape)) + 1))
+    found = np.empty(len(of_m))
+    _nearest(of_m, among_m[order], low, most_m, starts, shape, found)
+    return found
+
+
+@compiled(error_model="numpy")
+def _nearest(
+    of: Floats, among: Floats, low: Floats, most: float, starts: NDArray[np.int64], shape: NDArray[np.int64],
+    found: Floats,
+) -> None:  # fmt: skip
+    for n in range(len(of)):
+        best = most * most
+        i0, j0, k0 = (int((of[n, 0] - low[0]) / most), int((of[n, 1] - low[1]) / most), int((of[n, 2] - low[2]) / most))
+        for i in range(max(i0 - 1, 0), min(i0 + 2, shape[0])):
+            for j in range(max(j0 - 1, 0), min(j0 + 2, shape[1])):
+                for k in range(max(k0 - 1, 0), min(k0 + 2, shape[2])):
+                    cell = (i * shape[1] + j) * shape[2] + k
+                    for m in range(starts[cell], starts[cell + 1]):
+                        x, y, z = of[n, 0] - among[m, 0], of[n, 1] - among[m, 1], of[n, 2] - among[m, 2]
+                        best = min(best, x * x + y * y + z * z)
+        found[n] = best**0.5

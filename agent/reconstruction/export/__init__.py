@@ -1,0 +1,1 @@
+"""Surfaces and views in the formats of other programs."""

@@ -1,0 +1,1 @@
+"""Where cameras were, better than they knew: their pictures and depths against those of what all of them saw."""

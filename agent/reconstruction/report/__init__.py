@@ -1,0 +1,1 @@
+"""What a person sees of a reconstruction: a page, pictures, a film round it."""

@@ -1,0 +1,144 @@
+"""`aucamp reconstruct`: recordings, or a folder of pictures with poses, into a surface, files and a report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from agent.clock import machine
+from agent.failure import Failed
+from agent.progress import Show
+from agent.reconstruction.build import CELL_M, Built, build
+from agent.reconstruction.export.kinds import Kind, export
+from agent.reconstruction.image.held_back import held_back
+from agent.reconstruction.image.judged import HeldBack, judged
+from agent.reconstruction.image.model import ImageModel, ImageSettings, image
+from agent.reconstruction.poses.refine import refine
+from agent.reconstruction.poses.scene import scene_of
+from agent.reconstruction.recorded import recorded_views
+from agent.reconstruction.report.report import write_report
+from agent.reconstruction.transforms_in import transforms_views
+from agent.reconstruction.view import View
+from agent.reconstruction.without_focus import scale_of, scaled, scaled_mesh, with_depths
+
+RESULT = "result.json"
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    runs: tuple[Path, ...] = ()
+    transforms: Path | None = None
+    exports: tuple[Kind, ...] = ("ply",)
+    cell_m: float = CELL_M
+    stereo: bool = True
+    video: bool = True
+    refine: bool = True  # poses, by pictures and depths; pictures that others took keep theirs
+    image: ImageSettings | None = ImageSettings()  # None: the surface alone
+
+
+class Result(NamedTuple):
+    built: Built
+    held: list[View]  # pictures that nothing was made of
+    files: list[Path]
+    passed_over: dict[str, int]  # sweeps that gave no view, by reason
+    figures: dict[str, Any]  # of result.json
+    model: ImageModel | None
+
+
+def run(settings: Settings, out: Path, show: Show) -> Result:
+    """Write it all into an empty folder.
+
+    Raises ConfigError for input that is none or damaged, Failed where nothing can be made of it.
+    """
+    if settings.transforms is not None:
+        built, held, passed_over = _from_pictures(settings, settings.transforms, show)
+    else:
+        built, held, passed_over = _from_recordings(settings, show)
+    files = [export(kind, built.views, built.mesh, settings.cell_m, out) for kind in settings.exports]
+    figures = figures_of(built, held)
+    model = _model(built, settings, show)
+    placed = judged(model.look, held) if model else []
+    if model:
+        figures["image"] = image_figures(model, placed)
+    files += write_report(built, held, placed, figures, out, settings.video, show)
+    path = out / RESULT
+    path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    return Result(built, held, [*files, path], passed_over, figures, model)
+
+
+def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View], dict[str, int]]:
+    views, passed_over = recorded_views(settings.runs, lambda done, total: show(done, total, "reading sweeps"))
+    if not views:
+        why = ", ".join(f"{count} with {reason}" for reason, count in passed_over.items())
+        raise Failed(f"no whole sweep of the focus to build on in these recordings{f': {why}' if why else ''}")
+    used, held = held_back(views)
+    if settings.refine:
+        used = refine(used, scene_of, lambda done, total: show(done, total, "refining poses")).views
+    return _built(used, settings, settings.stereo, show), held, passed_over
+
+
+def _from_pictures(settings: Settings, folder: Path, show: Show) -> tuple[Built, list[View], dict[str, int]]:
+    """What others took has poses alone; it is worked on at the size of a tank, and given back at its own."""
+    views = transforms_views(folder, show)
+    by = scale_of(views)
+    used, held = held_back(scaled(views, by))
+    found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
+    built = _built(found, settings, True, show)
+    back = 1.0 / by
+    return Built(scaled(built.views, back), scaled_mesh(built.mesh, back), built.swept), scaled(held, back), {}
+
+
+def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:
+    built = build(views, settings.cell_m, stereo, show)
+    if not len(built.mesh.faces):
+        raise Failed("no two depths agree on a surface: check poses and calibration, or make --cell-mm larger")
+    return built
+
+
+def _model(built: Built, settings: Settings, show: Show) -> ImageModel | None:
+    if settings.image is None:
+        return None
+
+    def learning(done: int, total: int) -> None:
+        show(done, total, "learning the picture")
+
+    return image(built.views, built.mesh, settings.cell_m, settings.image, learning, machine.monotonic_s)
+
+
+def image_figures(model: ImageModel, placed: Sequence[HeldBack]) -> dict[str, Any]:
+    """What the image model is, and what it is worth on photographs that nothing was made of."""
+    return {
+        "kind": model.kind,
+        "device": model.device,
+        "steps": model.steps,
+        "psnr_held_back_db": round(float(np.mean([one.psnr_db for one in placed])), 2) if placed else None,
+        "beta_mm": None if model.beta_mm is None else round(model.beta_mm, 2),
+        "beta_clamped": model.beta_clamped,
+    }
+
+
+def figures_of(built: Built, held: Sequence[View]) -> dict[str, Any]:
+    """Counts, and how sure the surface is."""
+    mesh = built.mesh
+    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] for k in range(3))
+    area_m2 = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return {
+        "views": len(built.views),
+        "held_back": len(held),
+        "robots": sorted({view.robot for view in built.views}),
+        "vertices": len(mesh.vertices_m),
+        "triangles": len(mesh.faces),
+        "area_m2": round(area_m2, 4),
+        "size_m": [round(length, 3) for length in np.ptp(mesh.vertices_m, axis=0).tolist()],
+        "sigma_mm": {
+            f"p{percent}": round(1e3 * float(np.percentile(mesh.sigma_m, percent)), 2) for percent in (10, 50, 90)
+        },
+        "seen_by_one": round(float(np.mean(mesh.views <= 1)), 4),
+        "by_plane_sweep": round(built.swept, 4),
+    }

@@ -1,0 +1,171 @@
+"""Discs drawn into a picture: elliptical Gaussians (EWA splatting, Zwicker et al. 2001), nearest first.
+
+A disc's Gaussian of standard deviation r in its plane is one in the picture, of covariance r^2 J (1 - n n') J' + what
+a pixel is wide; J is the camera's Jacobian, bend and all. Discs that lie within FRONT_M + FRONT_SHARE of the front are
+one surface, and blended; what is behind them is hidden.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.reconstruction.camera import Camera
+from agent.reconstruction.surfels.cloud import Cloud
+from agent.reconstruction.view import View
+from hw.compiled import compiled
+
+Floats = NDArray[np.float64]
+
+CUT = 2.5  # standard deviations at which a Gaussian ends
+FRONT_CUT = 1.4  # and within which it hides what is behind: discs are half that far apart
+PIXEL_VARIANCE = 0.3  # px^2 added to every disc, so that none falls between pixels
+FRONT_M, FRONT_SHARE = 10e-3, 0.02
+NEAREST_M = 0.03
+LEAST_WEIGHT = 0.05  # of a pixel's discs together: with less it is a hole
+
+kernel = compiled(error_model="numpy")
+
+
+class Splats(NamedTuple):
+    """The discs as one camera sees them, and in which depth each pixel's front is."""
+
+    discs: Floats  # (n, 8): u, v, depth, conic a, b, c, half width and height [px]; depth 0: not seen
+    front_m: Floats  # (height, width) inf: nothing
+    weight: Floats  # (height, width) sum over the pixel's discs
+    depth_m: Floats  # (height, width) from the pivot along the axis; NaN: a hole
+
+
+def splats(cloud: Cloud, view: View) -> Splats:
+    """All but the colours, which change more often."""
+    discs = np.zeros((len(cloud.place_m), 8))
+    camera, size = view.camera, (view.camera.height, view.camera.width)
+    _project(camera, view.rotation, view.position_m, cloud.place_m, cloud.normal, cloud.radius_m, discs)
+    front, weight, depth = np.full(size, np.inf), np.zeros(size), np.zeros((*size, 1))
+    _front(discs, front)
+    _blend(discs, front, discs[:, 2:3], weight, depth)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth_m = np.where(weight > LEAST_WEIGHT, depth[..., 0] / weight, np.nan)
+    return Splats(discs, front, weight, depth_m)
+
+
+def blended(drawn: Splats, values: Floats) -> Floats:
+    """Mean (height, width, k) of the discs' values (n, k) in each pixel; NaN in holes."""
+    weight, total = np.zeros_like(drawn.weight), np.zeros((*drawn.weight.shape, values.shape[1]))
+    _blend(drawn.discs, drawn.front_m, values, weight, total)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where((drawn.weight > LEAST_WEIGHT)[..., None], total / weight[..., None], np.nan)
+
+
+def gathered(drawn: Splats, pixels: Floats) -> tuple[Floats, Floats]:
+    """What comes back to each disc of pixels' values (height, width, k): sums (n, k) of share times value, and of
+    shares (n,). A disc's share of a pixel is its part in the mean; holes must be 0."""
+    total, shares = np.zeros((len(drawn.discs), pixels.shape[2])), np.zeros(len(drawn.discs))
+    _gather(drawn.discs, drawn.front_m, drawn.weight, pixels, total, shares)
+    return total, shares
+
+
+@kernel
+def _project(
+    camera: Camera, rotation: Floats, position: Floats, place: Floats, normal: Floats, radius: float, discs: Floats
+) -> None:
+    for i in range(place.shape[0]):
+        p, n = np.zeros(3), np.zeros(3)
+        for k in range(3):
+            for j in range(3):
+                p[k] += rotation[j, k] * (place[i, j] - position[j])
+                n[k] += rotation[j, k] * normal[i, j]
+        d = p[2] - camera.ahead_m
+        if d < NEAREST_M or n[0] * p[0] + n[1] * p[1] + n[2] * d >= 0.0:
+            continue
+        x, y = p[0] / d, p[1] / d
+        r2 = x * x + y * y
+        if r2 > 1.0:
+            continue
+        k, b2 = 1.0 + camera.bend * r2, 2.0 * camera.bend
+        f = camera.f_px / d
+        xx, xy, yy = f * (k + b2 * x * x), f * b2 * x * y, f * (k + b2 * y * y)
+        ju = (xx, xy, -xx * x - xy * y)
+        jv = (xy, yy, -xy * x - yy * y)
+        nu = ju[0] * n[0] + ju[1] * n[1] + ju[2] * n[2]
+        nv = jv[0] * n[0] + jv[1] * n[1] + jv[2] * n[2]
+        area = radius * radius
+        suu = area * (ju[0] * ju[0] + ju[1] * ju[1] + ju[2] * ju[2] - nu * nu) + PIXEL_VARIANCE
+        suv = area * (ju[0] * jv[0] + ju[1] * jv[1] + ju[2] * jv[2] - nu * nv)
+        svv = area * (jv[0] * jv[0] + jv[1] * jv[1] + jv[2] * jv[2] - nv * nv) + PIXEL_VARIANCE
+        det = suu * svv - suv * suv
+        discs[i, 0] = camera.cx_px + camera.f_px * k * x
+        discs[i, 1] = camera.cy_px + camera.f_px * k * y
+        discs[i, 2] = p[2]
+        discs[i, 3], discs[i, 4], discs[i, 5] = svv / det, -suv / det, suu / det
+        discs[i, 6], discs[i, 7] = math.sqrt(suu), math.sqrt(svv)
+
+
+@kernel
+def _reach(discs: Floats, i: int, cut: float, height: int, width: int) -> tuple[int, int, int, int]:
+    """Rows and columns that a disc may cover."""
+    u, v, half_u, half_v = discs[i, 0], discs[i, 1], cut * discs[i, 6], cut * discs[i, 7]
+    top, down = max(math.ceil(v - half_v), 0), min(math.floor(v + half_v) + 1, height)
+    left, right = max(math.ceil(u - half_u), 0), min(math.floor(u + half_u) + 1, width)
+    return top, down, left, right
+
+
+@kernel
+def _front(discs: Floats, front: Floats) -> None:
+    for i in range(discs.shape[0]):
+        z = discs[i, 2]
+        if z == 0.0:
+            continue
+        top, down, left, right = _reach(discs, i, FRONT_CUT, front.shape[0], front.shape[1])
+        for row in range(top, down):
+            dv = row - discs[i, 1]
+            for col in range(left, right):
+                du = col - discs[i, 0]
+                q = discs[i, 3] * du * du + 2.0 * discs[i, 4] * du * dv + discs[i, 5] * dv * dv
+                if q < FRONT_CUT * FRONT_CUT and z < front[row, col]:
+                    front[row, col] = z
+
+
+@kernel
+def _blend(discs: Floats, front: Floats, values: Floats, weight: Floats, total: Floats) -> None:
+    for i in range(discs.shape[0]):
+        z = discs[i, 2]
+        if z == 0.0:
+            continue
+        top, down, left, right = _reach(discs, i, CUT, front.shape[0], front.shape[1])
+        for row in range(top, down):
+            dv = row - discs[i, 1]
+            for col in range(left, right):
+                if z > front[row, col] * (1.0 + FRONT_SHARE) + FRONT_M:
+                    continue
+                du = col - discs[i, 0]
+                q = discs[i, 3] * du * du + 2.0 * discs[i, 4] * du * dv + discs[i, 5] * dv * dv
+                if q < CUT * CUT:
+                    w = math.exp(-0.5 * q)
+                    weight[row, col] += w
+                    for k in range(values.shape[1]):
+                        total[row, col, k] += w * values[i, k]
+
+
+@kernel
+def _gather(discs: Floats, front: Floats, weight: Floats, pixels: Floats, total: Floats, shares: Floats) -> None:
+    for i in range(discs.shape[0]):
+        z = discs[i, 2]
+        if z == 0.0:
+            continue
+        top, down, left, right = _reach(discs, i, CUT, front.shape[0], front.shape[1])
+        for row in range(top, down):
+            dv = row - discs[i, 1]
+            for col in range(left, right):
+                if z > front[row, col] * (1.0 + FRONT_SHARE) + FRONT_M or weight[row, col] <= LEAST_WEIGHT:
+                    continue
+                du = col - discs[i, 0]
+                q = discs[i, 3] * du * du + 2.0 * discs[i, 4] * du * dv + discs[i, 5] * dv * dv
+                if q < CUT * CUT:
+                    share = math.exp(-0.5 * q) / weight[row, col]
+                    shares[i] += share
+                    for k in range(pixels.shape[2]):
+                        total[i, k] += share * pixels[row, col, k]

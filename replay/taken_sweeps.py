@@ -1,0 +1,108 @@
+"""Whole sweeps of the focus in a black box, each with where the robot was: what a scene is reconstructed from.
+
+Two passes: the kernel's inputs and outputs tell depth, roll, pitch, servos and whereabouts at all times, then frames
+are decoded sweep by sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.kernel.codec import decode
+from agent.kernel.messages import Whereabouts
+from agent.kernel.step_io import Inputs, Outputs
+from replay.check.black_box import STEP_BYTES, BlackBox
+from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.log import read
+from replay.files.suspect import suspecting
+from replay.viewers.whole_sweeps import SweepFrame, whole_sweeps
+
+MOST_GAP_NS = 1_500_000_000  # between two notes of where a robot is; in a longer gap it may have gone anywhere
+
+
+class Level(NamedTuple):
+    """Of the body and the gimbal at one moment."""
+
+    depth_m: float
+    roll_deg: float
+    pitch_deg: float
+    servos_us: tuple[float, float]  # of the camera: pan, tilt
+
+
+class TakenSweep(NamedTuple):
+    """Frames in the order in which they were taken."""
+
+    number: int  # of its plan
+    frames: list[SweepFrame]
+
+
+class Motion(NamedTuple):
+    """All that a recording says of where its robot was, by time."""
+
+    levels: NDArray[np.float64]  # (n, 5) depth, roll, pitch, pan and tilt pulses
+    levels_ns: NDArray[np.int64]  # (n,) rising
+    places: NDArray[np.float64]  # (m, 5) x, y, yaw (degrees, without jumps), sigma of the place and of the yaw
+    places_ns: NDArray[np.int64]
+
+    def level(self, t_ns: int) -> Level | None:
+        """Linear between two telegrams; None where there is none near."""
+        values = _at(self.levels, self.levels_ns, t_ns)
+        if values is None:
+            return None
+        depth, roll, pitch, pan, tilt = values
+        return Level(depth, roll, pitch, (pan, tilt))
+
+    def whereabouts(self, t_ns: int) -> Whereabouts | None:
+        """Of a robot that swims; None: it did not know, or is moored."""
+        values = _at(self.places, self.places_ns, t_ns)
+        return None if values is None else Whereabouts(**dict(zip(Whereabouts.__struct_fields__, values, strict=True)))
+
+
+def motion(box: BlackBox) -> Motion:
+    """Read it from a recording. Raises ConfigError where that is damaged."""
+    levels: list[tuple[int, tuple[float, ...]]] = []
+    places: list[tuple[int, tuple[float, ...]]] = []
+    with suspecting(box.path):
+        for record in read(box.path):
+            if record.channel == STEP_IN.name:
+                for one in decode(record.data, Inputs, STEP_BYTES).telemetry:
+                    pan, tilt = one.servos_us[:2]
+                    levels.append((one.t_ns, (one.depth_m, one.roll_deg, one.pitch_deg, pan, tilt)))
+            elif record.channel == STEP_OUT.name:
+                state = decode(record.data, Outputs, STEP_BYTES).state
+                if state is not None and isinstance(state.whereabouts, Whereabouts):
+                    places.append((state.sent_ns, msgspec.structs.astuple(state.whereabouts)))
+    known, known_ns = _table(places)
+    known[:, 2] = np.degrees(np.unwrap(np.radians(known[:, 2])))
+    table, table_ns = _table(levels)
+    return Motion(table, table_ns, known, known_ns)
+
+
+def taken_sweeps(box: BlackBox) -> Iterator[TakenSweep]:
+    """Every sweep whose frames are all there. Raises ConfigError for a frame that does not decode."""
+    with suspecting(box.path):
+        for frames in whole_sweeps(read(box.path), box.fleet.camera.sweep_steps):
+            yield TakenSweep(frames[0].sighting.sweep, frames)
+
+
+def _table(rows: list[tuple[int, tuple[float, ...]]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    rows = sorted(dict(rows).items())
+    times = np.array([t_ns for t_ns, _ in rows], np.int64)
+    return np.array([values for _, values in rows], float).reshape(len(rows), 5), times
+
+
+def _at(table: NDArray[np.float64], times_ns: NDArray[np.int64], t_ns: int) -> list[float] | None:
+    after = int(np.searchsorted(times_ns, t_ns))
+    near = [n for n in (after - 1, after) if 0 <= n < len(times_ns) and abs(int(times_ns[n]) - t_ns) <= MOST_GAP_NS]
+    if not near:
+        return None
+    first, last = near[0], near[-1]
+    span = max(int(times_ns[last]) - int(times_ns[first]), 1)
+    share = min(max((t_ns - int(times_ns[first])) / span, 0.0), 1.0)
+    row: list[float] = (table[first] + share * (table[last] - table[first])).tolist()
+    return row

@@ -1,0 +1,103 @@
+"""Files for other programs, read back by those programs: same places, same pixels, same colours."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.reconstruction.colours import coloured
+from agent.reconstruction.export.encoded import encoded
+from agent.reconstruction.export.kinds import export
+from agent.reconstruction.export.pinhole import quaternion
+from agent.reconstruction.export.splat import from_z
+from agent.reconstruction.extract import Mesh, mesh_of
+from agent.reconstruction.fusion import fuse
+from agent.reconstruction.stack import stacked
+from agent.reconstruction.view import View, rotation_of, see
+from tests.reconstruction.drawn import drawn_view, plane_depth
+
+PLACES = [(0.05, -0.45, 0.5), (0.3, -0.3, 0.5), (-0.35, -0.2, 0.45)]
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[list[View], Mesh]:
+    floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+    views = [drawn_view(n, place, (0.0, 0.0, 0.0), floor) for n, place in enumerate(PLACES)]
+    stack = stacked(views)
+    return views, coloured(mesh_of(fuse(stack, 0.01)), stack)
+
+
+def test_colmap_sees_the_same_pixels(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap", reason="pip install 'aucamp[validate]'")
+    views, mesh = scene
+    folder = export("colmap", views, mesh, 0.01, tmp_path)
+    model = pycolmap.Reconstruction(str(folder / "sparse" / "0"))
+    assert len(model.images) == len(views)
+    assert len(model.points3D) == len(mesh.vertices_m)
+    for n, view in enumerate(views, start=1):
+        pixels, _ = see(view, mesh.vertices_m)
+        image = model.images[n]
+        assert (folder / "images" / image.name).exists()
+        for m in range(0, len(pixels), 997):
+            there = image.project_point(mesh.vertices_m[m])
+            if np.isfinite(pixels[m]).all() and np.abs(pixels[m]).max() < 300:
+                assert np.abs(np.asarray(there) - 0.5 - pixels[m]).max() < 0.01
+
+
+def test_nerfstudio_sees_the_same_pixels(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    views, mesh = scene
+    folder = export("transforms.json", views, mesh, 0.01, tmp_path)
+    read = json.loads((folder / "transforms.json").read_text())
+    for frame, view in zip(read["frames"], views, strict=True):
+        assert (folder / frame["file_path"]).exists()
+        there = np.linalg.inv(np.array(frame["transform_matrix"]))
+        x, y, z = (there[:3, :3] @ mesh.vertices_m.T + there[:3, 3:]) * [[1], [-1], [-1]]  # OpenGL's axes
+        x, y = x / z, y / z
+        bend = 1 + frame["k1"] * (x * x + y * y)
+        u, v = frame["fl_x"] * x * bend + frame["cx"] - 0.5, frame["fl_y"] * y * bend + frame["cy"] - 0.5
+        pixels, _ = see(view, mesh.vertices_m)
+        inside = np.isfinite(pixels).all(axis=1)
+        np.testing.assert_allclose(np.stack([u, v], axis=1)[inside], pixels[inside], atol=1e-6)
+
+
+def test_ply_and_glb_are_read_by_trimesh(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh", reason="pip install 'aucamp[reconstruct]'")
+    views, mesh = scene
+    ply = trimesh.load(export("ply", views, mesh, 0.01, tmp_path), process=False)
+    np.testing.assert_allclose(ply.vertices, mesh.vertices_m, atol=1e-6)
+    np.testing.assert_array_equal(ply.faces, mesh.faces)
+    np.testing.assert_array_equal(ply.visual.vertex_colors[:, :3], encoded(mesh.colours))
+    glb = trimesh.load(export("glb", views, mesh, 0.01, tmp_path), process=False, force="mesh")
+    np.testing.assert_allclose(np.asarray(glb.vertices)[:, [0, 2, 1]] * (1, -1, 1), mesh.vertices_m, atol=1e-6)
+
+
+def test_open3d_reads_the_surface(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d", reason="aucamp[validate], libusb, libGL", exc_type=ImportError)
+    views, mesh = scene
+    read = open3d.io.read_triangle_mesh(str(export("ply", views, mesh, 0.01, tmp_path)))
+    assert len(read.triangles) == len(mesh.faces)
+    assert read.has_vertex_colors()
+
+
+def test_splats_lie_on_the_surface(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    views, mesh = scene
+    data = export("splat", views, mesh, 0.01, tmp_path).read_bytes()
+    head, body = data.split(b"end_header\n", 1)
+    names = [line.split()[-1].decode() for line in head.splitlines() if line.startswith(b"property")]
+    splats = np.frombuffer(body, [(name, "<f4") for name in names])
+    np.testing.assert_allclose(np.stack([splats[k] for k in "xyz"], axis=1), mesh.vertices_m, atol=1e-6)
+    w, x, y, z = (splats[f"rot_{k}"] for k in range(4))
+    turned = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)  # of the z axis
+    np.testing.assert_allclose(turned, mesh.normals, atol=1e-5)
+
+
+def test_quaternions() -> None:
+    for w in ((0.3, -1.0, 0.2), (0.0, 0.0, 0.0), (np.pi, 0.0, 0.0)):
+        q0, q1, q2, q3 = quaternion(rotation_of(np.array(w)))
+        back = np.array([[1 - 2 * (q2**2 + q3**2), 2 * (q1 * q2 - q0 * q3), 2 * (q1 * q3 + q0 * q2)],
+                         [2 * (q1 * q2 + q0 * q3), 1 - 2 * (q1**2 + q3**2), 2 * (q2 * q3 - q0 * q1)],
+                         [2 * (q1 * q3 - q0 * q2), 2 * (q2 * q3 + q0 * q1), 1 - 2 * (q1**2 + q2**2)]])  # fmt: skip
+        np.testing.assert_allclose(back, rotation_of(np.array(w)), atol=1e-9)
+    assert from_z(np.array([[0.0, 0.0, -1.0]])).tolist() == [[0.0, 1.0, 0.0, 0.0]]

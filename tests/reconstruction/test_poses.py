@@ -1,0 +1,92 @@
+"""Poses from pictures: derivatives against differences, errors that come back, and what no picture can tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.reconstruction.camera import project, unproject
+from agent.reconstruction.poses.evidence import evidence, flow
+from agent.reconstruction.poses.refine import clipped, place, refine
+from agent.reconstruction.poses.twist import Motion, apart, between, by_motion, carried, moved_about
+from agent.reconstruction.view import diagonal_prior, moved, rotation_of, to_camera
+from tests.reconstruction.a_plane import CAMERA, a_view, look, some_views
+
+
+def test_flow_is_what_central_differences_of_the_whole_camera_say() -> None:
+    view, h = a_view("r1", 0, (0.1, 0.2, -0.1), (0.3, -0.2, 0.1)), 1e-6
+    for u, v, z in ((3.0, 5.0, 0.3), (150.0, 110.0, 0.8), (80.0, 20.0, 1.4)):
+        there = view.position_m + view.rotation @ unproject(CAMERA, np.array([u, v]), np.array(z))
+        found = np.zeros((3, 6))
+        flow(CAMERA, u, v, z, found)
+        for j, xi in enumerate(np.eye(6) * h):
+            points = [to_camera(moved(view, s * xi[:3], s * xi[3:]), there) for s in (1.0, -1.0)]
+            change = [np.append(project(CAMERA, p), p[2]) for p in points]
+            assert (change[0] - change[1]) / (2 * h) == pytest.approx(found[:, j], rel=1e-5, abs=1e-4)
+
+
+def test_pull_is_the_slope_of_the_cost() -> None:
+    true, h = a_view("r1", 0, (0.0, 0.0, 0.0), (0.05, -0.1, 0.0)), 1e-5
+    off = moved(true, np.array([4e-4, -3e-4, 5e-4]), np.array([1e-4, 2e-4, -2e-4]))  # so near that the scale is fixed
+    found = evidence(off, *look(off))
+    slope = []
+    for xi in np.eye(6) * h:
+        there = [moved(off, s * xi[:3], s * xi[3:]) for s in (1.0, -1.0)]
+        up, down = (evidence(view, *look(view)).cost for view in there)
+        slope.append((up - down) / (2 * h))
+    assert -found.pull == pytest.approx(slope, rel=0.08, abs=0.02 * np.abs(slope).max())
+
+
+def test_a_robots_motion_is_its_views_own_carried_over() -> None:
+    view, centre, xi = a_view("r1", 0, (0.3, -0.1, 0.2), (0.4, 0.2, -0.3)), np.array([0.1, 0.1, 0.0]), np.zeros(6)
+    xi[:] = (2e-5, -1e-5, 3e-5, 1e-5, 2e-5, -2e-5)
+    own = carried(view, centre) @ xi
+    a, b = moved_about(view, centre, xi[:3], xi[3:]), moved(view, own[:3], own[3:])
+    assert np.allclose(a.rotation, b.rotation, atol=1e-9) and np.allclose(a.position_m, b.position_m, atol=1e-9)
+
+
+def test_errors_of_robots_come_back() -> None:
+    true, rng = some_views(), np.random.default_rng(3)
+    errors = {r: (rng.normal(0, np.radians(0.5), 3), rng.normal(0, 3e-3, 3)) for r in ("r1", "r2", "r3")}
+    off = [moved_about(view, np.array([0.0, 0.1, 0.2]), *errors[view.robot]) for view in true]
+    before, _ = apart(off, true)
+    # Each sees what it truly saw, from where it is not.
+    wide = diagonal_prior(np.radians(2.0), 20e-3)  # pictures are too small here to stand up to a narrow one
+    pairs = zip(off, true, strict=True)
+    seen = [replace(view, picture=t.picture, depth_m=t.depth_m, pose_covariance=wide) for view, t in pairs]
+    found = refine(seen, lambda views: look)
+    metres, radians = apart(found.views, true)
+    assert metres.max() < 0.1 * before.max() and np.degrees(radians.max()) < 0.1
+    assert found.costs[-1] < 1e-3 * found.costs[0]
+
+
+def test_a_view_alone_finds_its_place_in_a_scene() -> None:
+    true = a_view("r9", 0, (0.02, 0.03, 0.0), (0.0, 0.1, 0.05))
+    lost = moved(true, np.array([0.006, -0.008, 0.01]), np.array([0.004, -0.003, 0.005]))
+    found = place(lost, look).views[0]
+    metres, radians = apart([found], [true])
+    assert metres[0] < 3e-4 and np.degrees(radians[0]) < 0.05
+
+
+def test_a_common_motion_is_taken_off_whole() -> None:
+    true = some_views()
+    motion = Motion(rotation_of(np.array([0.02, -0.01, 0.03])), np.array([0.01, 0.02, -0.005]))
+    found = [by_motion(view, motion) for view in true]
+    back = between(found, true)
+    metres, radians = apart([by_motion(view, back) for view in found], true)
+    assert metres.max() < 1e-12 and radians.max() < 1e-7
+
+
+def test_a_prior_that_knows_all_keeps_a_view_where_it_is() -> None:
+    true = a_view("r1", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    lost = moved(true, np.array([0.003, 0.0, 0.0]), np.zeros(3))
+    kept = place(lost, look, np.eye(6) * 1e12).views[0]
+    assert apart([kept], [lost])[0][0] < 1e-6
+
+
+def test_a_step_that_is_too_long_keeps_its_direction() -> None:
+    xi = np.array([0.1, 0.0, 0.0, 0.0, 0.01, 0.0])
+    assert clipped(xi, (0.01, 0.01)) == pytest.approx(xi / 10)
+    assert clipped(xi / 100, (0.01, 0.01)) == pytest.approx(xi / 100)
