@@ -1,6 +1,6 @@
 """Whole sweeps of the focus in a black box, each with where the robot was: what a scene is reconstructed from.
 
-Two passes: the kernel's inputs and outputs tell depth, roll, pitch, servos and whereabouts at all times, then frames are
+Two passes: what goes into and comes out of the kernel tells depth, roll, pitch, servos and whereabouts, then frames are
 decoded sweep by sweep.
 """
 
