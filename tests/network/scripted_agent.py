@@ -52,6 +52,9 @@ class Script:
     def plan(self, plan) -> None:
         self.sweep = plan
 
+    def views(self):
+        return ()
+
     def drain(self):
         now_ns, out = self.clock(), []
         if self.sweep is not None:

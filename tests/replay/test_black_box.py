@@ -32,6 +32,8 @@ class StillCamera(Still):
     def drain(self) -> tuple:
         return ()
 
+    views = drain
+
 
 class Breaks:
     """An agent whose third step raises."""
