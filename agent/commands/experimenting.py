@@ -16,6 +16,7 @@ from agent.experiments.choices import (
     LocalizationKind,
     NavigationCase,
     PosesKind,
+    ScenePart,
     Sensor,
 )
 from agent.kernel.config import ConfigError, WaterKind
@@ -163,9 +164,13 @@ def experiment_reconstruction(
     fog: Annotated[
         bool, typer.Option("--fog", help="The field starts from nothing, as if there were no focus.")
     ] = False,
+    only: Annotated[
+        ScenePart | None, typer.Option("--only", help="Scenes, or the sweeps that robots need for one; else both.")
+    ] = None,
     out: OutFolder = None,
 ) -> None:
-    """Scenes from focus sweeps: surfaces, poses and pictures against the twin's truth, in tap and coastal water."""
+    """Scenes from focus sweeps: surfaces, poses and pictures against the twin's truth, in tap and coastal water; and
+    how many sweeps robots need that share what they saw."""
     from agent.experiments.perform import perform
     from agent.experiments.reconstruction import run, tables
     from agent.reconstruction.field.settings import FieldSettings
@@ -178,5 +183,6 @@ def experiment_reconstruction(
         waters=kinds(water) if water else run.WATERS,
         poses=(poses,) if poses else run.POSES,
         image=None if image == "none" else ImageSettings(kind=image, field=field),
+        only=only,
     )
     perform(run.run, asked, tables.table, out, terminal(), "sweeps and surfaces")

@@ -10,6 +10,7 @@ Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.t
 LocalizationKind = Literal["accuracy", "liar"]
 NavigationCase = Literal["fix", "hold", "goto", "turn", "orbit", "separation", "target", "aid", "follow", "search"]
 PosesKind = Literal["exact", "noisy", "refined"]  # of cameras that a scene is reconstructed from
+ScenePart = Literal["scenes", "coverage"]  # of the experiment reconstruction
 ImageKind = Literal["field", "surfels", "none"]  # what a scene's pictures are rendered by
 DEFAULT_SENSOR: Sensor = "imx519_640"
 WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

@@ -10,10 +10,23 @@ from agent.experiments.result import Row
 
 
 def table(result: Result) -> Group:
-    """The surfaces, and a line for each bar that was missed."""
-    return Group(
-        surfaces_table(result.cases), pictures_table(result.cases), *(f"missed: {text}" for text in result.missed)
-    )
+    """The surfaces, pictures and surveys that were asked for, and a line for each bar that was missed."""
+    scenes = (surfaces_table(result.cases), pictures_table(result.cases)) if result.cases else ()
+    surveys = (coverage_table(result),) if result.coverage else ()
+    return Group(*scenes, *surveys, *(f"missed: {text}" for text in result.missed))
+
+
+def coverage_table(result: Result) -> Table:
+    """Keyframes until nine tenths are known, of each seed."""
+    shown = Table(title="keyframes of five moored robots until 90 % is known to 4 mm")
+    for column in ("robots", "mean", "of that alone", "each seed", "maps"):
+        shown.add_column(column, justify="right" if column in ("mean", "of that alone") else "left")
+    for kind, mean in result.coverage.items():
+        equal = result.coverage_equal.get(kind)
+        each = " ".join(map(str, result.coverage_runs[kind]))
+        maps = "" if equal is None else "equal" if equal else "differ"
+        shown.add_row(kind, f"{mean:.1f}", f"{mean / result.coverage['alone']:.2f}", each, maps)
+    return shown
 
 
 def surfaces_table(cases: list[Row]) -> Table:
