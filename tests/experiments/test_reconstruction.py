@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.experiments.reconstruction.coverage import KINDS, missed_coverage
+from agent.experiments.reconstruction.coverage import missed_coverage
 from agent.experiments.reconstruction.intrinsics import camera_of
 from agent.experiments.reconstruction.noisy import OWN, SHARED, noisy, onto
 from agent.experiments.reconstruction.pictures import missed_pictures
@@ -104,7 +104,9 @@ def test_robots_share_their_error_and_a_common_one_is_nobodys(floor: Rendered) -
 
 
 def test_it_all_from_views_to_table(floor: Rendered) -> None:
-    asked = Settings(seeds=(0,), waters=("tap",), poses=("exact", "noisy"), only="scenes")  # refined ones have tests of their own
+    asked = Settings(
+        seeds=(0,), waters=("tap",), poses=("exact", "noisy"), only="scenes"
+    )  # refined ones have tests of their own
     result = run(asked, lambda done, total: None, world=lambda *asked: floor)
     exact, off = result.cases
     assert exact["median_mm"] < 0.5
@@ -117,12 +119,12 @@ def test_it_all_from_views_to_table(floor: Rendered) -> None:
 
 
 def test_a_survey_that_saves_too_little_or_ends_unlike_is_said() -> None:
-    told = {"coverage": {"shared": 70.0, "alone": 100.0, "loss30": 79.0}, "coverage_equal": dict.fromkeys(KINDS, True)}
-    told["coverage_equal"].pop("alone")
+    equal = {"shared": True, "loss30": True}
+    told = {"coverage": {"shared": 70.0, "alone": 100.0, "loss30": 79.0}, "coverage_equal": equal}
     assert missed_coverage(told) == []
     told = {"coverage": {**told["coverage"], "loss30": 85.0}, "coverage_equal": {"shared": False, "loss30": True}}
     assert missed_coverage(told) == ["shared: maps differ", "loss30: 0.85 times the keyframes of robots alone"]
-    assert missed_coverage({"coverage": {}}) == []
+    assert missed_coverage({"coverage": {}, "coverage_equal": {}}) == []
 
 
 def test_pictures_and_poses_that_miss_their_bars_are_said() -> None:
