@@ -105,7 +105,7 @@ def one_percent_clearer(*args):
     ("patched", "changed", "found_on", "found_before"),
     [
         ("agent.perception.detection.detectors.find_ball", one_px_right, "centre, px", True),
-        ("agent.perception.vision.disc_clarity", one_percent_clearer, "clarity, relative", False),
+        ("agent.perception.clarity.region.disc_clarity", one_percent_clearer, "clarity, relative", False),
         ("agent.perception.clarity.region.INNER_DISC", 0.95, "clarity, relative", False),  # looks elsewhere
     ],
 )
@@ -123,7 +123,7 @@ def test_vision_that_has_changed_is_noticed_on_the_frames_that_are_lossless(
 
 
 def test_a_peak_that_moves_by_its_sigmas_is_noticed(jpeg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.perception.vision.disc_clarity", growing)
+    monkeypatch.setattr("agent.perception.clarity.region.disc_clarity", growing)
     (moved,) = check_vision([jpeg], rerun_vision)
     shares = [moved.quantities[f"peak of each sweep, in its own sigma, {what}"] for what in ("rms", "worst")]
     assert not any(share.passed for share in shares)
