@@ -9,7 +9,14 @@ from typing import Annotated
 import typer
 
 from agent.commands.options import OutFolder, Seed, terminal
-from agent.experiments.choices import DEFAULT_SENSOR, WATERS, LocalizationKind, NavigationCase, Sensor
+from agent.experiments.choices import (
+    DEFAULT_SENSOR,
+    WATERS,
+    FollowingPolicy,
+    LocalizationKind,
+    NavigationCase,
+    Sensor,
+)
 from agent.kernel.config import ConfigError, WaterKind
 
 app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
@@ -140,3 +147,22 @@ def experiment_navigation(
 
     asked = run.Settings(seed=seed, seeds=seeds, quick=quick, only=only)
     perform(run.run, asked, tables.table, out, terminal(), "worlds of robots that swim", figures.figures)
+
+
+@app.command("following", epilog="Example: aucamp experiment following --only share --robots 3 --seeds 5")
+def experiment_following(
+    seed: Seed = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="Worlds of each case.")] = 20,
+    only: Annotated[FollowingPolicy | None, typer.Option("--only", help="This policy; else all.")] = None,
+    robots: Annotated[int | None, typer.Option("--robots", min=1, help="Fleets of 1, 2, 3 or 5; else all.")] = None,
+    out: OutFolder = None,
+) -> None:
+    """Robots that follow a target that swims: sharing what they see, silent, or moored; with words lost."""
+    from agent.experiments.following import figures, run, tables
+    from agent.experiments.following.cases import all_cases
+    from agent.experiments.perform import perform
+
+    if not all_cases(only, robots):
+        raise ConfigError("no such case: share has 1, 2, 3 or 5 robots, silent and moored have 3; change --robots")
+    asked = run.Settings(seed=seed, seeds=seeds, only=only, robots=robots)
+    perform(run.run, asked, tables.table, out, terminal(), "seconds of work", figures.figures)

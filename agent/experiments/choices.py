@@ -9,5 +9,6 @@ from agent.kernel.config import WaterKind
 Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens
 LocalizationKind = Literal["accuracy", "liar"]
 NavigationCase = Literal["fix", "hold", "goto", "turn", "orbit", "separation", "target", "aid", "follow", "search"]
+FollowingPolicy = Literal["share", "silent", "moored"]
 DEFAULT_SENSOR: Sensor = "imx519_640"
 WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

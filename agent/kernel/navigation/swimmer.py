@@ -164,6 +164,11 @@ class Swimmer:
         return self._found and self._off
 
     @property
+    def glances(self) -> bool:
+        """Its camera is turned to landmarks."""
+        return self._glancing
+
+    @property
     def lost(self) -> bool:
         """It does not know where it is."""
         return self._lost_since_ns is not None
