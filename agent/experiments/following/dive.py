@@ -28,6 +28,7 @@ FIND_S, WATCH_S = 20.0, 30.0
 COVERED_S = 10.0, 15.0  # of the watch
 FRESH_NS = 250_000_000  # a track of so long ago still says how well it is known
 STEPS_S = 20.0
+SHOWN = 1.0 / 3.0  # of the outline: what the detector makes do with (docs/experiments.md, Detection)
 
 Array = NDArray[np.float64]
 
@@ -61,6 +62,8 @@ def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
         swimmers.lost = Channel(case, seed).loses
         for name, eyes in swimmers.eyes.items():
             eyes.hide, eyes.pillars = fleet.robot[name].neighbours, pillars
+            if eyes.ball is not None:
+                eyes.ball.shown = SHOWN
         began_ns, rows, told = bodies.now_ns, list[list[Array]](), list[tuple[str, ...]]()
         for step in range(1, round((FIND_S + watch_s) * STEPS_S) + 1):
             at_s = step / STEPS_S - FIND_S

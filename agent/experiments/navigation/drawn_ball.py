@@ -41,6 +41,8 @@ FOCUS = FocusFit(
 )
 RADIUS_SIGMA_PX = 0.2
 FARTHEST_M = 1.6
+OUTLINE = 24  # points of it that are looked at
+CIRCLE = tuple((math.cos(2.0 * math.pi * k / OUTLINE), math.sin(2.0 * math.pi * k / OUTLINE)) for k in range(OUTLINE))
 
 
 BallPath = Callable[[int], Vector]  # where it is at a time, ns
@@ -74,6 +76,7 @@ class DrawnBall:
         self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
             np.zeros(3), covariance
         )
+        self.shown = 1.0  # of its outline, or it is not found
         self._shift, self._sweep, self._frames = 0.0, 0, 0
 
     def sight(
@@ -135,7 +138,9 @@ class DrawnBall:
         u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))
         radius_px = self._camera.f_px * math.tan(math.asin(self._radius_m / distance_m))
         width, height = self._camera.width_px, self._camera.height_px
-        if not (radius_px < u < width - radius_px and radius_px < v < height - radius_px):
+        if self.shown * OUTLINE > sum(
+            0.0 < u + radius_px * x < width and 0.0 < v + radius_px * y < height for x, y in CIRCLE
+        ):
             return None
         skin_m = distance_m - self._radius_m
         for _ in range(5):
