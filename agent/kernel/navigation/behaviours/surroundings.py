@@ -10,7 +10,7 @@ from agent.kernel.navigation.barrier import MARGIN_M, STILL, WALL_M, Planar
 from agent.kernel.target_state import TargetEstimate
 
 SEEN_NS = 20_000_000_000  # a glance at landmarks takes seconds, and targets take turns: unseen for longer is unknown
-ANYWHERE_M = 1.0  # sigma of a target that nobody sees: too much water to look at from one place
+ANYWHERE_M = 0.5  # sigma of a target that nobody sees: too much water to look at from one place
 GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
 SPEED_NS = 3_000_000_000  # unseen for so long, a target that moved may have turned
 
