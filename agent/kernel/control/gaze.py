@@ -92,4 +92,6 @@ def own_part(
             high = min(high, room / slope)
         elif slope < 0.0:
             low = max(low, room / slope)
+        elif room < 0.0:
+            high = low
     return (low, high) if low < high else (-SIGMAS, SIGMAS)
