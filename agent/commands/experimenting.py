@@ -12,6 +12,7 @@ from agent.commands.options import OutFolder, Seed, terminal
 from agent.experiments.choices import (
     DEFAULT_SENSOR,
     WATERS,
+    FollowingPolicy,
     ImageKind,
     LocalizationKind,
     NavigationCase,
@@ -186,3 +187,22 @@ def experiment_reconstruction(
         only=only,
     )
     perform(run.run, asked, tables.table, out, terminal(), "sweeps and surfaces")
+
+
+@app.command("following", epilog="Example: aucamp experiment following --only share --robots 3 --seeds 5")
+def experiment_following(
+    seed: Seed = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="Worlds of each case.")] = 20,
+    only: Annotated[FollowingPolicy | None, typer.Option("--only", help="This policy; else all.")] = None,
+    robots: Annotated[int | None, typer.Option("--robots", min=1, help="Fleets of 1, 2, 3 or 5; else all.")] = None,
+    out: OutFolder = None,
+) -> None:
+    """Robots that follow a target that swims: sharing what they see, silent, or moored; with words lost."""
+    from agent.experiments.following import figures, run, tables
+    from agent.experiments.following.cases import all_cases
+    from agent.experiments.perform import perform
+
+    if not all_cases(only, robots):
+        raise ConfigError("no such case: share has 1, 2, 3 or 5 robots, silent and moored have 3; change --robots")
+    asked = run.Settings(seed=seed, seeds=seeds, only=only, robots=robots)
+    perform(run.run, asked, tables.table, out, terminal(), "seconds of work", figures.figures)

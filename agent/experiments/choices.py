@@ -12,5 +12,6 @@ NavigationCase = Literal["fix", "hold", "goto", "turn", "orbit", "separation", "
 PosesKind = Literal["exact", "noisy", "refined"]  # of cameras that a scene is reconstructed from
 ScenePart = Literal["scenes", "coverage"]  # of the experiment reconstruction
 ImageKind = Literal["field", "surfels", "none"]  # what a scene's pictures are rendered by
+FollowingPolicy = Literal["share", "silent", "moored"]
 DEFAULT_SENSOR: Sensor = "imx519_640"
 WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

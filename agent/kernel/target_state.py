@@ -11,15 +11,17 @@ import math
 from typing import Literal, NamedTuple
 
 from agent.kernel.config import Fleet
-from agent.kernel.estimation.choice import estimator
+from agent.kernel.estimation.choice import dynamics, estimator
 from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import inside, widest_m2
-from agent.kernel.estimation.interface import Bearing, Estimator, Prior, Update
+from agent.kernel.estimation.interface import Bearing, Estimator, Posterior, Prior, Update
 from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.estimation.matrix import times, trace
+from agent.kernel.estimation.matrix import IDENTITY, plus, times, trace
+from agent.kernel.estimation.tracks.dynamics import Dynamics, growth
 from agent.kernel.messages import Estimate, State, Symmetric, Vector
 
 Knows = Literal["blind", "told", "sees"]
+OLD_NS = 1_000_000_000
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
 
 
@@ -47,6 +49,7 @@ class TargetState:
         self.ball = fleet.target[target]
         self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
         self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
+        self._moves = dynamics(self.ball)
         self._validity_ns = round(fleet.estimation.validity_s * 1e9)
 
         self.prior: Prior | None = None  # measured since the last iteration
@@ -84,7 +87,9 @@ class TargetState:
         believed = self.estimator.posterior
         if believed is None or self._seen_ns is None:
             return None
-        return TargetEstimate(believed.x_m, believed.v_m_s, believed.cov_m2, self._seen_ns)
+        old = bool(believed.t_ns) and now_ns - believed.t_ns > OLD_NS  # of a track that ends there
+        cov_m2 = grown(believed, self._moves, now_ns) if old else believed.cov_m2
+        return TargetEstimate(believed.x_m, believed.v_m_s, cov_m2, self._seen_ns)
 
     def iterate(self, now_ns: int) -> bool:
         """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it
@@ -127,6 +132,15 @@ class TargetState:
             common=self._common,
             **word._replace(cov_m2=sayable(word.cov_m2, self._tank_m))._asdict(),
         )
+
+
+def grown(believed: Posterior, moves: Dynamics, now_ns: int) -> Symmetric:
+    """How well it is known where it is now, by what is believed of an earlier moment: nothing of its course."""
+    if not believed.t_ns or moves.turn_s == math.inf:
+        return believed.cov_m2
+    by = growth(moves, max(now_ns - believed.t_ns, 0) * 1e-9)
+    speed_m_s = moves.first_speed_m_s
+    return plus(believed.cov_m2, times(by.place_m2 + (by.reach_s * speed_m_s) ** 2, IDENTITY))
 
 
 def sayable(covariance_m2: Symmetric | None, tank_m: Vector) -> Symmetric | None:

@@ -207,11 +207,7 @@ DRAWS = {
         {"robots": 3, "told": 3, "error_mm": [1.1] * 3, "nees": [1.0] * 3, "samples": 9}
         | {"bound_mm": 1.0, "bound_nees": 1.0}
     ],
-    "follow": [
-        {"off_mm": 50.0, "gap_deg": 20.0, "least_m": 0.6, "known": 1.0, "speed_m_s": 0.1}
-        | {"one_sees": 1.0, "each_sees": 0.9, "track_mm": 20.0, "nees": 2.0}
-    ],
-    "follow, told where": [{"off_mm": 40.0, "gap_deg": 20.0}],
+    "follow": [{"off_mm": 50.0, "gap_deg": 20.0, "least_m": 0.6, "speed_m_s": 0.1}],
     "search": [{"s": 20.0, "least_m": 0.5}],
     "search alone": [{"s": None, "least_m": math.inf}],
 }
@@ -246,7 +242,7 @@ def test_a_result_has_these_keys_and_no_others(tmp_path) -> None:
         "separation": {"least_m"},
         "target": {"ratio_to_bound", "nees"},
         "aid": {"own_mm", "aided_mm", "nees"},
-        "follow": {"rms_mm", "gap_deg", "least_m", "track_mm", "one_sees", "each_sees"},
+        "follow": {"rms_mm", "gap_deg", "least_m"},
         "search": {"s", "alone_s", "least_m"},
     }
     assert told["aid"] == {"own_mm": 6.0, "aided_mm": 3.0, "nees": 1.0}, "of those whose tags are rare"
@@ -267,7 +263,7 @@ def test_a_bar_is_missed_on_either_side_and_by_no_number() -> None:
 def test_tables_and_figures() -> None:
     result = result_of(DRAWS)
     assert bars_table(result).row_count == len(BARS)
-    assert fixes_table(DRAWS["fix"]).row_count == 2 and spread_table(DRAWS).row_count == 14
+    assert fixes_table(DRAWS["fix"]).row_count == 2 and spread_table(DRAWS).row_count == 11
     assert aid_table(DRAWS).row_count == 6
     said = [str(part) for part in table(result).renderables if isinstance(part, str)]
     assert said[-1] == "missed: turn s, separation least_m"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -40,9 +41,25 @@ FOCUS = FocusFit(
 )
 RADIUS_SIGMA_PX = 0.2
 FARTHEST_M = 1.6
+OUTLINE = 24  # points of it that are looked at
+CIRCLE = tuple((math.cos(2.0 * math.pi * k / OUTLINE), math.sin(2.0 * math.pi * k / OUTLINE)) for k in range(OUTLINE))
 
 
 BallPath = Callable[[int], Vector]  # where it is at a time, ns
+
+
+class Pillar(NamedTuple):
+    """Upright, from the floor to the surface."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+
+
+def ring(robot: RobotPose) -> Pillar:
+    """A robot as what hides things."""
+    x, y, _ = robot.position_m.tolist()
+    return Pillar(x, y, RING_M)
 
 
 class DrawnBall:
@@ -59,6 +76,7 @@ class DrawnBall:
         self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
             np.zeros(3), covariance
         )
+        self.shown = 1.0  # of its outline, or it is not found
         self._shift, self._sweep, self._frames = 0.0, 0, 0
 
     def sight(
@@ -67,16 +85,18 @@ class DrawnBall:
         t_ns: int,
         plan: SweepPlan | None = None,
         index: int = -1,
-        before: Sequence[RobotPose] = (),
+        before: Sequence[Pillar] = (),
     ) -> Sighting:
-        """The newest frame; plan, index: at which position of which sweep. before: robots that may be before the ball,
-        which hide it where its middle is behind them."""
+        """The newest frame; plan, index: at which position of which sweep. before: what may be before the ball, and
+        hides it where its middle is behind."""
         self._frames += 1
         sweep = 0 if plan is None else plan.sweep
         if sweep != self._sweep:
             self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
         ball_m = self._ball_m(t_ns) if callable(self._ball_m) else self._ball_m
-        seen = None if any(_hides(robot, pose, ball_m) for robot in before) else self._outline(pose, ball_m)
+        x, y, _ = pose.position_m.tolist()
+        hidden = any(hides(pillar, (x, y), ball_m) for pillar in before)
+        seen = None if hidden else self._outline(pose, ball_m)
         lens_position = None if plan is None else plan.focus[index]
         frame = Sighting(
             t_ns=t_ns,
@@ -100,6 +120,11 @@ class DrawnBall:
             radius_sigma_px=RADIUS_SIGMA_PX,
         )
 
+    def unseen(self, t_ns: int) -> Sighting:
+        """The newest frame, of a camera that is covered."""
+        self._frames += 1
+        return Sighting(t_ns=t_ns, frame=self._frames, target=self._target, found=False)
+
     def _outline(self, pose: RobotPose, ball_m: Vector) -> tuple[tuple[float, float], float, float] | None:
         """Centre and radius in the picture, px, and the lens position at which it is sharpest; None: not in sight."""
         eye, _ = look(pose, self._camera_m)
@@ -113,7 +138,9 @@ class DrawnBall:
         u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))
         radius_px = self._camera.f_px * math.tan(math.asin(self._radius_m / distance_m))
         width, height = self._camera.width_px, self._camera.height_px
-        if not (radius_px < u < width - radius_px and radius_px < v < height - radius_px):
+        if self.shown * OUTLINE > sum(
+            0.0 < u + radius_px * x < width and 0.0 < v + radius_px * y < height for x, y in CIRCLE
+        ):
             return None
         skin_m = distance_m - self._radius_m
         for _ in range(5):
@@ -123,12 +150,12 @@ class DrawnBall:
         return (u, v), radius_px + float(self._rng.normal(0.0, RADIUS_SIGMA_PX)), float(peak)
 
 
-def _hides(robot: RobotPose, pose: RobotPose, ball_m: Vector) -> bool:
+def hides(pillar: Pillar, from_m: tuple[float, float], ball_m: Vector) -> bool:
     """As seen from above: all hover at one depth, the ball a little below."""
-    here, way = pose.position_m[:2], np.array(ball_m[:2]) - pose.position_m[:2]
-    to = robot.position_m[:2] - here
-    along = float(to @ way / (way @ way))
-    return 0.0 < along < 1.0 and float(np.linalg.norm(to - along * way)) < RING_M
+    way = ball_m[0] - from_m[0], ball_m[1] - from_m[1]
+    to = pillar.x_m - from_m[0], pillar.y_m - from_m[1]
+    along = (to[0] * way[0] + to[1] * way[1]) / (way[0] * way[0] + way[1] * way[1])
+    return 0.0 < along < 1.0 and math.hypot(to[0] - along * way[0], to[1] - along * way[1]) < pillar.radius_m
 
 
 def _clarity(from_peak: float) -> float:

@@ -114,8 +114,7 @@ def all_cases(quick: bool) -> Sequence[Draws]:
         Draws("target", "target", partial(ball, seconds=15.0 if quick else TARGET_S), 11),
         Draws("aid", "aid", partial(aided, seconds=aid_s), 3),
         Draws("aid with gyro", "aid", partial(aided, gyro=True, seconds=aid_s), 4),
-        Draws("follow", "follow", partial(follow, by="bearings", watch_s=watch_s), 24),
-        Draws("follow, told where", "follow", partial(follow, by="told", watch_s=watch_s), 14),
+        Draws("follow", "follow", partial(follow, watch_s=watch_s), 14),
         Draws("search", "search", partial(search, search_s=search_s), 8),
         Draws("search alone", "search", partial(search, robots=1, search_s=search_s), 3),
     )

@@ -71,15 +71,12 @@ def aid(draws: Draws) -> Row:
 
 
 def follow(draws: Draws) -> Row:
-    """By bearings of their own frames."""
+    """Told where it is."""
     rows = draws["follow"]
     return {
         "rms_mm": pooled(rows, "off_mm"),
         "gap_deg": pooled(rows, "gap_deg"),
         "least_m": min(row["least_m"] for row in rows),
-        "track_mm": pooled(rows, "track_mm"),
-        "one_sees": float(np.mean([row["one_sees"] for row in rows])),
-        "each_sees": float(np.mean([row["each_sees"] for row in rows])),
     }
 
 

@@ -15,7 +15,7 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies
-from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall
+from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall, Pillar, ring
 from agent.experiments.navigation.drawn_camera import DrawnCamera
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
@@ -43,6 +43,8 @@ class Eyes:
         self.tank = DrawnCamera(fleet, name, bodies.camera(name))
         self.ball = None if ball_m is None else DrawnBall(fleet, name, bodies.camera(name), ball_m)
         self.hide: tuple[str, ...] = ()  # robots that the ball may be behind
+        self.pillars: tuple[Pillar, ...] = ()  # what else it may be behind
+        self.covered = False  # it sees nothing at all
         self._plan: SweepPlan | None = None
         self._index = 0
         self.coming: deque[Frame] = deque()
@@ -53,6 +55,11 @@ class Eyes:
 
     def expose(self, bodies: Bodies, name: str, step: int, sees_tags: bool) -> None:
         pose, t_ns = bodies.pose(name), bodies.now_ns
+        if self.covered:
+            self.tank.interrupt()
+            dark = None if self.ball is None else self.ball.unseen(t_ns)
+            self.coming.append(Frame(step + LATE_STEPS, tags=SeenTags(t_ns=t_ns, frame=0), sighting=dark))
+            return
         if self._plan is not None and self.ball is not None:
             self._index += 1
             position = self.ball.sight(pose, t_ns, self._plan, self._index)
@@ -61,7 +68,7 @@ class Eyes:
                 self._plan = None
             return
         tags, flow = self.tank.expose(pose, t_ns)
-        before = [bodies.pose(other) for other in self.hide]
+        before = [*self.pillars, *(ring(bodies.pose(other)) for other in self.hide)]
         sighting = None if self.ball is None else self.ball.sight(pose, t_ns, before=before)
         self.coming.append(Frame(step + LATE_STEPS, tags if sees_tags else None, flow, sighting))
 
@@ -83,6 +90,7 @@ class Swimmers:
         }
         self.agents = {name: Agent(fleet, name, known, START_NS) for name, known in self.calibrations.items()}
         self.eyes = {name: Eyes(fleet, name, bodies, ball_m) for name in fleet.robot}
+        self.lost: Callable[[Message], bool] = lambda letter: False  # on its way
         self.sees_tags: Callable[[int], bool] = lambda now_ns: True
         self.inputs: dict[str, Inputs] = {}
         self.outputs: dict[str, Outputs] = {}
@@ -125,7 +133,7 @@ class Swimmers:
             said = getattr(outputs, field)
             topic = {"topic": field} if field != "says" and "topic" in Heard.__struct_fields__ else {}
             for letter in said if isinstance(said, tuple) else ():
-                if isinstance(letter, Message) and hasattr(letter, "dst"):
+                if isinstance(letter, Message) and hasattr(letter, "dst") and not self.lost(letter):
                     heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(letter), **topic}
                     self._post[letter.dst].append(Heard(**heard))
 

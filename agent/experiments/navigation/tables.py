@@ -28,9 +28,6 @@ SPREAD = (  # of draws: name, key, heading
     ("orbit with gaps", "rms_mm", "orbit with gaps, rms mm"),
     ("follow", "off_mm", "follow, off its distance, rms mm"),
     ("follow", "gap_deg", "follow, off an even angle, rms deg"),
-    ("follow", "track_mm", "follow, track, rms mm"),
-    ("follow, told where", "off_mm", "follow, told where, off its distance, rms mm"),
-    ("follow, told where", "gap_deg", "follow, told where, off an even angle, rms deg"),
     ("search", "s", "search, three robots, s"),
     ("search alone", "s", "search, one robot, s"),
 )
@@ -45,7 +42,6 @@ def table(result: Result) -> Group:
     parts += [crossing_line(draws["separation"])] if draws.get("separation") else []
     parts += [target_line(draws["target"])] if draws.get("target") else []
     parts += [aid_table(draws)] if draws.get("aid") else []
-    parts += [follow_line(draws)] if draws.get("follow") else []
     parts += [f"missed: {', '.join(result.missed)}"] if result.missed else []
     parts += [f"no verdict: the bars are for {ENOUGH} seeds"] if result.missed is None else []
     return Group(*parts)
@@ -127,18 +123,6 @@ def aid_table(draws: dict[str, list[Row]]) -> Table:
             mm = f"{rms([row[ball] for row in rows]):.1f}" if ball else ""
             shown.add_row(name, words, *robots, mm, f"{np.mean(nees):.2f}" if nees else "")
     return shown
-
-
-def follow_line(draws: dict[str, list[Row]]) -> str:
-    """How much the cameras see of what they follow, and how well they know what they do not know."""
-    seen = (
-        f"at {speed:g} m/s {np.mean([r['one_sees'] for r in rows]):.0%} of the frames show it to one or more, "
-        f"{np.mean([r['each_sees'] for r in rows]):.0%} to each; normalised error squared of the track, a half, "
-        f"{0.5 * np.mean([r['nees'] for r in rows]):.2f}"
-        for speed in sorted({row["speed_m_s"] for row in draws["follow"]})
-        for rows in ([row for row in draws["follow"] if row["speed_m_s"] == speed],)
-    )
-    return f"follow: {'; '.join(seen)}"
 
 
 def _blurred(blur_px: float | None, band: tuple[float, float] | None) -> bool:

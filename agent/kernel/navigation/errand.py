@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from typing import NamedTuple
 
 from agent.kernel.config import Behaviour, Fleet, Follow, Pose, Search, Survey
 from agent.kernel.control.roam import Roam, all_around, spiral
@@ -16,6 +18,16 @@ from agent.kernel.navigation.neighbours import Neighbours
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.target_state import TargetEstimate
 
+SCREEN_NS = 6_000_000_000  # remembered for so long: where exactly it is nobody knows, and a fish swims on
+SCREENS_APART_M, MOST_SCREENS = 0.1, 8
+
+
+class Screen(NamedTuple):
+    """Something that hid the target, about there."""
+
+    at_m: Planar
+    since_ns: int
+
 
 class Errand:
     """Of one robot, between steps; of a behaviour that is about no target it knows nothing."""
@@ -26,6 +38,7 @@ class Errand:
         self._speed_m_s = fleet.navigation.limits.speed_m_s
         self.around: Surroundings | None = None
         self.station: tuple[Planar, float] | None = None  # where a survey looks from; by whoever chooses views
+        self._screens: deque[Screen] = deque(maxlen=MOST_SCREENS)
         self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
 
     def heed(
@@ -52,6 +65,7 @@ class Errand:
             target=target,
             sees=seek.sees(what.target, now_ns),
             robots_m=tuple(disc.at_m for disc in neighbours.discs(now_ns)),
+            screens_m=tuple(screen.at_m for screen in self._screens_of(now_ns)),
         )
         does = self.does = effective(what, Hunt() if progress is None else progress.hunt, around, now_ns)
         if not isinstance(does, Search):
@@ -70,6 +84,15 @@ class Errand:
             return Roam(what.target, (), around)
         speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
         return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around)
+
+    def hidden(self, from_m: Planar, at_m: Planar, now_ns: int) -> None:
+        """Nothing of the target at at_m is to be seen from there: something unknown is half way, or about."""
+        x, y = 0.5 * (from_m[0] + at_m[0]), 0.5 * (from_m[1] + at_m[1])
+        if all(math.dist((x, y), screen.at_m) > SCREENS_APART_M for screen in self._screens_of(now_ns)):
+            self._screens.append(Screen((x, y), now_ns))
+
+    def _screens_of(self, now_ns: int) -> list[Screen]:
+        return [screen for screen in self._screens if now_ns - screen.since_ns < SCREEN_NS]
 
     def disc(self, now_ns: int) -> Disc | None:
         """The target, to keep clear of. Nobody flees from where it only may be."""

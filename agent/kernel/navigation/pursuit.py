@@ -15,13 +15,13 @@ from msgspec import UNSET, UnsetType
 
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude, AttitudeLog
-from agent.kernel.control.gaze import Gaze
+from agent.kernel.control.gaze import SHOWN_DEG, Gaze, across, own_part
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.servo_path import SERVO_LAG_S
 from agent.kernel.estimation.choice import dynamics, pursued
 from agent.kernel.estimation.interface import Bearing, Posterior
 from agent.kernel.estimation.tracks.dynamics import Dynamics, growth
-from agent.kernel.messages import Vector
+from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.navigation.tags.tag_priors import TURNING_DEG
 from agent.kernel.ranging.calibration import Calibration
@@ -30,9 +30,11 @@ from agent.kernel.ranging.cues import Outline
 from agent.kernel.ranging.focus import lens_position
 from agent.kernel.ranging.sight_line import NEAREST_M, sight_line
 from agent.kernel.step_io import Sighting
-from agent.kernel.target_state import TargetState
+from agent.kernel.target_state import TargetState, grown
 
 STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
+ALL_LOST_NS = 600_000_000  # three iterations in which nobody saw it
+HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not be made out
 LEAD_S = 0.05  # of the gaze: half of a step, and what a frame is known late of the gaze's own doing
 
 
@@ -105,11 +107,31 @@ class Pursuit:
         x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
         at_m = carried_on(believed, self._swims[of.name], now_ns + round(ahead_s * 1e9))
+        lost = (known := of.estimate(now_ns)) is None or now_ns - known.seen_ns > ALL_LOST_NS
+        at_m = self._searched(at_m, grown(believed, self._swims[of.name], now_ns), (x, y, at_m[2]), lost, now_ns)
         pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)
         eye_m = camera_pose(pose, self._fleet.body, *level, pan, tilt, self._fleet.tank.surface_m).position_m
         self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))
-        seek.track(of.name, pan + self._gaze.offset_deg(now_ns), tilt, now_ns)
+        seek.track(of.name, pan, tilt, now_ns)
         return True
+
+    def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:
+        """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have
+        lost it each takes its part of them. Who knows well where others see it, and does not, has something in
+        between."""
+        unseen_s = self._gaze.unseen_s(now_ns)
+        if not unseen_s or self._swimmer is None:
+            self._gaze.swing(0.0, now_ns)
+            return at_m
+        step_m, sigma_deg = across(at_m, cov_m2, here_m)
+        low, high = own_part(at_m, step_m, here_m, self._swimmer.fellows_m if lost_by_all else ())
+        low, high = low + SHOWN_DEG / sigma_deg, high - SHOWN_DEG / sigma_deg
+        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.0)
+        if not lost_by_all and not half and unseen_s > HIDDEN_S and math.dist(at_m, here_m) < HIDDEN_M:
+            self._swimmer.hidden(at_m, now_ns)
+        swing = self._gaze.swing(half * sigma_deg, now_ns)
+        x, y, z = (at + (middle + half * swing) * way for at, way in zip(at_m, step_m, strict=True))
+        return x, y, z
 
     def lens(self) -> int | UnsetType | None:
         """Where the lens shall be between sweeps, when that has changed by enough."""

@@ -169,6 +169,21 @@ class Swimmer:
         return self._found and self._off
 
     @property
+    def glances(self) -> bool:
+        """Its camera is turned to landmarks."""
+        return self._glancing
+
+    @property
+    def fellows_m(self) -> tuple[Planar, ...]:
+        """Where those are that do the same about the same target."""
+        return () if self._errand.around is None else self._errand.around.fellows_m
+
+    def hidden(self, at_m: Vector, now_ns: int) -> None:
+        """The target that is there is not in sight from here."""
+        if self.here is not None:
+            self._errand.hidden(self.here.pose[:2], (at_m[0], at_m[1]), now_ns)
+
+    @property
     def lost(self) -> bool:
         """It does not know where it is."""
         return self._lost_since_ns is not None
@@ -184,10 +199,12 @@ class Swimmer:
             enough = 0.5 * UNSURE_M, 0.5 * UNSURE_DEG
         moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
-        waits = self.company.waits(here, self._glancing, now_ns)
+        # Nobody who searches watches anything, and who does not know how it swims cannot search.
+        searches = seek.roam is not None and not self._found
+        waits = self.company.waits(here, self._glancing, now_ns) and not searches
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
         dire = blind and here is not None and direly_unsure(here)
-        if level is None or sure or waits or not (steady or dire or self._glancing):
+        if level is None or sure or waits or not (steady or dire or self._glancing or searches):
             self._glancing = False
             return False
         if not self._glancing:

@@ -18,6 +18,7 @@ from agent.kernel.estimation.interface import NOTHING, Posterior
 from agent.kernel.estimation.tracks.dynamics import ROLLING, swimming
 from agent.kernel.navigation.pursuit import carried_on
 from agent.kernel.ranging.focus import h
+from agent.kernel.target_state import grown
 
 S = 1_000_000_000
 NAMES = ("r1", "r2")
@@ -58,6 +59,19 @@ def test_a_belief_is_carried_on_as_what_swims_forgets_its_course() -> None:
         assert found == pytest.approx((1.0 + 0.2 * reach, 2.0 - 0.1 * reach, 0.3))
     assert carried_on(believed, swimming(0.15, 1e9), 9 * S) == pytest.approx((0.8, 2.1, 0.3))
     assert carried_on(believed._replace(t_ns=0), ROLLING, 10 * S) == believed.x_m
+
+
+def test_what_nobody_sees_any_more_may_be_farther_and_farther_away() -> None:
+    """To v_rms T in the end, and as sqrt(t) from then on; what rolls is left alone."""
+    believed = Posterior((1.0, 2.0, 0.3), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4), (0.2, 0.0, 0.0), 10 * S)
+    moves = swimming(0.15, 2.0)
+    sigmas = [math.sqrt(grown(believed, moves, (10 + t) * S)[0]) for t in (0, 1, 4, 16)]
+    assert sigmas[0] == pytest.approx(0.01) and sigmas[1] == pytest.approx(
+        math.hypot(0.01, 0.15 / math.sqrt(2)), rel=0.3
+    )
+    assert sigmas[3] == pytest.approx(2.0 * sigmas[2], rel=0.3)
+    assert grown(believed, ROLLING, 20 * S) == believed.cov_m2
+    assert grown(believed._replace(t_ns=0), moves, 20 * S) == believed.cov_m2
 
 
 def test_two_robots_find_a_target_by_their_frames_and_go_with_it() -> None:

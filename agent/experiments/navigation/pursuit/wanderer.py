@@ -6,12 +6,13 @@ Its turning is an Ornstein-Uhlenbeck process; near a wall it turns towards the m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import START_NS
+from agent.experiments.navigation.drawn_ball import Pillar
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.messages import Estimate, Vector
@@ -21,6 +22,7 @@ from agent.kernel.trust.letters import Letter
 TURNS_S, TURNS_RAD_S = 1.5, 1.2  # how long its turning is alike, and how fast it is (rms over a root second)
 SHY_M, AWAY_RAD_S = 0.45, 1.5  # from a wall, and how fast it turns away there
 CLEAR_M = 0.25  # it comes no nearer to one
+BEFORE_M, BODY_M = 0.3, 0.08  # from a pillar: there it turns aside, and it comes no nearer
 HEIGHT_M = 0.25  # above the floor
 STEP_S = 0.05
 NOISE_M, NOISE_M_S, NEWS_S, LATE_S = 0.015, 0.03, 0.2, 0.15  # a track by bearings of three robots in this basin
@@ -29,7 +31,9 @@ NOISE_M, NOISE_M_S, NEWS_S, LATE_S = 0.015, 0.03, 0.2, 0.15  # a track by bearin
 class Wanderer:
     """Its path, drawn once; `at` is where it is, x, y and z (m), and holds still outside the time that was drawn."""
 
-    def __init__(self, rng: np.random.Generator, speed_m_s: float, seconds: float) -> None:
+    def __init__(
+        self, rng: np.random.Generator, speed_m_s: float, seconds: float, pillars: Sequence[Pillar] = ()
+    ) -> None:
         x, y = (float(rng.uniform(0.8, side - 0.8)) for side in TANK.size_m[:2])
         heading, rate, rows = float(rng.uniform(-math.pi, math.pi)), 0.0, []
         keeps = math.exp(-STEP_S / TURNS_S)
@@ -38,11 +42,14 @@ class Wanderer:
             rate = keeps * rate + TURNS_RAD_S * math.sqrt(STEP_S) * float(rng.normal())
             inwards = wrap(math.atan2(0.5 * TANK.size_m[1] - y, 0.5 * TANK.size_m[0] - x) - heading)
             near = min(x, y, TANK.size_m[0] - x, TANK.size_m[1] - y) < SHY_M
-            heading += STEP_S * (math.copysign(AWAY_RAD_S, inwards) if near and abs(inwards) > 0.5 else rate)
+            turn = math.copysign(AWAY_RAD_S, inwards) if near and abs(inwards) > 0.5 else rate
+            heading += STEP_S * (turn + sum(_aside(pillar, x, y, heading) for pillar in pillars))
             x, y = (
                 min(max(at + STEP_S * speed_m_s * way, CLEAR_M), side - CLEAR_M)
                 for at, way, side in zip((x, y), (math.cos(heading), math.sin(heading)), TANK.size_m, strict=False)
             )
+            for pillar in pillars:
+                x, y = _outside(pillar, x, y)
         self._rows = np.array(rows)
 
     def at(self, now_ns: int) -> Vector:
@@ -58,6 +65,23 @@ class Wanderer:
         k = round((now_ns - START_NS) * 1e-9 / STEP_S)
         row: np.ndarray = self._rows[min(max(k, 0), len(self._rows) - 1)]
         return row
+
+
+def _aside(pillar: Pillar, x: float, y: float, heading: float) -> float:
+    """How fast it turns away from one that it swims at, rad/s."""
+    east, north = pillar.x_m - x, pillar.y_m - y
+    off = wrap(math.atan2(north, east) - heading)
+    near = math.hypot(east, north) < pillar.radius_m + BEFORE_M and abs(off) < 1.2
+    return math.copysign(2.0 * AWAY_RAD_S, -off) if near else 0.0
+
+
+def _outside(pillar: Pillar, x: float, y: float) -> tuple[float, float]:
+    """Beside it, where that place is inside."""
+    east, north = x - pillar.x_m, y - pillar.y_m
+    off, least = math.hypot(east, north), pillar.radius_m + BODY_M
+    if off >= least or off == 0.0:
+        return x, y
+    return pillar.x_m + east * least / off, pillar.y_m + north * least / off
 
 
 class ToldEstimator:

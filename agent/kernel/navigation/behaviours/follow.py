@@ -6,7 +6,8 @@ follow it, and g = wrap(th - th_j):
     push = sum_j sgn(g) max(0, 0.9 * 2 pi / n - |g|)
     goal = target + standoff (cos, sin)(th + push / 2 + d),  d of DETOURS with the least  |d| + 2 hidden + 4 reach / m
 
-drawn inside the walls; reach is what the wall takes from the distance, hidden whether another robot is in between. So
+drawn inside the walls; reach is what the wall takes from the distance, hidden whether another robot, or what hid the
+target lately, is in between. So
 robots part until they look from all sides, as agents in cyclic pursuit do (Marshall, Broucke and Francis, Formations
 of vehicles in cyclic pursuit, IEEE Trans. Automatic Control 49(11), 2004), though none knows of an order.
 
@@ -84,7 +85,9 @@ def place_around(target_m: Planar, standoff_m: float, pose: Vector, around: Surr
         way = math.cos(middle + detour), math.sin(middle + detour)
         goal = within_walls((target_m[0] + standoff_m * way[0], target_m[1] + standoff_m * way[1]), around.tank_m)
         reach_m = abs(math.dist(goal, target_m) - standoff_m)
-        cost = abs(detour) + HIDDEN * _hidden(goal, target_m, around.robots_m) + REACH_1_M * reach_m
+        cost = (
+            abs(detour) + HIDDEN * _hidden(goal, target_m, (*around.robots_m, *around.screens_m)) + REACH_1_M * reach_m
+        )
         if cost < least:
             best, least = goal, cost
     return best
@@ -97,11 +100,11 @@ def _push(mine: float, others: list[float]) -> float:
     return math.fsum(math.copysign(max(0.0, even - abs(gap)), gap) for gap in gaps)
 
 
-def _hidden(from_m: Planar, target_m: Planar, robots_m: tuple[Planar, ...]) -> bool:
-    """Whether a robot is in between."""
+def _hidden(from_m: Planar, target_m: Planar, things_m: tuple[Planar, ...]) -> bool:
+    """Whether a robot, or what hid the target lately, is in between."""
     x, y = target_m[0] - from_m[0], target_m[1] - from_m[1]
     length2 = max(x * x + y * y, 1e-12)
-    for other in robots_m:
+    for other in things_m:
         east, north = other[0] - from_m[0], other[1] - from_m[1]
         along = (east * x + north * y) / length2
         if 0.0 < along < 1.0 and math.hypot(east - along * x, north - along * y) < RING_M:

@@ -10,6 +10,7 @@ from agent.kernel.navigation.barrier import MARGIN_M, STILL, WALL_M, Planar
 from agent.kernel.target_state import TargetEstimate
 
 SEEN_NS = 20_000_000_000  # a glance at landmarks takes seconds, and targets take turns: unseen for longer is unknown
+ANYWHERE_M = 0.5  # sigma of a target that nobody sees: too much water to look at from one place
 GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
 # Of a wall ahead: from nearer no whole landmark fits into the picture, or one, and there is little else to go by.
 SIGHT_M = 0.8
@@ -17,8 +18,11 @@ SPEED_NS = 3_000_000_000  # unseen for so long, a target that moved may have tur
 
 
 def known(target: TargetEstimate | None, now_ns: int) -> bool:
-    """Whether anybody has seen it of late."""
-    return target is not None and now_ns - target.seen_ns <= SEEN_NS
+    """Whether anybody has seen it of late, and it cannot be anywhere by now."""
+    if target is None:
+        return False
+    unseen_ns = now_ns - target.seen_ns
+    return unseen_ns <= SPEED_NS or (unseen_ns <= SEEN_NS and target.sigma_m < ANYWHERE_M)
 
 
 def velocity_m_s(target: TargetEstimate, now_ns: int) -> Planar:
@@ -36,6 +40,7 @@ class Surroundings(NamedTuple):
     sees: bool = False  # the robot's own camera has the target in view
     looks: bool = False  # its gaze still goes round where the target was last
     fellows_m: tuple[Planar, ...] = ()  # robots that say they do the same about the same target
+    screens_m: tuple[Planar, ...] = ()  # what hid the target lately, about there
     robots_m: tuple[Planar, ...] = ()  # all that say where they are
     station: tuple[Planar, float] | None = None  # where a survey looks from, and how it is turned there, rad
 

@@ -14,7 +14,14 @@ from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import WALL_M
 from agent.kernel.navigation.behaviours.behaviour import reference, start
 from agent.kernel.navigation.behaviours.follow import place_around
-from agent.kernel.navigation.behaviours.surroundings import GIMBAL_RAD, SEEN_NS, Surroundings
+from agent.kernel.navigation.behaviours.surroundings import (
+    ANYWHERE_M,
+    GIMBAL_RAD,
+    SEEN_NS,
+    SPEED_NS,
+    Surroundings,
+    known,
+)
 from agent.kernel.target_state import TargetEstimate
 
 TANK_M, S = (3.0, 2.0), 1_000_000_000
@@ -54,6 +61,22 @@ def test_goals_are_inside_the_walls_and_no_farther_than_the_standoff() -> None:
 def test_alone_it_keeps_its_side_and_its_distance() -> None:
     assert place_around((1.5, 1.0), 0.7, (0.5, 1.0, 0.0), around()) == pytest.approx((0.8, 1.0))
     assert place_around((1.5, 1.0), 0.5, (1.6, 1.0, 0.0), around()) == pytest.approx((2.0, 1.0))
+
+
+def test_what_hid_the_target_lately_is_gone_round() -> None:
+    screened = place_around((1.5, 1.0), 0.7, (0.8, 1.0, 0.0), around(screens_m=((1.15, 1.0),)))
+    assert math.dist(screened, (1.5, 1.0)) == pytest.approx(0.7) and abs(screened[1] - 1.0) > 0.2
+
+
+def test_one_that_nobody_sees_is_known_for_as_long_as_it_cannot_be_anywhere() -> None:
+    for sigma_m, unseen_ns, answer in (
+        (0.1, SEEN_NS, True),
+        (0.1, SEEN_NS + 1, False),
+        (2.0 * ANYWHERE_M, SPEED_NS, True),
+        (2.0 * ANYWHERE_M, SPEED_NS + 1, False),
+    ):
+        assert known(estimate(sigma_m=sigma_m), S + unseen_ns) is answer
+    assert not known(None, S)
 
 
 def test_two_on_one_side_part_and_a_wall_turns_it_to_where_there_is_room() -> None:
