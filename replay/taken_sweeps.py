@@ -6,7 +6,9 @@ are decoded sweep by sweep.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import msgspec
@@ -15,12 +17,13 @@ from numpy.typing import NDArray
 
 from agent.kernel.codec import decode
 from agent.kernel.messages import Whereabouts
-from agent.kernel.step_io import Inputs, Outputs
+from agent.kernel.step_io import Inputs, Outputs, Sighting
 from replay.check.black_box import STEP_BYTES, BlackBox
-from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.channels import STEP_IN, STEP_OUT, VISION
+from replay.files.frames import Frames, Picture, pixels
 from replay.files.log import read
 from replay.files.suspect import suspecting
-from replay.viewers.whole_sweeps import SweepFrame, whole_sweeps
+from replay.viewers.whole_sweeps import SweepAssembler, SweepFrame
 
 MOST_GAP_NS = 1_500_000_000  # between two notes of where a robot is; in a longer gap it may have gone anywhere
 
@@ -84,10 +87,59 @@ def motion(box: BlackBox) -> Motion:
 
 
 def taken_sweeps(box: BlackBox) -> Iterator[TakenSweep]:
-    """Every sweep whose frames are all there. Raises ConfigError for a frame that does not decode."""
+    """Every sweep whose frames are all there, of a target or of a survey. Raises ConfigError for a frame that does not
+    decode."""
+    views, steps = _views(box), box.fleet.camera.sweep_steps
+    frames, gathered = Frames(), SweepAssembler(steps)
+    recent: deque[tuple[Picture, Sighting]] = deque(maxlen=max((view.steps for view in views.values()), default=1))
     with suspecting(box.path):
-        for frames in whole_sweeps(read(box.path), box.fleet.camera.sweep_steps):
-            yield TakenSweep(frames[0].sighting.sweep, frames)
+        for record in read(box.path):
+            frames.take(record.channel, record.sequence, record.data)
+            if record.channel != VISION.name:
+                continue
+            picture, sighting = frames.at(record.sequence), decode(record.data, Sighting)
+            if whole := gathered.take(picture, sighting):
+                yield TakenSweep(sighting.sweep, whole)
+            if picture is None:
+                recent.clear()
+                continue
+            recent.append((picture, sighting))
+            view = views.get(sighting.t_ns)
+            if view is not None and (found := rising(recent, view.steps)):
+                yield TakenSweep(view.number, [SweepFrame(pixels(image), image.roi, seen) for image, seen in found])
+
+
+class _View(NamedTuple):
+    """A survey's sweep, by the exposure of its last frame."""
+
+    number: int
+    steps: int  # frames
+
+
+def _views(box: BlackBox) -> dict[int, _View]:
+    """What vision told of whole frames, which it does not number: they are of no target."""
+    steps: dict[int, int] = {}
+    views: dict[int, _View] = {}
+    with suspecting(box.path):
+        for record in read(box.path):
+            if record.channel == STEP_IN.name:
+                for peaks in decode(record.data, Inputs, STEP_BYTES).blocks or ():
+                    if peaks.sweep in steps:
+                        views[peaks.t_ns] = _View(peaks.sweep, steps[peaks.sweep])
+            elif record.channel == STEP_OUT.name:
+                plan = decode(record.data, Outputs, STEP_BYTES).sweep
+                if plan is not None and plan.block_px:
+                    steps[plan.sweep] = len(plan.focus) - 1  # the lens comes from the first, where no frame is taken
+    return views
+
+
+def rising(recent: Sequence[tuple[Picture, Sighting]], steps: int) -> list[tuple[Picture, Sighting]]:
+    """The newest frames, as many as a sweep has; none where some of these are missing."""
+    found = list(recent)[-steps:]
+    positions = [sighting.focus for _, sighting in found]
+    known = [position for position in positions if position is not None]
+    rises = all(a < b for a, b in pairwise(known))
+    return found if len(known) == steps and rises else []
 
 
 def _table(rows: list[tuple[int, tuple[float, ...]]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
