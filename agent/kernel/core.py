@@ -209,8 +209,10 @@ class Agent:
             self.swimmer.heed(about.estimate(now_ns) if about else None, self.seek, now_ns)
             if self.swimmer.does != did:
                 self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
-        if self.swimmer is not None and not self.seek.measuring and self.swimmer.glance(self.seek, level, now_ns):
-            return None
+        if self.swimmer is not None and not self.seek.measuring:
+            pursues = self.pursuit.goes_with(self.current, self.seek, now_ns)
+            if self.swimmer.glance(self.seek, level, pursues, now_ns):
+                return None
         surveys, plan = self.survey.act(self.seek, level, self.status, now_ns)
         if surveys or self.pursuit.look(self.current, self.seek, level, now_ns):
             return plan

@@ -7,10 +7,10 @@ import math
 import msgspec
 import numpy as np
 
-from agent.experiments.following.cases import Case
+from agent.experiments.following.cases import LENGTH_M, Case
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.drawn_ball import Pillar
-from agent.kernel.config import Fleet, Follow, Limits, Look, Navigation, Pose, Ranging
+from agent.kernel.config import Fleet, Follow, Limits, Look, Navigation, Pose, Target
 from hw.twin.scene import generator
 
 STANDOFF_M = 0.7
@@ -20,7 +20,7 @@ ROW_M = 0.45, 1.55  # from the long wall at which all begin
 
 
 def fleet_of(case: Case, seed: int) -> Fleet:
-    """All of them know how fast the target swims, and by its file nothing of its size."""
+    """All of them know how fast the target swims, and how long it is."""
     names = [f"r{i + 1}" for i in range(case.robots)]
     robots = {
         name: basin.robot(
@@ -32,9 +32,8 @@ def fleet_of(case: Case, seed: int) -> Fleet:
         )
         for name, pose in zip(names, starts(case, seed), strict=True)
     }
-    swims = msgspec.structs.replace(basin.BALL, speed_m_s=case.speed_m_s, turn_s=basin.TURN_S)
-    fleet = basin.fleet(robots, seed, swims)
-    fleet = msgspec.structs.replace(fleet, ranging=Ranging(cues="focus"))
+    fish = Target(detector="creature", length_m=LENGTH_M, speed_m_s=case.speed_m_s, turn_s=basin.TURN_S)
+    fleet = basin.fleet(robots, seed, fish)
     return msgspec.structs.replace(fleet, navigation=Navigation(limits=STILL)) if case.policy == "moored" else fleet
 
 

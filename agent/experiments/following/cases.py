@@ -6,6 +6,7 @@ from typing import NamedTuple, get_args
 
 from agent.experiments.choices import FollowingPolicy
 
+LENGTH_M = 0.15  # of the fish
 SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
 LOSSES = (0.0, 0.3)  # share of all words
 SIZES = (1, 2, 3, 5)  # robots

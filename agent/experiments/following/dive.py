@@ -1,7 +1,8 @@
 """One fleet and one target in one world: what truly was, and what each robot saw and believed, frame by frame.
 
-They find it by their own drawn frames, as bearings without the range that a ball's size gives. Robots hide it from
-those behind them, and so do weeds. One robot's camera is covered for some seconds: it sees neither target nor tags.
+They find it by their own drawn frames, as bearings and, by the box of a fish that shows its side or its head, hardly
+any range. Robots hide it from those behind them, and so do weeds. One robot's camera is covered for some seconds: it
+sees neither target nor tags.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from agent.experiments.following.basin import fleet_of, weeds
 from agent.experiments.following.cases import Case
+from agent.experiments.following.drawn_fish import DrawnFish
 from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.drawn_ball import FARTHEST_M, Pillar, hides, ring
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
@@ -28,7 +30,6 @@ FIND_S, WATCH_S = 20.0, 30.0
 COVERED_S = 10.0, 15.0  # of the watch
 FRESH_NS = 250_000_000  # a track of so long ago still says how well it is known
 STEPS_S = 20.0
-SHOWN = 1.0 / 3.0  # of the outline: what the detector makes do with (docs/experiments.md, Detection)
 
 Array = NDArray[np.float64]
 
@@ -58,12 +59,11 @@ def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
     wanderer = Wanderer(rng, case.speed_m_s, FIND_S + watch_s, pillars)
     blind = names[seed % case.robots]
     with twin_bodies(fleet) as bodies:
-        swimmers = Swimmers(fleet, bodies, wanderer.at)
+        swimmers = Swimmers(fleet, bodies)
         swimmers.lost = Channel(case, seed).loses
         for name, eyes in swimmers.eyes.items():
             eyes.hide, eyes.pillars = fleet.robot[name].neighbours, pillars
-            if eyes.ball is not None:
-                eyes.ball.shown = SHOWN
+            eyes.ball = DrawnFish(fleet, name, bodies.camera(name), wanderer.at)
         began_ns, rows, told = bodies.now_ns, list[list[Array]](), list[tuple[str, ...]]()
         for step in range(1, round((FIND_S + watch_s) * STEPS_S) + 1):
             at_s = step / STEPS_S - FIND_S

@@ -91,16 +91,20 @@ class Pursuit:
             sized=self._fleet.ranging.cues != "focus",
         )
 
+    def goes_with(self, of: TargetState, seek: Seek, now_ns: int) -> bool:
+        """Whether the camera shall go with that target. Who does not know about where it is searches for it with rests
+        between looks (control/roam.py), and who does not know how it swims itself finds that out first."""
+        if of.name != self.target or seek.measuring or of.estimator.posterior is None:
+            return False
+        roams = seek.roam is not None and not self._gaze.sees(now_ns)
+        return self._swimmer is not None and self._swimmer.under_way and not roams
+
     def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
-        """Point the camera at that target, or to and fro where it ought to be; returns whether that is its turn. Who
-        does not know about where it is searches for it with rests between looks (control/roam.py), and who does not
-        know how it swims itself finds that out first."""
+        """Point the camera at that target, or to and fro where it ought to be; returns whether that is its turn."""
         here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
         if of.name != self.target or seek.measuring:
             return False
-        roams = seek.roam is not None and not self._gaze.sees(now_ns)
-        swims = self._swimmer is not None and self._swimmer.under_way
-        if here is None or believed is None or level is None or not swims or roams:
+        if here is None or believed is None or level is None or not self.goes_with(of, seek, now_ns):
             self._lens = None
             return False
         ahead_s = SERVO_LAG_S + LEAD_S

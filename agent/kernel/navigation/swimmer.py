@@ -188,11 +188,12 @@ class Swimmer:
         """It does not know where it is."""
         return self._lost_since_ns is not None
 
-    def glance(self, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
+    def glance(self, seek: Seek, level: Attitude | None, pursues: bool, now_ns: int) -> bool:
         """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
-        sweep is under way; after it the lens is sharp again first, and may show enough where it is."""
+        sweep is under way; after it the lens is sharp again first, and may show enough where it is. pursues: else the
+        camera goes with a target that swims."""
         here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
-        swift = self._found and seek.pointing.tracks  # what swims does not wait, and landmarks pass behind it
+        swift = self._found and pursues  # what swims does not wait, and landmarks pass behind it
         brief = self._glancing and swift
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
         if brief:

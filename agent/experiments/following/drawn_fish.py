@@ -1,0 +1,111 @@
+"""What one robot's camera would tell of a fish that swims: the box around what it shows of itself, never rendered.
+
+The body is the twin's, bent as it swims: seen from the side its box is three times as wide as head-on. So how far it is
+by its size is wrong by half, and for as long as it keeps its side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.experiments.following.cases import LENGTH_M
+from agent.experiments.navigation.drawn_ball import FARTHEST_M, BallPath, Pillar, hides
+from agent.kernel.config import Fleet
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.camera_model import pixel
+from agent.kernel.step_io import Sighting, SweepPlan
+from hw.twin.creatures.shape import swimming
+from hw.twin.creatures.swimmer import STRIDE, Attitude
+from hw.twin.devices.camera_device import look
+from hw.twin.history import RobotPose
+from hw.twin.scene import Creature, generator
+
+SHOWN = 1.0 / 3.0  # of its box in the picture, or it is not found (docs/experiments.md, Detection)
+NEAREST_M = 0.1  # of its middle from the lens; nearer, it is a blur of colour
+EDGE_PX = 2.0  # of its box: the detector's pixels are four of the picture's
+AROUND_NS = 50_000_000  # its heading is the way that it swims in so long before and after
+
+Array = NDArray[np.float64]
+
+
+class DrawnFish:
+    """One robot's view of one fish; path: of its middle."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, path: BallPath) -> None:
+        (self._target, _), *_ = fleet.target.items()
+        self._rng, self._seed = generator(fleet.twin.seed, name, "drawn fish"), fleet.twin.seed
+        self._path, self._camera, self._camera_m = path, camera, fleet.body.camera_m
+        self._frames = 0
+
+    def sight(
+        self,
+        pose: RobotPose,
+        t_ns: int,
+        plan: SweepPlan | None = None,
+        index: int = -1,
+        before: Sequence[Pillar] = (),
+    ) -> Sighting:
+        """The newest frame. before: what may be before the fish, and hides it where its middle is behind. Nobody sweeps
+        what swims: plan and index mean nothing."""
+        fish_m = self._path(t_ns)
+        x, y, _ = pose.position_m.tolist()
+        seen = None if any(hides(pillar, (x, y), fish_m) for pillar in before) else self._box(pose, t_ns, fish_m)
+        frame = self.unseen(t_ns)
+        if seen is None:
+            return frame
+        left, top, right, bottom = seen
+        return msgspec.structs.replace(
+            frame,
+            found=True,
+            centre_px=(0.5 * (left + right), 0.5 * (top + bottom)),
+            size_px=(right - left, bottom - top),
+            area_px=(right - left) * (bottom - top),
+            score=1.0,
+        )
+
+    def unseen(self, t_ns: int) -> Sighting:
+        """The newest frame, of a camera that is covered or looks past it."""
+        self._frames += 1
+        return Sighting(t_ns=t_ns, frame=self._frames, target=self._target, found=False)
+
+    def _box(self, pose: RobotPose, t_ns: int, fish_m: Vector) -> tuple[float, float, float, float] | None:
+        """Left, top, right and bottom, px, of what the picture shows; None: too little."""
+        eye, _ = look(pose, self._camera_m)
+        rotation = np.asarray(eye.rotation)
+        x, y, z = ((np.array(fish_m) - np.asarray(eye.position_m)) @ rotation).tolist()
+        if not z - self._camera.ahead_m > NEAREST_M or math.hypot(x, y, z) > FARTHEST_M:
+            return None
+        low, high = self._extent(t_ns, fish_m, np.asarray(eye.position_m), rotation)
+        size = np.array([self._camera.width_px, self._camera.height_px], float)
+        corners = [pixel(self._camera, (*slopes.tolist(), 1.0 + self._camera.ahead_m)) for slopes in (low, high)]
+        edges = np.array(corners, float)
+        whole = float(np.prod(edges[1] - edges[0]))
+        edges = np.clip(edges + self._rng.normal(0.0, EDGE_PX, (2, 2)), 0.0, size)
+        if float(np.prod(edges[1] - edges[0])) < SHOWN * whole or (edges[1] <= edges[0]).any():
+            return None
+        (left, top), (right, bottom) = edges.tolist()
+        return left, top, right, bottom
+
+    def _extent(self, t_ns: int, fish_m: Vector, eye_m: Array, rotation: Array) -> tuple[Array, Array]:
+        """Slopes (right, down) of the least and the most that any part of it comes to."""
+        then, soon = np.array(self._path(t_ns - AROUND_NS)), np.array(self._path(t_ns + AROUND_NS))
+        way_m = soon - then
+        speed_m_s = float(np.linalg.norm(way_m)) / (2e-9 * AROUND_NS)
+        beat = 2.0 * math.pi * speed_m_s / (STRIDE * LENGTH_M) * t_ns * 1e-9
+        attitude = Attitude(*fish_m, math.atan2(way_m[1], way_m[0]), 0.0, beat, 1.0)
+        body = swimming(Creature(name="fish", length_m=LENGTH_M), attitude, self._seed)
+        low, high = np.full(2, math.inf), np.full(2, -math.inf)
+        for part in body.parts:
+            x, y, z = (np.asarray(part.position_m) - eye_m) @ rotation
+            depth_m = max(z - self._camera.ahead_m, 0.5 * NEAREST_M)
+            axes = (np.asarray(part.rotation) * np.asarray(part.radii_m)).T @ rotation
+            half = np.linalg.norm(axes[:, :2], axis=0)
+            low = np.minimum(low, (np.array([x, y]) - half) / depth_m)
+            high = np.maximum(high, (np.array([x, y]) + half) / depth_m)
+        return low, high
