@@ -16,7 +16,7 @@ from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import inside, widest_m2
 from agent.kernel.estimation.interface import Bearing, Estimator, Posterior, Prior, Update
 from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.estimation.matrix import IDENTITY, plus, times, trace
+from agent.kernel.estimation.matrix import plus, times, trace
 from agent.kernel.estimation.tracks.dynamics import Dynamics, growth
 from agent.kernel.messages import Estimate, State, Symmetric, Vector
 
@@ -140,7 +140,7 @@ def grown(believed: Posterior, moves: Dynamics, now_ns: int) -> Symmetric:
         return believed.cov_m2
     by = growth(moves, max(now_ns - believed.t_ns, 0) * 1e-9)
     speed_m_s = moves.first_speed_m_s
-    return plus(believed.cov_m2, times(by.place_m2 + (by.reach_s * speed_m_s) ** 2, IDENTITY))
+    return plus(believed.cov_m2, times(by.place_m2 + (by.reach_s * speed_m_s) ** 2, moves.axes))
 
 
 def sayable(covariance_m2: Symmetric | None, tank_m: Vector) -> Symmetric | None:

@@ -20,13 +20,18 @@ from agent.kernel.ranging.cues import Outline, size_range
 from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
-BENDING = 0.1  # of a box's longer side, by which a body that bends moves the middle of its box
-SHOWN = 0.6  # of a creature's length, which it shows from most sides
-HIDDEN = 0.5  # of what it lacks to that: it may be seen head-on, or a stone hides so much at one of its ends
+BENDING = 0.05  # of a box's longer side, by which a body that bends moves the middle of its box
+# A creature in lengths: as high, and as wide, as a fish. It swims the way it heads: so which side it shows is known
+# where its speed is.
+HIGH, WIDE = 0.3, 0.15
+SHOWN = 0.6  # of its length, which it shows from most sides
+HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Side of the square that is as large as a creature's box, in lengths: 0.50, standard deviation of its logarithm 0.35,
 # of one that showed all its sides to three robots in two dives of the twin. Who shows its side goes on to: what one
 # frame says of the range is what ten do that are a fifth of a second apart.
 FACE, FACE_SIGMA, ALIKE = 0.5, 0.4, 10.0
+TURNED_SIGMA = 0.25  # the same where its side is known, to some twenty degrees
+HEADS = 0.5  # of its usual speed: slower, it may face anywhere
 NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
 
 
@@ -41,19 +46,21 @@ def sight_line(
     t_ns: int,
     unknown_m: float,
     sized: bool = True,
+    velocity_m_s: Vector | None = None,
 ) -> Bearing:
     """The bearing of what a frame exposed at t_ns shows.
 
     eye, own: of that moment. believed_m: where the target is believed to have been then, world frame; it gives the
     range unless a ball's size does. None: nobody knows. unknown_m: the range then. sized: whether its size may say
-    anything of the range.
+    anything of the range. velocity_m_s: of the target as it is believed to swim; None: nobody knows.
     """
     camera = at_lens_position(camera, outline.lens_position)
     axis = apply(eye.rotation, (0.0, 0.0, 1.0))
     px, py, pz = (p + camera.ahead_m * a for p, a in zip(eye.position_m, axis, strict=True))
     r = apply(eye.rotation, ray(camera, outline.centre_px))
     way = None if believed_m is None else (believed_m[0] - px, believed_m[1] - py, believed_m[2] - pz)
-    sigma_m, face_m = None, _face_range_m(outline, target, camera.f_px) if sized else None
+    side = None if velocity_m_s is None else _side(r, velocity_m_s, target)
+    sigma_m, face_m = None, _face_range_m(outline, target, camera.f_px, side) if sized else None
     if sized and target.radius_m is not None and outline.radius_px is not None:
         size = size_range(camera, outline, target)
         range_m, sigma_m = size.distance_m, math.sqrt(size.variance_m2)
@@ -63,25 +70,37 @@ def sight_line(
         range_m = unknown_m if face_m is None else max(face_m, NEAREST_M)
     arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
     pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
-    px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, *_bent_px(outline, target, camera.f_px / range_m))
+    px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, *_bent_px(outline, target, camera.f_px / range_m, side))
     sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
     if face_m is None:
         return line
-    return ranged(line, (px, py, pz), r, face_m, FACE_SIGMA * math.sqrt(ALIKE) * face_m, way)
+    face_sigma = FACE_SIGMA if side is None else TURNED_SIGMA
+    return ranged(line, (px, py, pz), r, face_m, face_sigma * math.sqrt(ALIKE) * face_m, way)
 
 
-def _bent_px(outline: Outline, target: Target, px_per_m: float) -> tuple[float, float]:
+def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
+    """Share of its length that what swims so shows to who looks along the ray: 1 from its side; None: nobody knows."""
+    u, v = velocity_m_s[:2]
+    speed_m_s, far = math.hypot(u, v), math.hypot(ray[0], ray[1])
+    if target.speed_m_s is None or speed_m_s < HEADS * target.speed_m_s or far == 0.0:
+        return None
+    return abs(ray[0] * v - ray[1] * u) / (speed_m_s * far)
+
+
+def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | None) -> tuple[float, float]:
     """How far the middle of a box may be from the body's by its bending, and by what of it does not show."""
     shown_px = max(outline.size_px or (0.0,))
     if target.length_m is None:
         return BENDING * shown_px, 0.0
     whole_px = target.length_m * px_per_m
-    return BENDING * max(shown_px, whole_px), HIDDEN * max(SHOWN * whole_px - shown_px, 0.0)
+    shows = SHOWN if side is None else max(side, HIGH)
+    return BENDING * max(shown_px, whole_px), HIDDEN * max(shows * whole_px - shown_px, 0.0)
 
 
-def _face_range_m(outline: Outline, target: Target, f_px: float) -> float | None:
+def _face_range_m(outline: Outline, target: Target, f_px: float, side: float | None) -> float | None:
     """About how far a creature of that length is that shows so much; None: nobody knows its length."""
     if target.length_m is None or outline.size_px is None or min(outline.size_px) <= 0.0:
         return None
-    return FACE * target.length_m * f_px / math.sqrt(outline.size_px[0] * outline.size_px[1])
+    face = FACE if side is None else math.sqrt(HIGH * math.hypot(side, WIDE))
+    return face * target.length_m * f_px / math.sqrt(outline.size_px[0] * outline.size_px[1])

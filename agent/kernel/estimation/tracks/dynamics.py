@@ -12,6 +12,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from agent.kernel.estimation.matrix import IDENTITY
+from agent.kernel.messages import Symmetric
+
+# Of what swims, shares of its motion in each axis as variances: animals swim mostly level. Three tenths of the speed go
+# up and down at most; the twin's fish do with half of that.
+LEVEL: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 0.09)
 SMALL = 0.01  # of h/T: below, differences of what is alike lose digits, and a series is exact to 1e-12
 
 
@@ -22,9 +28,14 @@ class Dynamics(NamedTuple):
     turn_s: float  # T; inf: never
     first_speed_m_s: float  # sigma of each component before any motion was seen
 
+    @property
+    def axes(self) -> Symmetric:
+        """What both variances are multiplied by."""
+        return IDENTITY if self.turn_s == math.inf else LEVEL
+
 
 class Growth(NamedTuple):
-    """Over a step: x += reach_s v, v *= kept, and the covariances that each axis gains."""
+    """Over a step: x += reach_s v, v *= kept, and the covariances that each level axis gains."""
 
     reach_s: float
     kept: float
@@ -37,7 +48,7 @@ ROLLING = Dynamics(4e-6, math.inf, 0.05)  # a ball rolled by a swell changes its
 
 
 def swimming(speed_m_s: float, turn_s: float) -> Dynamics:
-    """An animal of this speed, most of it level, that keeps a course for about turn_s: speed/sqrt(2) in each axis."""
+    """An animal of this speed, most of it level, that keeps a course for about turn_s: speed/sqrt(2) in x and in y."""
     v_rms_m_s = speed_m_s / math.sqrt(2.0)
     return Dynamics(2.0 * v_rms_m_s * v_rms_m_s / turn_s, turn_s, v_rms_m_s)
 

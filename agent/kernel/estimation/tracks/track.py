@@ -52,7 +52,7 @@ def begin(t_ns: int, information: Symmetric, vector: Vector, dynamics: Dynamics 
         (0.0, 0.0, 0.0),
         covariance,
         (0.0,) * 9,
-        times(dynamics.first_speed_m_s * dynamics.first_speed_m_s, IDENTITY),
+        times(dynamics.first_speed_m_s * dynamics.first_speed_m_s, dynamics.axes),
     )
 
 
@@ -77,9 +77,10 @@ def _turn(track: Track, t_ns: int, dynamics: Dynamics) -> Track:
     before_ns, x, v, A, C, D = track
     a, e, place, both, speed = growth(dynamics, (t_ns - before_ns) * 1e-9)
     crossed = (2.0 * C[0], C[1] + C[3], C[2] + C[6], 2.0 * C[4], C[5] + C[7], 2.0 * C[8])  # C + C^T
-    A = plus(plus(A, times(a, crossed)), plus(times(a * a, D), times(place, IDENTITY)))
-    C = add_times(square(times(both, IDENTITY)), e, add_times(C, a, square(D)))
-    D = plus(times(e * e, D), times(speed, IDENTITY))
+    axes = dynamics.axes
+    A = plus(plus(A, times(a, crossed)), plus(times(a * a, D), times(place, axes)))
+    C = add_times(square(times(both, axes)), e, add_times(C, a, square(D)))
+    D = plus(times(e * e, D), times(speed, axes))
     x = x[0] + a * v[0], x[1] + a * v[1], x[2] + a * v[2]
     return Track(t_ns, x, (e * v[0], e * v[1], e * v[2]), A, C, D)
 
