@@ -210,7 +210,7 @@ class Agent:
             if self.swimmer.does != did:
                 self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
         if self.swimmer is not None and not self.seek.measuring:
-            pursues = self.pursuit.goes_with(self.current, self.seek, now_ns)
+            pursues = self.pursuit.goes_with(self.current, self.seek)
             if self.swimmer.glance(self.seek, level, pursues, now_ns):
                 return None
         surveys, plan = self.survey.act(self.seek, level, self.status, now_ns)

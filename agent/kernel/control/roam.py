@@ -36,7 +36,7 @@ class Roam:
     @property
     def spirals(self) -> bool:
         """It has not looked everywhere around the last place yet."""
-        return self._step < len(self._spiral)
+        return max(self._step, 0) < len(self._spiral)
 
     @property
     def over(self) -> bool:
@@ -79,18 +79,26 @@ def spiral(camera: CameraFit, reach_deg: float) -> Ways:
 
 def all_around(camera: CameraFit, body: Body, depth_m: float, surface_m: float) -> Ways:
     """The gimbal's whole pan, at as many tilts as it takes to see floor and surface; every other row backwards."""
-    steps = [max(view - OVERLAP_DEG, 0.5 * view) for view in view_deg(camera)]
+    pans = _middles(*body.pan_limit_deg, _step_deg(view_deg(camera)[0]))
+    rows = rows_deg(camera, body, depth_m, surface_m)
+    return tuple((pan, tilt) for k, tilt in enumerate(rows) for pan in (pans if k % 2 == 0 else pans[::-1]))
+
+
+def rows_deg(camera: CameraFit, body: Body, depth_m: float, surface_m: float) -> tuple[float, ...]:
+    """Tilts, lowest first, at which looks show floor and surface and what is between them."""
     lowest = max(-math.degrees(math.atan2(surface_m - depth_m, NEAR_M)), body.tilt_limit_deg[0])
     highest = min(math.degrees(math.atan2(depth_m, NEAR_M)), body.tilt_limit_deg[1])
-    pans = _middles(*body.pan_limit_deg, steps[0])
-    rows = _middles(lowest, max(highest, lowest), steps[1])
-    return tuple((pan, tilt) for k, tilt in enumerate(rows) for pan in (pans if k % 2 == 0 else pans[::-1]))
+    return _middles(lowest, max(highest, lowest), _step_deg(view_deg(camera)[1]))
 
 
 def view_deg(camera: CameraFit) -> tuple[float, float]:
     """How wide and how high the camera's view is, degrees."""
     wide, high = (2.0 * math.degrees(math.atan2(0.5 * px, camera.f_px)) for px in (camera.width_px, camera.height_px))
     return wide, high
+
+
+def _step_deg(view: float) -> float:
+    return max(view - OVERLAP_DEG, 0.5 * view)
 
 
 def _middles(low: float, high: float, step: float) -> tuple[float, ...]:

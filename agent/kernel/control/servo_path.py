@@ -19,6 +19,7 @@ from agent.kernel.control.pointing import SLEW_US_PER_S
 SERVO_LAG_S = 0.06
 LAG_SIGMA_S = 0.025
 THERE_US = 5.0  # half a degree: a jump is over
+SETTLED = 4.0  # lags after which it is, too, of one that is to turn on
 KEEP_NS = 6_000_000_000  # as long as poses are kept
 
 Pulses = tuple[float, float]  # pan and tilt, us
@@ -38,7 +39,7 @@ class Leg(NamedTuple):
     told_ns: int
     from_us: Pulses
     to_us: Pulses
-    jumps: bool = False  # farther than at full speed; a swift servo is there long before a slow one
+    jumps_until_ns: int = 0  # farther than at full speed; a swift servo is there long before a slow one
 
 
 class ServoPath:
@@ -57,9 +58,12 @@ class ServoPath:
         here = last.from_us if last.told_ns == 0 else _both(last, told_ns)
         if last.told_ns == 0:
             self._legs.pop()
-        still = last.jumps and _left_us(last.to_us, here) > THERE_US
-        jumps = still or _left_us(to_us, here) > SLEW_US_PER_S * SERVO_LAG_S
-        self._legs.append(Leg(told_ns, here, to_us, jumps))
+        still = _left_us(last.to_us, here) > THERE_US
+        until_ns = last.jumps_until_ns if still and last.jumps_until_ns > told_ns else 0
+        left_us = _left_us(to_us, here)
+        if left_us > SLEW_US_PER_S * SERVO_LAG_S:
+            until_ns = told_ns + round((left_us / SLEW_US_PER_S + SETTLED * SERVO_LAG_S) * 1e9)
+        self._legs.append(Leg(told_ns, here, to_us, until_ns))
         while self._legs[0].told_ns < told_ns - KEEP_NS:
             self._legs.popleft()
 
@@ -69,7 +73,7 @@ class ServoPath:
             if 0 < leg.told_ns <= t_ns:
                 here = _both(leg, t_ns)
                 left_us = _left_us(leg.to_us, here)
-                swift = leg.jumps and left_us > THERE_US
+                swift = t_ns < leg.jumps_until_ns and left_us > THERE_US
                 return Stand(leg.told_ns, here, math.inf if swift else LAG_SIGMA_S * left_us / SERVO_LAG_S)
         return None
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from agent.kernel.config import Behaviour, Fleet, Follow, Pose, Search, Survey
 from agent.kernel.control.roam import Roam, all_around, spiral
 from agent.kernel.control.seek import Seek
-from agent.kernel.estimation.choice import dynamics
+from agent.kernel.estimation.choice import dynamics, pursued
 from agent.kernel.navigation.barrier import SIGMAS, TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviours.behaviour import Progress, effective
 from agent.kernel.navigation.behaviours.search import Hunt
@@ -34,7 +34,7 @@ class Errand:
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
         assert fleet.navigation is not None
-        self._fleet, self._camera = fleet, calibration.camera
+        self._fleet, self._camera, self._swims = fleet, calibration.camera, pursued(fleet)
         self._speed_m_s = fleet.navigation.limits.speed_m_s
         self.around: Surroundings | None = None
         self.station: tuple[Planar, float] | None = None  # where a survey looks from; by whoever chooses views
@@ -80,7 +80,7 @@ class Errand:
     def _roam(self, what: Search, target: TargetEstimate | None, pose: Pose, depth_m: float, now_ns: int) -> Roam:
         surface_m = self._fleet.tank.surface_m
         around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
-        if target is None:
+        if target is None or what.target in self._swims:  # its gaze goes all around at once (control/scan.py)
             return Roam(what.target, (), around)
         speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
         return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around)

@@ -16,6 +16,7 @@ from msgspec import UNSET, UnsetType
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.gaze import SHOWN_DEG, Gaze, across, own_part
+from agent.kernel.control.scan import Scan
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.servo_path import SERVO_LAG_S
 from agent.kernel.estimation.choice import dynamics, pursued
@@ -48,7 +49,8 @@ class Pursuit:
         robots = sorted(fleet.robot)
         self._fleet, self._calibration, self._swimmer = fleet, calibration, swimmer
         self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
-        self._gaze = Gaze(robots.index(name) / len(robots))
+        share = robots.index(name) / len(robots)
+        self._gaze, self._scan = Gaze(share), Scan(share)
         self._newest: Sighting | None = None  # that showed the target since the last iteration
         self._lens: int | None = None  # where it is sharp; None: where landmarks are
         self._told: int | None = None  # the lens
@@ -95,22 +97,28 @@ class Pursuit:
             velocity_m_s=None if believed is None else believed.v_m_s,
         )
 
-    def goes_with(self, of: TargetState, seek: Seek, now_ns: int) -> bool:
-        """Whether the camera shall go with that target. Who does not know about where it is searches for it with rests
-        between looks (control/roam.py), and who does not know how it swims itself finds that out first."""
-        if of.name != self.target or seek.measuring or of.estimator.posterior is None:
-            return False
-        roams = seek.roam is not None and not self._gaze.sees(now_ns)
-        return self._swimmer is not None and self._swimmer.under_way and not roams
+    def goes_with(self, of: TargetState, seek: Seek) -> bool:
+        """Whether the camera goes without rest, with that target or in search of it. Who does not know how it swims
+        itself finds that out first."""
+        knows = of.estimator.posterior is not None or seek.roam is not None
+        swims = self._swimmer is not None and self._swimmer.under_way
+        return of.name == self.target and not seek.measuring and knows and swims
 
     def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
-        """Point the camera at that target, or to and fro where it ought to be; returns whether that is its turn."""
+        """Point the camera at that target, or to and fro where it ought to be, or all around where nobody knows; returns
+        whether that is its turn."""
         here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
         if of.name != self.target or seek.measuring:
             return False
-        if here is None or believed is None or level is None or not self.goes_with(of, seek, now_ns):
+        if here is None or level is None or not self.goes_with(of, seek):
             self._lens = None
             return False
+        if believed is None or seek.roam is not None:
+            camera, body, surface_m = self._calibration.camera, self._fleet.body, self._fleet.tank.surface_m
+            rests = self._gaze.sees(now_ns)
+            seek.track(of.name, *self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns), now_ns)
+            self._lens = None
+            return True
         ahead_s = SERVO_LAG_S + LEAD_S
         x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))

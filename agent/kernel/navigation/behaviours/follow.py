@@ -4,10 +4,11 @@ Each robot decides for itself. With th the bearing from the target to the robot,
 follow it, and g = wrap(th - th_j):
 
     push = sum_j sgn(g) max(0, 0.9 * 2 pi / n - |g|)
-    goal = target + standoff (cos, sin)(th + push / 2 + d),  d of DETOURS with the least  |d| + 2 hidden + 4 reach / m
+    goal = target + standoff (cos, sin)(th + push / 2 + d)
+    d of DETOURS with the least  |d| + 2 hidden + 4 reach / m + far / m
 
 drawn inside the walls; reach is what the wall takes from the distance, hidden whether another robot, or what hid the
-target lately, is in between. So
+target lately, is in between, far by how much the wall behind the target is too far for its landmarks to be read. So
 robots part until they look from all sides, as agents in cyclic pursuit do (Marshall, Broucke and Francis, Formations
 of vehicles in cyclic pursuit, IEEE Trans. Automatic Control 49(11), 2004), though none knows of an order.
 
@@ -24,13 +25,21 @@ from agent.kernel.config import Follow
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import Planar
-from agent.kernel.navigation.behaviours.surroundings import Surroundings, facing, known, velocity_m_s, within_walls
+from agent.kernel.navigation.behaviours.surroundings import (
+    Surroundings,
+    facing,
+    known,
+    sight_m,
+    velocity_m_s,
+    within_walls,
+)
 from agent.kernel.navigation.pilot import Reference
 from agent.kernel.target_state import TargetEstimate
 
 SHARE = 0.9  # of an even spread: robots that want all of it push each other round for ever
 DETOURS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.6, -1.6)  # rad, the first of equals is taken
 HIDDEN, REACH_1_M = 2.0, 4.0  # what a detour may cost, rad; the first detour pays from 0.1 m of reach on
+FAR_M, FAR_1_M = 1.9, 1.0  # of the wall behind the target, where landmarks are, from the robot; rad for each metre more
 RING_M = 0.17  # of a robot, which hides what is behind it
 ALONG = 0.7  # of the target's speed is swum ahead: it is known late, and turns
 SURE_1_S = 0.5  # of the distance that is left where the target may be, swum in a second at most
@@ -85,9 +94,9 @@ def place_around(target_m: Planar, standoff_m: float, pose: Vector, around: Surr
         way = math.cos(middle + detour), math.sin(middle + detour)
         goal = within_walls((target_m[0] + standoff_m * way[0], target_m[1] + standoff_m * way[1]), around.tank_m)
         reach_m = abs(math.dist(goal, target_m) - standoff_m)
-        cost = (
-            abs(detour) + HIDDEN * _hidden(goal, target_m, (*around.robots_m, *around.screens_m)) + REACH_1_M * reach_m
-        )
+        hidden = _hidden(goal, target_m, (*around.robots_m, *around.screens_m))
+        far_m = max(sight_m(goal, _bearing(goal, target_m), around.tank_m) - FAR_M, 0.0)
+        cost = abs(detour) + HIDDEN * hidden + REACH_1_M * reach_m + FAR_1_M * far_m
         if cost < least:
             best, least = goal, cost
     return best

@@ -54,8 +54,13 @@ def within_walls(place_m: Planar, tank_m: Planar) -> Planar:
 
 def walled_in(place_m: Planar, yaw: float, tank_m: Planar) -> bool:
     """Whether who looks that way from there has a wall before it."""
+    return sight_m(place_m, yaw, tank_m) < SIGHT_M
+
+
+def sight_m(place_m: Planar, yaw: float, tank_m: Planar) -> float:
+    """How far it is to the wall, that way from there."""
     ways = zip(place_m, (math.cos(yaw), math.sin(yaw)), tank_m, strict=True)
-    return any((side - at if way > 0.0 else at) < SIGHT_M * abs(way) for at, way, side in ways)
+    return min((side - at if way > 0.0 else at) / abs(way) if way else math.inf for at, way, side in ways)
 
 
 def facing(yaw: float, bearing: float) -> float:
