@@ -12,7 +12,7 @@ from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics, swimming
 from agent.kernel.trust.authority import Verify
 from agent.kernel.trust.signed import verify
 
-PURSUIT_S = 0.2  # an iteration with a target that is pursued: two frames at 10 Hz, and a window of five seconds
+PURSUIT_S = 0.1  # an iteration with a target that is pursued: a frame at 10 Hz, and a window of two and a half seconds
 
 
 def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Verify = verify) -> Estimator:

@@ -21,7 +21,7 @@ from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.gyro import Rate
-from agent.kernel.navigation.planes import odometry
+from agent.kernel.navigation.planes import by_things, odometry
 from agent.kernel.navigation.pose_filter import Belief, Drift, begin
 from agent.kernel.navigation.tags.defocus import readable
 from agent.kernel.navigation.tags.first_fix import first_fix
@@ -47,6 +47,7 @@ ROLLING_RAD_S = math.radians(5.0)
 # once in a second: a filter that takes each for a witness of its own would count the same error so often.
 ALIKE = 10.0
 AWAY_S = 1.0  # for which a camera that turns away sees no landmarks
+SWIFTLY_S = 0.5  # the same of one that goes with what swims, and has some behind that soon
 
 
 class Carriage(NamedTuple):
@@ -134,8 +135,12 @@ class Localizer:
             lags = math.radians(then.gimbal.lag_sigma_deg), math.radians(now.gimbal.lag_sigma_deg)
             unsettled = math.hypot(math.sqrt(ALIKE) * unsettled, *lags)
         moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake)
-        if moved is not None:
-            self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, moved.covariance))
+        if moved is None:
+            return
+        covariance = moved.covariance
+        if then.gimbal.tracks or now.gimbal.tracks:
+            covariance = plus(covariance, by_things(moved.pose))
+        self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, covariance))
 
     def turning(self, measured: Rate) -> None:
         """A gyro's yaw rate; only of a fleet whose robots have one."""
@@ -266,12 +271,12 @@ def adrift(belief: Belief) -> bool:
     return not within(belief, ADRIFT_M, ADRIFT_DEG)
 
 
-def foresees(belief: Belief) -> bool:
+def foresees(belief: Belief, away_s: float = AWAY_S) -> bool:
     """Whether it will not be unsure after a turn of its camera: it knows how it moves, and what pushes it.
 
     Who was just found by one frame or two knows neither; with no landmark in sight it would swim where chance has it.
     """
-    xx, yy, pp = (_variance_ahead(belief, i, AWAY_S) for i in range(3))
+    xx, yy, pp = (_variance_ahead(belief, i, away_s) for i in range(3))
     return xx + yy <= UNSURE_M * UNSURE_M and pp <= math.radians(UNSURE_DEG) ** 2
 
 

@@ -34,6 +34,9 @@ STANDS_M = 0.002  # sigma of a robot that stays where it is: level noise of two 
 OF_WAY = 0.008  # and what of the way adds to it
 TURN_RAD = math.radians(0.05)
 LEVEL_RAD = math.radians(0.07)  # sigma of e: level noise of two frames
+# What swims hides behind stones, which a camera that goes with it sees more of than of walls. Points on a thing half as
+# far as the wall behind it, taken for points of the wall, make a turn of as much of the way aside.
+THINGS_M, OF_THINGS = 1.4, 0.3  # such a wall; and the share of the way that is not known either
 LONGEST_M = 0.5  # new key frames are due every 0.25 m; what is farther than twice that is a mistake
 
 Pair = tuple[float, float, float, float]  # slopes x, y then; x, y now
@@ -96,6 +99,13 @@ def odometry(
     m2, rad2 = STANDS_M * STANDS_M + (OF_WAY * way_m) ** 2, TURN_RAD * TURN_RAD + unsettled * unsettled
     covariance = s2 * C[0][0] + m2, s2 * C[0][1], s2 * C[0][2], s2 * C[1][1] + m2, s2 * C[1][2], s2 * C[2][2] + rad2
     return Moved((state[0], state[1], wrap(state[2])), covariance, len(kept))
+
+
+def by_things(moved: Vector) -> Symmetric:
+    """What may be mistaken of a way (x, y, yaw) from a key frame whose points lie on things, not on floor and walls."""
+    way2 = moved[0] * moved[0] + moved[1] * moved[1]
+    place2 = OF_THINGS * OF_THINGS * way2
+    return place2, 0.0, 0.0, place2, 0.0, way2 / (THINGS_M * THINGS_M)
 
 
 def meets(eye: Upright, at: Theta, slope: tuple[float, float], box_m: Box) -> Vector | None:

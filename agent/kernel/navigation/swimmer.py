@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from agent.kernel.config import Behaviour, Fleet, Hold, Pose
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
+from agent.kernel.estimation.choice import pursued
 from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import STILL as AT_REST
@@ -19,11 +20,13 @@ from agent.kernel.navigation.errand import Errand, about, kind
 from agent.kernel.navigation.gimbal_log import GimbalLog
 from agent.kernel.navigation.gyro import Gyro
 from agent.kernel.navigation.localizer import (
+    AWAY_S,
     LOST_DEG,
     LOST_M,
     STILL,
     SURE_DEG,
     SURE_M,
+    SWIFTLY_S,
     UNSURE_DEG,
     UNSURE_M,
     Carriage,
@@ -62,6 +65,7 @@ class Swimmer:
         self._limits, self._behaviour = fleet.navigation.limits, robot.behaviour or Hold()
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
+        self._swims = pursued(fleet)
         self._home = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m = robot.depth_m
         self._errand = Errand(fleet, calibration)
@@ -144,7 +148,7 @@ class Swimmer:
             self._lost_since_ns = now_ns
         if here is None or self.lost:
             self._found = False
-        elif foresees(here) and seek.pointing.steady(now_ns):
+        elif foresees(here, SWIFTLY_S if self.about in self._swims else AWAY_S) and seek.pointing.steady(now_ns):
             self._found = True
         rests = seek.roam is not None or seek.pointing.steady(now_ns - KEY_NS)  # the gaze of a search never does
         ready = rests and not self._glancing

@@ -20,7 +20,7 @@ from agent.kernel.ranging.cues import Outline, size_range
 from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
-BENDING = 0.05  # of a box's longer side, by which a body that bends moves the middle of its box
+BENDING = 0.03  # of a box's longer side, by which a body that bends moves the middle of its box
 # A creature in lengths: as high, and as wide, as a fish. It swims the way it heads: so which side it shows is known
 # where its speed is.
 HIGH, WIDE = 0.3, 0.15
@@ -30,7 +30,7 @@ HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or 
 # of one that showed all its sides to three robots in two dives of the twin. Who shows its side goes on to: what one
 # frame says of the range is what ten do that are a fifth of a second apart.
 FACE, FACE_SIGMA, ALIKE = 0.5, 0.4, 10.0
-TURNED_SIGMA = 0.25  # the same where its side is known, to some twenty degrees
+TURNED_SIGMA, TURNED_ALIKE = 0.25, 3.0  # the same where its side is known, to some twenty degrees
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
 NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
 
@@ -75,8 +75,8 @@ def sight_line(
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
     if face_m is None:
         return line
-    face_sigma = FACE_SIGMA if side is None else TURNED_SIGMA
-    return ranged(line, (px, py, pz), r, face_m, face_sigma * math.sqrt(ALIKE) * face_m, way)
+    sigma, alike = (FACE_SIGMA, ALIKE) if side is None else (TURNED_SIGMA, TURNED_ALIKE)
+    return ranged(line, (px, py, pz), r, face_m, sigma * math.sqrt(alike) * face_m, way)
 
 
 def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
