@@ -36,8 +36,8 @@ from agent.kernel.target_state import TargetState, grown
 STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
 ALL_LOST_NS = 600_000_000  # three iterations in which nobody saw it
 HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not be made out
-# Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is alike
-# in more of them does not count more often.
+# Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
+# alike in more of them does not count more often.
 REMEMBERS = 2.0
 LEAD_S = 0.05  # of the gaze: half of a step, and what a frame is known late of the gaze's own doing
 
@@ -105,8 +105,8 @@ class Pursuit:
         return of.name == self.target and not seek.measuring and knows and swims
 
     def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
-        """Point the camera at that target, or to and fro where it ought to be, or all around where nobody knows; returns
-        whether that is its turn."""
+        """Point the camera at that target, or to and fro where it ought to be, or all around where nobody knows;
+        returns whether that is its turn."""
         here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
         if of.name != self.target or seek.measuring:
             return False

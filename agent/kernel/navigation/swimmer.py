@@ -219,7 +219,8 @@ class Swimmer:
             self._glance.reset()
         by = self.here or here
         pose, known = (None, NOTHING) if by is None or adrift(by) else (seek.pose, Sure(*sigmas(by)))
-        pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns)
+        from_deg = seek.gimbal_deg() if swift else None
+        pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns, from_deg)
         seek.look(pan, tilt, now_ns, swift)
         return True
 

@@ -16,6 +16,7 @@ FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
 CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, nobody says
 STEEP = 0.35  # cosine between a tag's normal and the way to it: beyond 70 degrees it is hardly found
 WAIT_NS = 700_000_000  # for fixes from the frames in a direction, gimbal at rest
+ENOUGH, TURN_DEG = 1.0, 60.0  # landmarks' worth for one fix; and so much of it is a turn by that angle, half a second
 EMPTY = 2  # frames without a landmark, though the gimbal has all but come there, and the next look is due
 SEARCH_DEG = tuple((pan, tilt) for tilt in (-10.0, -35.0) for pan in (0.0, 30.0, -30.0, 60.0, -60.0, 85.0, -85.0))
 
@@ -53,11 +54,18 @@ class Glance:
         self._empty, self._glimpsed = 0, False  # frames of this look without a landmark; one showed some
 
     def direction_deg(
-        self, pose: Pose | None, sure: Sure, level: Attitude, steady: bool, now_ns: int
+        self,
+        pose: Pose | None,
+        sure: Sure,
+        level: Attitude,
+        steady: bool,
+        now_ns: int,
+        from_deg: tuple[float, float] | None = None,
     ) -> tuple[float, float]:
         """Pan and tilt to look at: where most landmarks are first; if that has not helped, where most others are. Of a
         robot that knows too little for that: all around. Where frames show none, not for long: who is lost drifts
-        meanwhile. steady: whether the gimbal rests where it was told to look before."""
+        meanwhile. steady: whether the gimbal rests where it was told to look before. from_deg: where it looks, of one
+        in a hurry: some landmarks near there are better than many elsewhere."""
         if (pose is None) != self._blind:  # other ways, from the first on, when this one has had its time
             self._blind, self._step = pose is None, 0 if self._way is None else -1
         if not steady:
@@ -69,7 +77,7 @@ class Glance:
             self._step, self._way, self._until_ns = self._step + 1, None, None
         if self._way is None:
             self._empty, self._glimpsed = 0, False
-            known = None if pose is None else self._best(pose, sure, level)
+            known = None if pose is None else self._best(pose, sure, level, from_deg)
             self._way = known or SEARCH_DEG[self._step % len(SEARCH_DEG)]
         return self._way
 
@@ -81,7 +89,9 @@ class Glance:
         self._step, self._way, self._until_ns = 0, None, None
         self._looked_at.clear()
 
-    def _best(self, pose: Pose, sure: Sure, level: Attitude) -> tuple[float, float] | None:
+    def _best(
+        self, pose: Pose, sure: Sure, level: Attitude, from_deg: tuple[float, float] | None
+    ) -> tuple[float, float] | None:
         """Towards the landmark around which there are most that no look has shown yet, seen as square as may be; of
         several alike the nearest one. Then these have been looked at."""
         ways = self._in_reach(pose, sure, level)
@@ -90,9 +100,10 @@ class Glance:
         ways = [way for way in ways if way.marker not in self._looked_at]
         if not ways:
             return None
-        *_, best = min(
-            (-sum(other.worth * _chance(way, other) for other in ways), way.distance_m, k) for k, way in enumerate(ways)
-        )
+        worths = (sum(other.worth * _chance(way, other) for other in ways) for way in ways)
+        if from_deg is not None:
+            worths = (min(w, ENOUGH) - _away_deg(way, from_deg) / TURN_DEG for w, way in zip(worths, ways, strict=True))
+        *_, best = min((-worth, way.distance_m, k) for k, (worth, way) in enumerate(zip(worths, ways, strict=True)))
         way = ways[best]
         self._looked_at.update(
             other.marker for other in ways if other is way or _apart_deg(way, other) < other.room_deg
@@ -128,6 +139,10 @@ def _chance(way: Way, other: Way) -> float:
 
 def _apart_deg(way: Way, other: Way) -> float:
     return math.hypot(way.pan_deg - other.pan_deg, way.tilt_deg - other.tilt_deg)
+
+
+def _away_deg(way: Way, from_deg: tuple[float, float]) -> float:
+    return max(abs(way.pan_deg - from_deg[0]), abs(way.tilt_deg - from_deg[1]))  # the servos turn at once
 
 
 def _within(deg: float, limits: tuple[float, float]) -> bool:
