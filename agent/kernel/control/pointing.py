@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+LOWEST_US, HIGHEST_US = 500, 2500  # pulses of a servo; a board leaves all servos where they are that is told others
 PLAY_US = 25  # how far below the goal an approach starts: more than any servo's play
 LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
 APPROACH_NS = 300_000_000  # time for that first leg
@@ -72,6 +73,12 @@ class Pointing:
     def steady(self, now_ns: int) -> bool:
         """Whether the gimbal rests at the goal."""
         return self.goal_us is not None and now_ns >= self.steady_from_ns
+
+
+def reachable(goal_us: tuple[int, int]) -> tuple[int, int]:
+    """The nearest pulses that an approach from below has room for."""
+    pan_us, tilt_us = (min(max(pulse_us, LOWEST_US + PLAY_US), HIGHEST_US) for pulse_us in goal_us)
+    return pan_us, tilt_us
 
 
 class Search:

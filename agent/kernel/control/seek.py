@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.control.pointing import Pointing, Search, off_centre_px
+from agent.kernel.control.pointing import Pointing, Search, off_centre_px, reachable
 from agent.kernel.control.roam import Roam
 from agent.kernel.control.sweep import Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
@@ -43,7 +43,7 @@ class Seek:
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
         self.surveys = False  # a sweep over whole frames is under way, of no target
-        self._look_us = servos_us(self._camera, fleet.body, robot.look.pan_deg, robot.look.tilt_deg)
+        self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
 
     @property
     def measuring(self) -> bool:
@@ -124,7 +124,7 @@ class Seek:
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int, swift: bool = False) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
         `act` turns it back. swift: from a target that it goes with, without rest."""
-        self._elsewhere, goal_us = True, servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg)
+        self._elsewhere, goal_us = True, self._pulses_us(pan_deg, tilt_deg)
         if swift:
             self.pointing.track(goal_us, now_ns)
         else:
@@ -134,7 +134,7 @@ class Seek:
         """Point there now, and elsewhere with the next step: the camera goes with that target. Not while a sweep is
         under way."""
         self._target, self._elsewhere = target, False
-        self.pointing.track(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg), now_ns)
+        self.pointing.track(self._pulses_us(pan_deg, tilt_deg), now_ns)
 
     def eye(self, level: Attitude, pose: Pose | None = None) -> Eye:
         """Where the camera is while the gimbal rests at its goal; `pose`: of another time than now."""
@@ -164,11 +164,14 @@ class Seek:
         if offset is not None and told_m is not None:
             self._turn_to_point(told_m, level, offset, now_ns)
         else:
-            self._aim(servos_us(self._camera, self._fleet.body, *roam.way_deg), now_ns)
+            self._aim(self._pulses_us(*roam.way_deg), now_ns)
 
     def _turn_to_point(self, point: Vector, level: Attitude, offset_deg: tuple[float, float], now_ns: int) -> None:
         pan, tilt = look_at(point, self.pose, self._fleet.body, *level, self._fleet.tank.surface_m)
-        self._aim(servos_us(self._camera, self._fleet.body, pan + offset_deg[0], tilt + offset_deg[1]), now_ns)
+        self._aim(self._pulses_us(pan + offset_deg[0], tilt + offset_deg[1]), now_ns)
+
+    def _pulses_us(self, pan_deg: float, tilt_deg: float) -> tuple[int, int]:
+        return reachable(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg))
 
     def _aim(self, goal_us: tuple[int, int], now_ns: int) -> None:
         if goal_us != self.pointing.goal_us:
