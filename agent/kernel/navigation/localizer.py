@@ -139,7 +139,7 @@ class Localizer:
             return
         covariance = moved.covariance
         if then.gimbal.tracks or now.gimbal.tracks:
-            covariance = plus(covariance, by_things(moved.pose))
+            covariance = plus(covariance, times(ALIKE, by_things(moved.pose)))
         self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, covariance))
 
     def turning(self, measured: Rate) -> None:
