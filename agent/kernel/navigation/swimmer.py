@@ -52,6 +52,8 @@ BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilo
 # Of a camera that rests where it is to stay: then there is a key frame, and flow. Who begins to swim as it turns back
 # from landmarks has no odometry, and is lost again.
 KEY_NS = 250_000_000
+# Shares of what is else too unsure: one that pursues looks later, for less, and what it sees meanwhile counts for less.
+PURSUES, BRIEF = 1.5, 0.5
 NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
@@ -200,8 +202,9 @@ class Swimmer:
         swift = self._found and pursues  # what swims does not wait, and landmarks pass behind it
         brief = self._glancing and swift
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
-        if brief:
-            enough = 0.5 * UNSURE_M, 0.5 * UNSURE_DEG
+        if swift:
+            share = BRIEF if brief else PURSUES
+            enough = share * UNSURE_M, share * UNSURE_DEG
         moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         # Nobody who searches watches anything, and who does not know how it swims cannot search.

@@ -5,7 +5,7 @@ follow it, and g = wrap(th - th_j):
 
     push = sum_j sgn(g) max(0, 0.9 * 2 pi / n - |g|)
     goal = target + standoff (cos, sin)(th + push / 2 + d)
-    d of DETOURS with the least  |d| + 2 hidden + 4 reach / m + far / m
+    d of DETOURS with the least  |d| + 2 hidden + 5 reach / m + far / m
 
 drawn inside the walls; reach is what the wall takes from the distance, hidden whether another robot, or what hid the
 target lately, is in between, far by how much the wall behind the target is too far for its landmarks to be read. So
@@ -38,7 +38,7 @@ from agent.kernel.target_state import TargetEstimate
 
 SHARE = 0.9  # of an even spread: robots that want all of it push each other round for ever
 DETOURS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.6, -1.6)  # rad, the first of equals is taken
-HIDDEN, REACH_1_M = 2.0, 4.0  # what a detour may cost, rad; the first detour pays from 0.1 m of reach on
+HIDDEN, REACH_1_M = 2.0, 5.0  # what a detour may cost, rad; the first detour pays from 8 cm of reach on
 FAR_M, FAR_1_M = 1.9, 1.0  # of the wall behind the target, where landmarks are, from the robot; rad for each metre more
 RING_M = 0.17  # of a robot, which hides what is behind it
 ALONG = 0.7  # of the target's speed is swum ahead: it is known late, and turns
