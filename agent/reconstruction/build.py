@@ -16,7 +16,7 @@ from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.neighbours import neighbours
-from agent.reconstruction.raster import rendered
+from agent.reconstruction.raster import pieces_of, rendered
 from agent.reconstruction.stack import Stack, stacked
 from agent.reconstruction.stereo import Swept, plane_sweep
 from agent.reconstruction.view import View
@@ -77,9 +77,9 @@ def swept_twice(
     near_by = neighbours(stack)
     first = plane_sweep(stack, near_by, lambda done, total: progress(done, 2 * count))
     mesh = mesh_of(fuse(merged(stack, first), cell_m))
-    prior = np.full_like(stack.depth_m, np.nan)
+    prior, pieces = np.full_like(stack.depth_m, np.nan), pieces_of(mesh)
     for n, view in enumerate(views):
-        seen = rendered(mesh, mesh.colours, view.camera, view.rotation, view.position_m)
+        seen = rendered(mesh, mesh.colours, view.camera, view.rotation, view.position_m, pieces)
         prior[n, : view.camera.height, : view.camera.width] = seen.depth_m
     prior[np.isfinite(first.depth_m)] = np.nan
     sigma = PRIOR_M + PRIOR_PER_M * prior * prior
