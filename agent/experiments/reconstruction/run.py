@@ -66,7 +66,7 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     coverage_runs: dict[str, list[int]]  # of each seed
     coverage_equal: dict[str, bool]  # whether all robots' maps were the same bytes in the end
     size: list[Row]  # surveys of 125, 250, 500 keyframes: seconds, memory, how true
-    size_verdict: dict[str, float]  # power: seconds ~ keyframes^power; peak_mb: the largest
+    size_verdict: dict[str, float]  # largest memory; powers of keyframes and of compared pairs that time grows as
     missed: list[str]
 
     @property

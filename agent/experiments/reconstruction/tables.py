@@ -37,6 +37,7 @@ def size_table(result: Result) -> Table:
         "seed": "seed",
         "robots": "robots",
         "keyframes": "keyframes",
+        "compared": "neighbours",
         "area_m2": "surface m2",
         "triangles": "triangles",
         "seconds": "CPU s",
@@ -49,7 +50,8 @@ def size_table(result: Result) -> Table:
         shown.add_column(column, justify="right")
     for row in result.size:
         shown.add_row(*(str(row[key]) for key in columns))
-    shown.caption = f"time grows as keyframes^{result.size_verdict['power']:.2f}"
+    told = result.size_verdict
+    shown.caption = f"time grows as keyframes^{told['power_keyframes']:.2f}, as pairs compared^{told['power_pairs']:.2f}"
     return shown
 
 

@@ -19,7 +19,10 @@ from agent.experiments.result import Row
 from agent.reconstruction.build import CELL_M, build
 from agent.reconstruction.camera import Camera
 from agent.reconstruction.export.kinds import export
+from agent.reconstruction.neighbours import neighbours
 from agent.reconstruction.run import figures_of
+from agent.reconstruction.stack import stacked
+from agent.reconstruction.stereo import COMPARED
 from agent.reconstruction.view import View
 
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many
@@ -61,7 +64,9 @@ def _measure(folder: Path, count: int, seed: int) -> Row:
     built = build(views, CELL_M, True, _silent)
     export("ply", built.views, built.mesh, CELL_M, folder)
     seconds = processor_s() - start
+    figures = figures_of(built, ())
     peak_mb = _peak_mb()
+    compared = int((neighbours(stacked(views, 0)).of[:, :COMPARED] >= 0).sum())
     step = max(1, len(built.mesh.vertices_m) // SAMPLED)
     box = np.array([*SIZE_M[:2], SURFACE_M])
     off, _ = distances_to(built.mesh.vertices_m[::step], box, basin(seed).solid)
@@ -75,7 +80,8 @@ def _measure(folder: Path, count: int, seed: int) -> Row:
         "median_mm": round(1e3 * float(np.median(off)), 3),
         "within_10mm": round(100.0 * float(np.mean(off < 0.01)), 1),
         "by_plane_sweep": round(100.0 * built.swept, 1),
-        "area_m2": figures_of(built, ())["area_m2"],
+        "area_m2": round(figures["area_m2"], 1),
+        "compared": round(compared / count, 2),
     }
 
 
