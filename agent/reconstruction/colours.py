@@ -40,16 +40,16 @@ def _colour(
     near, seen = np.empty(len(stack.cameras), np.int64), 0
     for number in range(len(vertices)):
         if number % PIECE == 0:
-            b, seen = number // PIECE, 0
+            piece, seen = number // PIECE, 0
             for n in range(len(near)):
-                if touches(reach, n, around[b, 0], around[b, 1], around[b, 2], around[b, 3]):
+                if touches(reach, n, around[piece, 0], around[piece, 1], around[piece, 2], around[piece, 3]):
                     near[seen] = n
                     seen += 1
         found = 0
-        for k in range(seen):
+        for m in range(seen):
             if found == MOST_VIEWS:
                 break
-            n = near[k]
+            n = near[m]
             c, size, r, t = stack.cameras[n], stack.sizes[n], stack.rotations[n], stack.positions_m[n]
             camera = Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
             dx, dy, dz = vertices[number, 0] - t[0], vertices[number, 1] - t[1], vertices[number, 2] - t[2]

@@ -134,9 +134,7 @@ def _settle(
 
 
 @inlined
-def _near_views(
-    stack: Stack, reach: Floats, x: float, y: float, z: float, radius: float, near: np.ndarray
-) -> int:
+def _near_views(stack: Stack, reach: Floats, x: float, y: float, z: float, radius: float, near: np.ndarray) -> int:
     """Indices of the views whose picture a ball may touch, into `near`; how many."""
     seen = 0
     for n in range(stack.depth_m.shape[0]):

@@ -45,7 +45,9 @@ def rendered(
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
     there = np.flatnonzero(touched(pieces_of(mesh) if pieces is None else pieces, cone(camera, rotation, position_m)))
     rotation = np.ascontiguousarray(rotation)
-    _draw(camera, rotation, np.ascontiguousarray(position_m), mesh.vertices_m, mesh.faces, there, colours, picture, depth)
+    _draw(
+        camera, rotation, np.ascontiguousarray(position_m), mesh.vertices_m, mesh.faces, there, colours, picture, depth
+    )
     return Rendered(picture, np.where(np.isfinite(depth), depth, np.nan).astype(np.float32))
 
 

@@ -2,8 +2,8 @@
 scene.
 
 A picture lies in a round cone about its optical axis, from where its rays meet on, and what it says of the scene ends
-behind its farthest depth. What is drawn or fused is taken in pieces, each with a ball around it; a piece whose ball does
-not touch the cone is passed over. That never changes a result: a cone is never narrower than its picture.
+behind its farthest depth. What is drawn or fused is taken in pieces, each with a ball around it; a piece whose ball
+does not touch the cone is passed over. That never changes a result: a cone is never narrower than its picture.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def touches(cones: Floats, n: int, x: float, y: float, z: float, radius: float) 
     along = dx * cones[n, 3] + dy * cones[n, 4] + dz * cones[n, 5]
     across = math.sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
     within = -radius <= along <= cones[n, 8] + radius
-    return within and across * cones[n, 7] - along * cones[n, 6] <= radius
+    return bool(within and across * cones[n, 7] - along * cones[n, 6] <= radius)
 
 
 def ball(points_m: Floats) -> tuple[Floats, float]:
@@ -100,7 +100,8 @@ def _meets(cones: Floats, x: float, y: float, z: float, radius: float, found: ND
 def meets(cones: Floats, middle_m: Floats, radius_m: float) -> NDArray[np.bool_]:
     """Which cones (n, 9) one ball may reach into."""
     found = np.empty(len(cones), np.bool_)
-    _meets(cones, *middle_m.tolist(), radius_m, found)
+    x, y, z = middle_m.tolist()
+    _meets(cones, x, y, z, radius_m, found)
     return found
 
 

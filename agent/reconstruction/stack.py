@@ -22,7 +22,9 @@ class Stack(NamedTuple):
     positions_m: Floats  # (n, 3)
     depth_m: NDArray[np.float32]  # (n, height, width)
     sigma_m: NDArray[np.float32]
-    pictures: NDArray[np.float32]  # (n, height, width, channels): 3 red green blue, 1 grey, 0: depths alone are asked for
+    pictures: NDArray[
+        np.float32
+    ]  # (n, height, width, channels): 3 red green blue, 1 grey, 0: depths alone are asked for
 
 
 def stacked(views: Sequence[View], channels: Literal[0, 1, 3] = 3) -> Stack:

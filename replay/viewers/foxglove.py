@@ -100,7 +100,7 @@ def _cloud(
         packed[name] = column
     for name, column in beside.items():
         packed[name] = column
-    fields = packed.dtype.fields or {}
+    fields: Mapping[str, Any] = packed.dtype.fields or {}
     return PointCloud(
         timestamp=stamp(t_ns),
         frame_id=frame,

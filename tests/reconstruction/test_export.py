@@ -91,7 +91,9 @@ def test_foxgloves_own_messages_by_the_descriptors_in_the_file(scene: tuple[list
     with export("mcap", views, mesh, 0.01, tmp_path).open("rb") as file:
         read = {
             channel.topic: (schema.name, message)
-            for schema, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+            for schema, channel, _, message in make_reader(
+                file, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
         }
     kind, cloud = read["/scene/points"]
     assert (kind, cloud.frame_id) == ("foxglove.PointCloud", "world")

@@ -51,7 +51,9 @@ def size_table(result: Result) -> Table:
     for row in result.size:
         shown.add_row(*(str(row[key]) for key in columns))
     told = result.size_verdict
-    shown.caption = f"time grows as keyframes^{told['power_keyframes']:.2f}, as pairs compared^{told['power_pairs']:.2f}"
+    shown.caption = (
+        f"time grows as keyframes^{told['power_keyframes']:.2f}, as pairs compared^{told['power_pairs']:.2f}"
+    )
     return shown
 
 

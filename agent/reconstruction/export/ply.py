@@ -32,7 +32,9 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     write_elements(path, vertices, ending, faces)
 
 
-def write_elements(path: Path, vertices: NDArray[np.void], ending: list[str], rest: NDArray[np.void] | None = None) -> None:
+def write_elements(
+    path: Path, vertices: NDArray[np.void], ending: list[str], rest: NDArray[np.void] | None = None
+) -> None:
     """A PLY file whose vertices have the fields of a structured array, floats and bytes."""
     names = vertices.dtype.names or ()
     properties = [f"property {FORMATS[vertices.dtype[name].str[1:]]} {name}" for name in names]

@@ -36,7 +36,9 @@ class Surfels:
 def picture(surfels: Surfels, view: View) -> tuple[Floats, Floats]:
     """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera; NaN in holes."""
     drawn = splats(surfels.cloud, view, surfels.pieces)
-    return _seen(blended(drawn, np.nan_to_num(surfels.colour[drawn.numbers])), _range(view, drawn), surfels.water), drawn.depth_m
+    return _seen(
+        blended(drawn, np.nan_to_num(surfels.colour[drawn.numbers])), _range(view, drawn), surfels.water
+    ), drawn.depth_m
 
 
 def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None], seed: int = 0) -> Surfels:

@@ -1,7 +1,7 @@
 """A basin of 10 x 6 m with stones and other things on its floor, and where seven robots that survey it take keyframes.
 
-Each robot has a lane along the basin. It stops every few decimetres and looks down ahead, to one side, ahead, to the
-other side. All set out at one end, so that the first keyframes know one part of the basin as well as all know all of it.
+Each robot has a lane along the basin. It stops every few decimetres and looks down to one side, ahead, to the other
+side. All set out at one end, so that the first keyframes know one part of the basin as well as all know all of it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import msgspec
-import numpy as np
 
 from agent.kernel.config import Tank
 from hw.twin.scene import Scene, Solid, generator, load_scene

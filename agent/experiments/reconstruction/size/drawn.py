@@ -1,8 +1,8 @@
 """Keyframes of the basin: pictures by the twin's painter, depths drawn about what its ray caster says.
 
-Nothing is swept. A block's depth is the mean of what it truly sees, by 1/z, with the error of the lens position that the
-focus would say it has, and goes through the calibration and `focus_map` as a sweep's does. A block has none that sees two
-depths or what is out of reach; of the others some have no texture.
+Nothing is swept. A block's depth is the mean of what it truly sees, by 1/z, with the error of the lens position that
+focus would say it has, and goes through the calibration and `focus_map` as a sweep's does. A block has none that sees
+two depths or what is out of reach; of the others some have no texture.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from agent.experiments.choices import Sensor
 from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.reconstruction.intrinsics import camera_of
 from agent.experiments.reconstruction.render import EXACT, rotation_of_view
-from agent.experiments.reconstruction.size.basin import SIZE_M, Stop, basin, stops, tank
+from agent.experiments.reconstruction.size.basin import Stop, basin, stops, tank
 from agent.experiments.sweeps import WATER_INDEX
 from agent.kernel.ranging.focus import lens_position, phase_sigma
 from agent.pictures.depth_peaks import GridPeaks, Reason
@@ -103,9 +103,9 @@ class BasinCamera:
         shape = rows, cols
         reason = np.where(shows, Reason.ACCEPTED, Reason.NO_TEXTURE).astype(np.uint8).reshape(shape)
         everywhere = np.ones(shape)
-        grid = GridPeaks(
-            peaks.reshape(shape), sigma * everywhere, FOCUS.width * everywhere, everywhere, reason
-        ).ranged(FOCUS)
+        grid = GridPeaks(peaks.reshape(shape), sigma * everywhere, FOCUS.width * everywhere, everywhere, reason).ranged(
+            FOCUS
+        )
         found = DepthMap(self._block, grid, None, np.zeros((1, 1, 3), np.uint8), 0.0)
         return focus_map(found, FOCUS, self._times, truth_m.shape[::-1])
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,8 @@ COMPILED_CELL_M = 0.02  # of a first, small reconstruction, which is not timed: 
 def keep(views: Iterable[View], folder: Path) -> None:
     """One file a view, in order."""
     for n, view in enumerate(views):
-        np.savez(folder / f"{n:04d}.npz", **{field.name: np.asarray(getattr(view, field.name)) for field in fields(view)})
+        arrays: dict[str, Any] = {field.name: np.asarray(getattr(view, field.name)) for field in fields(view)}
+        np.savez(folder / f"{n:04d}.npz", **arrays)
 
 
 def kept(folder: Path, count: int) -> list[View]:
@@ -43,9 +45,10 @@ def kept(folder: Path, count: int) -> list[View]:
 
 def _view(path: Path) -> View:
     with np.load(path) as file:
-        told = dict(file)
+        told: dict[str, Any] = dict(file)
     width, height = told["camera"][5:].astype(int).tolist()
-    told["camera"] = Camera(*told["camera"][:5].tolist(), width, height)
+    f_px, cx_px, cy_px, bend, ahead_m = told["camera"][:5].tolist()
+    told["camera"] = Camera(f_px, cx_px, cy_px, bend, ahead_m, width, height)
     return View(**{**told, "robot": str(told["robot"]), "incarnation": "", "seq": int(told["seq"])})
 
 

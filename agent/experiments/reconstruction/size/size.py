@@ -16,9 +16,9 @@ from agent.experiments.result import Row
 
 COUNTS = (125, 250, MOST)
 MOST_MB = 4000.0
-# Seconds grow as pairs of pictures that are compared to this power at most; each keyframe is compared with five others at
-# most. 1 is what is asked for; times of a machine that does other things, too, scatter by some per cent, of which 5 % over
-# four times as many keyframes are 0.035 of it.
+# Seconds grow as pairs of pictures that are compared to this power at most; each keyframe is compared with five others
+# at most. 1 is what is asked for; times of a machine that does other things, too, scatter by some per cent, of which
+# 5 % over four times as many keyframes are 0.035 of it.
 MOST_POWER = 1.05
 
 
