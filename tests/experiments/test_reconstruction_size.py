@@ -49,9 +49,9 @@ def test_boxes_are_as_far_as_geometry_says() -> None:
 
 def test_a_small_survey_from_pictures_to_a_row() -> None:
     done: list[None] = []
-    (row,) = size(1, lambda: done.append(None), counts=(8,))
-    assert len(done) == size_parts((8,)) == 9
-    assert (row["seed"], row["keyframes"], row["robots"]) == (1, 8, 7)
+    (row,) = size(1, lambda: done.append(None), counts=(3,))
+    assert len(done) == size_parts((3,)) == 4
+    assert (row["seed"], row["keyframes"], row["robots"]) == (1, 3, 3)
     assert row["triangles"] > 1000 and row["median_mm"] < 5.0
     assert 50.0 < row["peak_mb"] < 2000.0 and row["seconds"] > 0.0
 
