@@ -115,25 +115,27 @@ def test_foxgloves_own_messages_by_the_descriptors_in_the_file(scene: tuple[list
         np.testing.assert_allclose((p.x, p.y, p.z), view.position_m)
 
 
-def test_rerun_takes_the_mcap_and_the_ply(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+def test_rerun_takes_the_mcap_and_the_meshes(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
     rerun = pytest.importorskip("rerun", reason="pip install 'aucamp[validate]'")
+    pytest.importorskip("trimesh", reason="pip install 'aucamp[reconstruct]'")
     views, mesh = scene
     tool, env = str(Path(sys.executable).with_name("rerun")), {**os.environ, "HOME": str(tmp_path)}
-    file, recording = export("mcap", views, mesh, 0.01, tmp_path), rerun.RecordingStream("scene")
-    recording.save(tmp_path / "ply.rrd")
-    recording.log_file_from_path(export("ply", views, mesh, 0.01, tmp_path))
-    recording.disconnect()
-    for command in (["mcap", "check", file], ["mcap", "convert", file, "-o", tmp_path / "mcap.rrd"]):
-        subprocess.run([tool, *command], check=True, capture_output=True, env=env)
-    shown = {
-        name: subprocess.run(
-            [tool, "rrd", "print", "-v", tmp_path / f"{name}.rrd"], check=True, capture_output=True, text=True, env=env
-        ).stdout
-        for name in ("ply", "mcap")
-    }
-    assert "Asset3D:blob" in shown["ply"]
+
+    def told(*command: str | Path) -> str:
+        return subprocess.run([tool, *command], check=True, capture_output=True, text=True, env=env).stdout
+
+    for kind in ("ply", "glb"):
+        recording = rerun.RecordingStream("scene")
+        recording.save(tmp_path / f"{kind}.rrd")
+        recording.log_file_from_path(export(kind, views, mesh, 0.01, tmp_path))
+        recording.disconnect()
+        assert "Asset3D:blob" in told("rrd", "print", "-v", tmp_path / f"{kind}.rrd")
+    file = export("mcap", views, mesh, 0.01, tmp_path)
+    told("mcap", "check", file)
+    told("mcap", "convert", file, "-o", tmp_path / "mcap.rrd")
+    shown = told("rrd", "print", "-v", tmp_path / "mcap.rrd")
     for what in ("points@Points3D:positions", "points@Points3D:colors", "cameras@InstancePoses3D:quaternions"):
-        assert f"/scene/{what}" in shown["mcap"]
+        assert f"/scene/{what}" in shown
 
 
 def test_splats_lie_on_the_surface(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
