@@ -28,11 +28,20 @@ def cone(camera: Camera, rotation: Floats, position_m: Floats, far_m: float = ma
     left, top = -0.5 - RIM_PX, -0.5 - RIM_PX
     right, down = camera.width - 0.5 + RIM_PX, camera.height - 0.5 + RIM_PX
     corners = np.array([(left, top), (right, top), (left, down), (right, down)])
-    steepest = float(np.hypot(*ray_slopes(camera, corners).T).max())
-    half = math.atan(steepest) if math.isfinite(steepest) else 0.5 * math.pi
+    half = math.atan(_steepest(camera, corners))
     axis = rotation[:, 2]
     apex = position_m + camera.ahead_m * axis
     return np.array([*apex, *axis, math.sin(half), math.cos(half), far_m - camera.ahead_m])
+
+
+def _steepest(camera: Camera, corners: Floats) -> float:
+    """The largest slope of a ray of the picture; where its bend folds inside it, that of the fold."""
+    if camera.bend < 0.0:
+        fold = math.sqrt(-1.0 / (3.0 * camera.bend))
+        seen = np.hypot(*(corners - (camera.cx_px, camera.cy_px)).T) / camera.f_px
+        if float(seen.max()) >= 2.0 / 3.0 * fold:
+            return fold
+    return float(np.hypot(*ray_slopes(camera, corners).T).max())
 
 
 def cones(stack: Stack, band_m: float) -> Floats:

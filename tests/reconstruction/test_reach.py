@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.reconstruction import colours, fusion
-from agent.reconstruction.camera import Camera, pixel_grid, unproject
+from agent.reconstruction.camera import Camera, pixel_grid, project, unproject
 from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.raster import pieces_of, rendered
 from agent.reconstruction.reach import balls_of, cone, cones, meets, touched
@@ -24,14 +24,16 @@ def views() -> list[View]:
     return [drawn_view(n, p, (0.0 if n < 3 else 1.5, 0.0, 0.0), FLOOR) for n, p in enumerate(places)]
 
 
-@pytest.mark.parametrize("bend", [0.39, 0.0, -0.2])
+@pytest.mark.parametrize("bend", [0.39, 0.0, -0.2, -0.9])
 def test_no_pixel_lies_outside_the_cone(bend: float) -> None:
     camera, rng = CAMERA._replace(bend=bend), np.random.default_rng(3)
     rotation, position = rotation_of(rng.normal(size=3)), rng.normal(size=3)
     depth = rng.uniform(0.05, 1.5, (camera.height, camera.width))
-    points = unproject(camera, pixel_grid(camera), depth).reshape(-1, 3) @ rotation.T + position
-    around = np.column_stack([points, np.zeros(len(points))])
-    assert touched(around, cone(camera, rotation, position, 1.5)).all()
+    points = unproject(camera, pixel_grid(camera), depth)
+    seen = np.isfinite(project(camera, points)).all(axis=-1).ravel()  # at -0.9 the corners lie beyond the fold
+    assert seen.all() == (bend > -0.9) and seen.mean() > 0.8
+    around = np.column_stack([points.reshape(-1, 3) @ rotation.T + position, np.zeros(seen.size)])
+    assert touched(around, cone(camera, rotation, position, 1.5))[seen].all()
     assert not touched(around, cone(camera, rotation, position, 1.0))[depth.ravel() > 1.0].any()
 
 
