@@ -166,12 +166,13 @@ def experiment_reconstruction(
         bool, typer.Option("--fog", help="The field starts from nothing, as if there were no focus.")
     ] = False,
     only: Annotated[
-        ScenePart | None, typer.Option("--only", help="Scenes, or the sweeps that robots need for one; else both.")
+        ScenePart | None,
+        typer.Option("--only", help="Scenes, the sweeps that robots need for one, or how it grows; else all."),
     ] = None,
     out: OutFolder = None,
 ) -> None:
-    """Scenes from focus sweeps: surfaces, poses and pictures against the twin's truth, in tap and coastal water; and
-    how many sweeps robots need that share what they saw."""
+    """Scenes from focus sweeps: surfaces, poses and pictures against the twin's truth, in tap and coastal water; how
+    many sweeps robots need that share what they saw; and time and memory of a survey of 500 keyframes."""
     from agent.experiments.perform import perform
     from agent.experiments.reconstruction import run, tables
     from agent.reconstruction.field.settings import FieldSettings

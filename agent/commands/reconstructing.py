@@ -15,7 +15,7 @@ from agent.run_folder import run_folder
 
 app = typer.Typer()
 
-KINDS = ("ply", "glb", "colmap", "transforms.json", "splat")
+KINDS = ("ply", "glb", "colmap", "transforms.json", "splat", "mcap")
 # typer takes a list of an Enum, not of a Literal
 Image = StrEnum("Image", [(kind, kind) for kind in ("auto", "field", "surfels", "none")])  # type: ignore[misc]
 Device = StrEnum("Device", [(name, name) for name in ("auto", "cpu", "cuda", "mps")])  # type: ignore[misc]

@@ -10,13 +10,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.progress import Progress, Show
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.neighbours import neighbours
-from agent.reconstruction.raster import rendered
+from agent.reconstruction.raster import pieces_of, rendered
 from agent.reconstruction.stack import Stack, stacked
 from agent.reconstruction.stereo import Swept, plane_sweep
 from agent.reconstruction.view import View
@@ -38,10 +39,9 @@ def build(views: Sequence[View], cell_m: float, stereo: bool, show: Show) -> Bui
     share = 0.0
     if stereo:
         given, share = sharpened(given, cell_m, _part(show, 0, SWEEP_SHARE, "comparing pictures"))
-    stack = stacked(given)
-    surface = fuse(stack, cell_m, _part(show, SWEEP_SHARE, FUSE_SHARE, "fusing depths"))
+    mesh = mesh_of(fuse(stacked(given, 0), cell_m, _part(show, SWEEP_SHARE, FUSE_SHARE, "fusing depths")))
     show(SWEEP_SHARE + FUSE_SHARE, 100, "triangles and colours")
-    mesh = coloured(mesh_of(surface), stack)
+    mesh = coloured(mesh, stacked(given))  # pictures come when the grid is gone: both do not have to fit the memory
     show(100, 100, "surface")
     return Built(given, mesh, share)
 
@@ -56,7 +56,7 @@ def sharpened(
     views: Sequence[View], cell_m: float, progress: Progress = lambda done, total: None
 ) -> tuple[list[View], float]:
     """The same views with depths by the plane sweep where it found any; and the share of depths that are its."""
-    stack = stacked(views)
+    stack = stacked(views, 1)
     found = swept_twice(views, stack, cell_m, progress)
     both = merged(stack, found)
     better = [
@@ -76,15 +76,19 @@ def swept_twice(
     count = len(views)
     near_by = neighbours(stack)
     first = plane_sweep(stack, near_by, lambda done, total: progress(done, 2 * count))
-    mesh = mesh_of(fuse(merged(stack, first), cell_m))
-    prior = np.full_like(stack.depth_m, np.nan)
-    for n, view in enumerate(views):
-        seen = rendered(mesh, mesh.colours, view.camera, view.rotation, view.position_m)
-        prior[n, : view.camera.height, : view.camera.width] = seen.depth_m
+    prior = _expected(views, mesh_of(fuse(merged(stack, first), cell_m)), stack)
     prior[np.isfinite(first.depth_m)] = np.nan
-    sigma = PRIOR_M + PRIOR_PER_M * prior * prior
-    again = stack._replace(depth_m=prior, sigma_m=sigma.astype(np.float32))
+    again = stack._replace(depth_m=prior, sigma_m=PRIOR_M + PRIOR_PER_M * prior * prior)
     return plane_sweep(again, near_by, lambda done, total: progress(count + done, 2 * count), before=first.depth_m)
+
+
+def _expected(views: Sequence[View], mesh: Mesh, stack: Stack) -> NDArray[np.float32]:
+    """Depths (n, height, width) at which each view would see a surface; NaN where there is none."""
+    found, pieces = np.full_like(stack.depth_m, np.nan), pieces_of(mesh)
+    for n, view in enumerate(views):
+        seen = rendered(mesh, mesh.colours, view.camera, view.rotation, view.position_m, pieces)
+        found[n, : view.camera.height, : view.camera.width] = seen.depth_m
+    return found
 
 
 def merged(stack: Stack, found: Swept) -> Stack:

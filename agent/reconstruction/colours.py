@@ -11,33 +11,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.reconstruction.bricks import kernel
-from agent.reconstruction.camera import Camera, pixel_of
+from agent.reconstruction.camera import Camera, Floats, pixel_of
 from agent.reconstruction.extract import Mesh
+from agent.reconstruction.reach import balls_of, cones, touches
 from agent.reconstruction.stack import Stack
 
 BAND_M = 12e-3
 OFF = 0.05  # of the sensor's limit
 ROUNDS = 2
 MOST_VIEWS = 32  # that one vertex listens to
+PIECE = 64  # vertices that are near each other, as those of one brick are: views are chosen for all of them
 
 
 def coloured(mesh: Mesh, stack: Stack) -> Mesh:
     """The same, with colours as they reach the cameras through the water; grey where no view tells."""
     colours = np.full((len(mesh.vertices_m), 3), 0.5, np.float32)
-    _colour(mesh.vertices_m, mesh.normals, stack, colours)
+    around = balls_of(mesh.vertices_m, PIECE)
+    _colour(mesh.vertices_m, mesh.normals, around, stack, cones(stack, BAND_M), colours)
     return mesh._replace(colours=colours)
 
 
 @kernel
 def _colour(
-    vertices: NDArray[np.float64], normals: NDArray[np.float32], stack: Stack, colours: NDArray[np.float32]
-) -> None:
+    vertices: Floats, normals: NDArray[np.float32], around: Floats, stack: Stack, reach: Floats,
+    colours: NDArray[np.float32],
+) -> None:  # fmt: skip
     rgb, share = np.empty((MOST_VIEWS, 3)), np.empty(MOST_VIEWS)
+    near, seen = np.empty(len(stack.cameras), np.int64), 0
     for number in range(len(vertices)):
+        if number % PIECE == 0:
+            piece, seen = number // PIECE, 0
+            for n in range(len(near)):
+                if touches(reach, n, around[piece, 0], around[piece, 1], around[piece, 2], around[piece, 3]):
+                    near[seen] = n
+                    seen += 1
         found = 0
-        for n in range(len(stack.cameras)):
+        for m in range(seen):
             if found == MOST_VIEWS:
                 break
+            n = near[m]
             c, size, r, t = stack.cameras[n], stack.sizes[n], stack.rotations[n], stack.positions_m[n]
             camera = Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
             dx, dy, dz = vertices[number, 0] - t[0], vertices[number, 1] - t[1], vertices[number, 2] - t[2]

@@ -18,7 +18,8 @@ import numpy as np
 
 from agent.progress import Progress
 from agent.reconstruction.bricks import SIDE, Surface, allocated, kernel
-from agent.reconstruction.camera import Camera, inlined, pixel_of
+from agent.reconstruction.camera import Camera, Floats, inlined, pixel_of
+from agent.reconstruction.reach import cones, touches
 from agent.reconstruction.stack import Stack
 
 TRUNCATION_M = 12e-3  # at cells of 5 mm: two cells and a half to both sides
@@ -34,10 +35,10 @@ def fuse(stack: Stack, cell_m: float, progress: Progress = lambda done, total: N
     """The surface that all depths of the stack show. Raises Failed where there is none, or too much."""
     truncation = max(TRUNCATION_M, 2.4 * cell_m)
     surface = allocated(stack, cell_m, truncation)
-    places = np.argwhere(surface.table >= 0)
+    places, reach = np.argwhere(surface.table >= 0), cones(stack, truncation)
     for first in range(0, len(places), BATCH):
         progress(first, len(places))
-        _fuse(stack, surface, places[first : first + BATCH], truncation)
+        _fuse(stack, reach, surface, places[first : first + BATCH], truncation)
     progress(len(places), len(places))
     return surface
 
@@ -60,7 +61,7 @@ def depth_at(depth: np.ndarray, n: int, u: float, v: float, width: int, height: 
 
 
 @kernel
-def _fuse(stack: Stack, surface: Surface, places: np.ndarray, truncation_m: float) -> None:
+def _fuse(stack: Stack, reach: Floats, surface: Surface, places: np.ndarray, truncation_m: float) -> None:
     count, cell = stack.depth_m.shape[0], surface.cell_m
     half = 0.5 * (SIDE - 1) * cell
     radius = math.sqrt(3.0) * half
@@ -72,7 +73,7 @@ def _fuse(stack: Stack, surface: Surface, places: np.ndarray, truncation_m: floa
         x0 = surface.origin_m[0] + i * SIDE * cell
         y0 = surface.origin_m[1] + j * SIDE * cell
         z0 = surface.origin_m[2] + k * SIDE * cell
-        seen = _near_views(stack, x0 + half, y0 + half, z0 + half, radius, near)
+        seen = _near_views(stack, reach, x0 + half, y0 + half, z0 + half, radius, near)
         for ci in range(SIDE):
             for cj in range(SIDE):
                 for ck in range(SIDE):
@@ -133,10 +134,12 @@ def _settle(
 
 
 @inlined
-def _near_views(stack: Stack, x: float, y: float, z: float, radius: float, near: np.ndarray) -> int:
+def _near_views(stack: Stack, reach: Floats, x: float, y: float, z: float, radius: float, near: np.ndarray) -> int:
     """Indices of the views whose picture a ball may touch, into `near`; how many."""
     seen = 0
     for n in range(stack.depth_m.shape[0]):
+        if not touches(reach, n, x, y, z, radius):
+            continue
         r, t, c, size = stack.rotations[n], stack.positions_m[n], stack.cameras[n], stack.sizes[n]
         dx, dy, dz = x - t[0], y - t[1], z - t[2]
         px = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz

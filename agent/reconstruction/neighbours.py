@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.reconstruction.camera import Floats, project, unproject
+from agent.reconstruction.reach import ball, cone, meets
 from agent.reconstruction.stack import Stack, camera_at
 
 MOST = 6
@@ -26,11 +27,15 @@ def neighbours(stack: Stack) -> Neighbours:
     """score = share of a view's places that are inside the other's picture x exp(-((angle - 14) / 14)^2)."""
     count = len(stack.cameras)
     of = np.full((count, MOST), -1, np.int64)
+    pictures = np.array([cone(camera_at(stack, n), stack.rotations[n], stack.positions_m[n]) for n in range(count)])
     for n in range(count):
         points = _places(stack, n)
         if not len(points):
             continue
-        scores = np.array([_score(stack, n, other, points) if other != n else 0.0 for other in range(count)])
+        scores = np.zeros(count)
+        for other in np.flatnonzero(meets(pictures, *ball(points))).tolist():
+            if other != n:
+                scores[other] = _score(stack, n, other, points)
         best = np.argsort(-scores, kind="stable")[:MOST]
         best = best[scores[best] > LEAST_SCORE]
         of[n, : len(best)] = best

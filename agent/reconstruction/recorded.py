@@ -22,7 +22,7 @@ from agent.perception.clarity.gradient import luminance
 from agent.progress import Progress
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.keyframe import Swept, keyframe
-from agent.reconstruction.pose_prior import Sigmas, covariance_of
+from agent.reconstruction.poses.prior import Sigmas, covariance_of
 from agent.reconstruction.view import View
 from replay.check.black_box import BlackBox, open_boxes
 from replay.taken_sweeps import Motion, TakenSweep, motion, taken_sweeps

@@ -15,6 +15,7 @@ from agent.failure import Failed
 from agent.progress import Show
 from agent.reconstruction.build import CELL_M, Built, build
 from agent.reconstruction.export.kinds import Kind, export
+from agent.reconstruction.extract import Mesh
 from agent.reconstruction.image.held_back import held_back
 from agent.reconstruction.image.judged import HeldBack, judged
 from agent.reconstruction.image.model import ImageModel, ImageSettings, image
@@ -27,6 +28,7 @@ from agent.reconstruction.view import View
 from agent.reconstruction.without_focus import scale_of, scaled, scaled_mesh, with_depths
 
 RESULT = "result.json"
+AT_ONCE = 1_000_000  # triangles: those of a large scene as floats, all at once, would be a gigabyte
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -126,15 +128,13 @@ def image_figures(model: ImageModel, placed: Sequence[HeldBack]) -> dict[str, An
 def figures_of(built: Built, held: Sequence[View]) -> dict[str, Any]:
     """Counts, and how sure the surface is."""
     mesh = built.mesh
-    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] for k in range(3))
-    area_m2 = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     return {
         "views": len(built.views),
         "held_back": len(held),
         "robots": sorted({view.robot for view in built.views}),
         "vertices": len(mesh.vertices_m),
         "triangles": len(mesh.faces),
-        "area_m2": round(area_m2, 4),
+        "area_m2": round(area_m2(mesh), 4),
         "size_m": [round(length, 3) for length in np.ptp(mesh.vertices_m, axis=0).tolist()],
         "sigma_mm": {
             f"p{percent}": round(1e3 * float(np.percentile(mesh.sigma_m, percent)), 2) for percent in (10, 50, 90)
@@ -142,3 +142,12 @@ def figures_of(built: Built, held: Sequence[View]) -> dict[str, Any]:
         "seen_by_one": round(float(np.mean(mesh.views <= 1)), 4),
         "by_plane_sweep": round(built.swept, 4),
     }
+
+
+def area_m2(mesh: Mesh) -> float:
+    """Of all triangles."""
+    total = 0.0
+    for first in range(0, len(mesh.faces), AT_ONCE):
+        a, b, c = (mesh.vertices_m[mesh.faces[first : first + AT_ONCE, k]] for k in range(3))
+        total += 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return total

@@ -66,7 +66,8 @@ def plane_sweep(
     before (n, height, width): depths that were found already, which are kept and bear witness; they are not looked for
     again where the stack has no depth.
     """
-    grey = np.ascontiguousarray(stack.pictures.mean(axis=-1))
+    grey = stack.pictures[..., 0] if stack.pictures.shape[-1] == 1 else stack.pictures.mean(axis=-1)
+    grey = np.ascontiguousarray(grey)
     count = len(grey)
     found = np.full(stack.depth_m.shape, np.nan, np.float32) if before is None else before.copy()
     tilt = np.zeros((*stack.depth_m.shape[1:], 2))
@@ -82,8 +83,10 @@ def plane_sweep(
     for n in range(count):
         _agreeing(stack, found, n, neighbours.of[n], 1 if everywhere is None else everywhere.witnesses, kept[n])
     progress(count, count)
-    z = kept.astype(float)
-    return Swept(kept, (SIGMA_M + SIGMA_PER_M * z * z).astype(np.float32))
+    sigma = np.empty_like(kept)
+    for one, z in zip(sigma, kept, strict=True):  # one by one: all of them in float64 are most of the memory
+        one[:] = SIGMA_M + SIGMA_PER_M * z.astype(float) * z.astype(float)
+    return Swept(kept, sigma)
 
 
 @compiled(error_model="numpy")

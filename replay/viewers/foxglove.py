@@ -8,6 +8,7 @@ stamps in nanoseconds since the Unix epoch.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -73,28 +75,52 @@ def calibration(robot: str, fit: CameraFit, roi: tuple[int, int, int, int], t_ns
     )
 
 
-NUMBERS = {"<f4": PackedElementField.FLOAT32, "u1": PackedElementField.UINT8}
-POINT = {**dict.fromkeys(("x", "y", "z"), "<f4"), **dict.fromkeys(("red", "green", "blue", "alpha"), "u1")}
-POINT_DTYPE = np.dtype(list(POINT.items()))
-OFFSETS = (0, 4, 8, 12, 13, 14, 15)  # of these fields in a point of 16 bytes
+NUMBERS = {"<f4": PackedElementField.FLOAT32, "|u1": PackedElementField.UINT8}
 
 
 def cloud(robot: str, places_m: NDArray[np.float32], colours: NDArray[np.uint8], t_ns: int) -> Any:
     """foxglove.PointCloud: places (n, 3) in the camera frame, colours (n, 3) red green blue."""
-    packed = np.zeros(len(places_m), POINT_DTYPE)
-    for name, column in zip(POINT, [*places_m.T, *colours.T, 255], strict=True):
+    return _cloud(f"{robot}/camera", places_m, colours, {}, t_ns)
+
+
+def world_cloud(
+    places_m: NDArray[np.float32], colours: NDArray[np.uint8], beside: Mapping[str, NDArray[Any]], t_ns: int
+) -> Any:
+    """The same of places in the world; beside: more of each place (n,), float32 or bytes, to colour it by."""
+    return _cloud(WORLD, places_m, colours, beside, t_ns)
+
+
+def _cloud(
+    frame: str, places_m: NDArray[np.float32], colours: NDArray[np.uint8], beside: Mapping[str, NDArray[Any]], t_ns: int
+) -> Any:
+    kinds: dict[str, Any] = {**dict.fromkeys(("x", "y", "z"), "<f4"), **dict.fromkeys(("red", "green", "blue"), "u1")}
+    kinds["alpha"] = "u1"
+    packed = np.zeros(len(places_m), np.dtype([*kinds.items(), *((name, one.dtype) for name, one in beside.items())]))
+    for name, column in zip(kinds, [*places_m.T, *colours.T, 255], strict=True):
         packed[name] = column
+    for name, column in beside.items():
+        packed[name] = column
+    fields: Mapping[str, Any] = packed.dtype.fields or {}
     return PointCloud(
         timestamp=stamp(t_ns),
-        frame_id=f"{robot}/camera",
+        frame_id=frame,
         pose=Pose(position=_vector((0.0, 0.0, 0.0)), orientation=Quaternion(w=1.0)),  # Rerun refuses a missing one
-        point_stride=POINT_DTYPE.itemsize,
+        point_stride=packed.dtype.itemsize,
         fields=[
-            PackedElementField(name=name, offset=offset, type=NUMBERS[kind])
-            for (name, kind), offset in zip(POINT.items(), OFFSETS, strict=True)
+            PackedElementField(name=name, offset=offset, type=NUMBERS[kind.str])
+            for name, (kind, offset) in ((name, fields[name][:2]) for name in packed.dtype.names or ())
         ],
         data=packed.tobytes(),
     )
+
+
+def world_poses(places_m: Sequence[Vector], turns: Sequence[Turn], t_ns: int) -> Any:
+    """foxglove.PosesInFrame: cameras or bodies in the world."""
+    poses = [
+        Pose(position=_vector(place), orientation=Quaternion(x=x, y=y, z=z, w=w))
+        for place, (x, y, z, w) in zip(places_m, turns, strict=True)
+    ]
+    return PosesInFrame(timestamp=stamp(t_ns), frame_id=WORLD, poses=poses)
 
 
 def log_line(line: LogLine) -> Any:

@@ -1,11 +1,16 @@
 """Files for other programs, read back by those programs: same places, same pixels, same colours."""
 
 import json
+import os
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.export.encoded import encoded
@@ -79,6 +84,58 @@ def test_open3d_reads_the_surface(scene: tuple[list[View], Mesh], tmp_path: Path
     read = open3d.io.read_triangle_mesh(str(export("ply", views, mesh, 0.01, tmp_path)))
     assert len(read.triangles) == len(mesh.faces)
     assert read.has_vertex_colors()
+
+
+def test_foxgloves_own_messages_by_the_descriptors_in_the_file(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    views, mesh = scene
+    with export("mcap", views, mesh, 0.01, tmp_path).open("rb") as file:
+        read = {
+            channel.topic: (schema.name, message)
+            for schema, channel, _, message in make_reader(
+                file, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
+        }
+    kind, cloud = read["/scene/points"]
+    assert (kind, cloud.frame_id) == ("foxglove.PointCloud", "world")
+    numpy_of = {7: "<f4", 1: "u1"}  # foxglove.PackedElementField.NumericType
+    names, types, offsets = zip(*((one.name, numpy_of[one.type], one.offset) for one in cloud.fields), strict=True)
+    layout = {"names": names, "formats": types, "offsets": offsets, "itemsize": cloud.point_stride}
+    points = np.frombuffer(cloud.data, np.dtype(layout))
+    np.testing.assert_array_equal(np.stack([points[k] for k in "xyz"], axis=1), mesh.vertices_m.astype(np.float32))
+    colours = np.stack([points[k] for k in ("red", "green", "blue")], axis=1)
+    np.testing.assert_array_equal(colours, encoded(mesh.colours))
+    np.testing.assert_array_equal(points["sigma_m"], mesh.sigma_m)
+    np.testing.assert_array_equal(points["views"], mesh.views)
+    kind, cameras = read["/scene/cameras"]
+    assert (kind, len(cameras.poses)) == ("foxglove.PosesInFrame", len(views))
+    for view, pose in zip(views, cameras.poses, strict=True):
+        q, p = pose.orientation, pose.position
+        ahead = (2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2))
+        np.testing.assert_allclose(ahead, view.rotation[:, 2], atol=1e-9)
+        np.testing.assert_allclose((p.x, p.y, p.z), view.position_m)
+
+
+def test_rerun_takes_the_mcap_and_the_meshes(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:
+    rerun = pytest.importorskip("rerun", reason="pip install 'aucamp[validate]'")
+    pytest.importorskip("trimesh", reason="pip install 'aucamp[reconstruct]'")
+    views, mesh = scene
+    tool, env = str(Path(sys.executable).with_name("rerun")), {**os.environ, "HOME": str(tmp_path)}
+
+    def told(*command: str | Path) -> str:
+        return subprocess.run([tool, *command], check=True, capture_output=True, text=True, env=env).stdout
+
+    for kind in ("ply", "glb"):
+        recording = rerun.RecordingStream("scene")
+        recording.save(tmp_path / f"{kind}.rrd")
+        recording.log_file_from_path(export(kind, views, mesh, 0.01, tmp_path))
+        recording.disconnect()
+        assert "Asset3D:blob" in told("rrd", "print", "-v", tmp_path / f"{kind}.rrd")
+    file = export("mcap", views, mesh, 0.01, tmp_path)
+    told("mcap", "check", file)
+    told("mcap", "convert", file, "-o", tmp_path / "mcap.rrd")
+    shown = told("rrd", "print", "-v", tmp_path / "mcap.rrd")
+    for what in ("points@Points3D:positions", "points@Points3D:colors", "cameras@InstancePoses3D:quaternions"):
+        assert f"/scene/{what}" in shown
 
 
 def test_splats_lie_on_the_surface(scene: tuple[list[View], Mesh], tmp_path: Path) -> None:

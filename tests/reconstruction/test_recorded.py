@@ -9,7 +9,7 @@ import pytest
 from agent.kernel.codec import decode
 from agent.kernel.config import ConfigError
 from agent.kernel.step_io import Outputs, SweepOutcome
-from agent.reconstruction.pose_prior import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
+from agent.reconstruction.poses.prior import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
 from agent.reconstruction.recorded import aligned, recorded_views
 from agent.reconstruction.view import rotation_of, see, surface_points
 from replay.check.black_box import open_box

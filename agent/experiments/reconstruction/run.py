@@ -1,5 +1,5 @@
 """Scenes from focus sweeps: surface by focus alone, by comparing pictures alone, and by both, against the twin's truth;
-and how many sweeps robots need that share what they saw.
+how many sweeps robots need that share what they saw; and how time and memory grow with a survey.
 
 Seed 0 is the tank that things were chosen on; the others were not looked at for that.
 """
@@ -20,6 +20,7 @@ from agent.experiments.reconstruction.noisy import noisy
 from agent.experiments.reconstruction.pictures import into_truth, missed_pictures, picture_row, pose_row
 from agent.experiments.reconstruction.render import Rendered, render, sweeps_of_a_world
 from agent.experiments.reconstruction.score import Score, score, seen_twice
+from agent.experiments.reconstruction.size.size import missed_size, size, size_parts, verdict
 from agent.experiments.result import ExperimentResult, Row
 from agent.failure import Failed
 from agent.kernel.config import WaterKind
@@ -64,6 +65,8 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     coverage: dict[str, Any]  # keyframes until 90 % is known to 4 mm: shared, alone, loss30; means over the seeds
     coverage_runs: dict[str, list[int]]  # of each seed
     coverage_equal: dict[str, bool]  # whether all robots' maps were the same bytes in the end
+    size: list[Row]  # surveys of 125, 250, 500 keyframes: seconds, memory, how true
+    size_verdict: dict[str, float]  # largest memory; powers of keyframes and of compared pairs that time grows as
     missed: list[str]
 
     @property
@@ -87,10 +90,12 @@ MakeWorld = Callable[[int, WaterKind, Sensor, Callable[[], None]], Rendered]
 
 def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Result:
     """Progress counts sweeps, surfaces and surveys."""
-    waters = settings.waters if settings.only != "coverage" else ()
-    surveyed = settings.seeds if settings.only != "scenes" else ()
+    waters = settings.waters if settings.only in (None, "scenes") else ()
+    surveyed = settings.seeds if settings.only in (None, "coverage") else ()
+    large = settings.seeds[:1] if settings.only in (None, "size") else ()
     each = sweeps_of_a_world() + len(settings.poses)
-    step = step_by_step(progress, len(settings.seeds) * len(waters) * each + RUNS * len(surveyed))
+    total = len(settings.seeds) * len(waters) * each + RUNS * len(surveyed) + size_parts() * len(large)
+    step = step_by_step(progress, total)
     cases = []
     for seed in settings.seeds:
         for water in waters:
@@ -100,7 +105,9 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
                 cases.append(case(rendered, truth, poses, settings.image))
                 step()
     told = coverage(surveyed, step) if surveyed else dict[str, Any](coverage={}, coverage_runs={}, coverage_equal={})
-    return Result(cases=cases, missed=missed(cases) + missed_pictures(cases) + missed_coverage(told), **told)
+    rows = [row for seed in large for row in size(seed, step)]
+    absent = missed(cases) + missed_pictures(cases) + missed_coverage(told) + missed_size(rows)
+    return Result(cases=cases, size=rows, size_verdict=verdict(rows), missed=absent, **told)
 
 
 def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSettings | None = None) -> Row:

@@ -5,6 +5,7 @@ Truth of the first is the scene itself, of the second what the painter's ray cas
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.view import View, see
 from hw.compiled import compiled
+from hw.twin.optics.view import turned
+from hw.twin.scene import Solid
 
 NEAR_M, F_M = 10e-3, 5e-3  # a place counts as covered within the first; precision and recall of F within the second
 THIN_M = 4e-3  # cells of which one true place is kept: of the floor no more than of a stone
@@ -53,12 +56,24 @@ def score(points_m: Floats, rendered: Rendered, truth_m: Floats) -> Score:
 def distances(points_m: Floats, rendered: Rendered) -> tuple[Floats, NDArray[np.bool_]]:
     """From each point (n, 3) to the nearest true surface, metres, and whether that is a solid's."""
     tank = load_fleet(shipped_fleet()).tank
-    box = np.array([tank.size_m[0], tank.size_m[1], tank.surface_m])
+    return distances_to(points_m, np.array([tank.size_m[0], tank.size_m[1], tank.surface_m]), rendered.scene.solid)
+
+
+def distances_to(points_m: Floats, box: Floats, things: Sequence[Solid]) -> tuple[Floats, NDArray[np.bool_]]:
+    """The same of water of any size (3,), metres; boxes may be turned, ellipsoids stand straight."""
     walls = np.minimum(np.abs(points_m), np.abs(points_m - box)).min(axis=1)
     solids = np.full(len(points_m), np.inf)
-    for solid in rendered.scene.solid:
-        solids = np.minimum(solids, _to_ellipsoid(points_m - solid.position_m, np.array(solid.radii_m)))
+    for solid in things:
+        of_one = _to_box if solid.kind == "box" else _to_ellipsoid
+        there = (points_m - solid.position_m) @ turned(solid.turn_deg)
+        solids = np.minimum(solids, of_one(there, np.array(solid.radii_m)))
     return np.minimum(walls, solids), solids < walls
+
+
+def _to_box(points: Floats, half: Floats) -> Floats:
+    over = np.abs(points) - half
+    inside = np.minimum(over.max(axis=1), 0.0)
+    return np.asarray(np.abs(np.linalg.norm(np.maximum(over, 0.0), axis=1) + inside))
 
 
 def _to_ellipsoid(points: Floats, radii: Floats) -> Floats:

@@ -13,7 +13,8 @@ def table(result: Result) -> Group:
     """The surfaces, pictures and surveys that were asked for, and a line for each bar that was missed."""
     scenes = (surfaces_table(result.cases), pictures_table(result.cases)) if result.cases else ()
     surveys = (coverage_table(result),) if result.coverage else ()
-    return Group(*scenes, *surveys, *(f"missed: {text}" for text in result.missed))
+    sizes = (size_table(result),) if result.size else ()
+    return Group(*scenes, *surveys, *sizes, *(f"missed: {text}" for text in result.missed))
 
 
 def coverage_table(result: Result) -> Table:
@@ -26,6 +27,33 @@ def coverage_table(result: Result) -> Table:
         each = " ".join(map(str, result.coverage_runs[kind]))
         maps = "" if equal is None else "equal" if equal else "differ"
         shown.add_row(kind, f"{mean:.1f}", f"{mean / result.coverage['alone']:.2f}", each, maps)
+    return shown
+
+
+def size_table(result: Result) -> Table:
+    """Growing surveys, and what time grows as."""
+    shown = Table(title="surveys of 10 x 6 m, depths drawn; surface by plane sweep and focus, written as PLY")
+    columns = {
+        "seed": "seed",
+        "robots": "robots",
+        "keyframes": "keyframes",
+        "compared": "neighbours",
+        "area_m2": "surface m2",
+        "triangles": "triangles",
+        "seconds": "CPU s",
+        "seconds_per_keyframe": "CPU s a keyframe",
+        "peak_mb": "memory MB",
+        "median_mm": "median mm",
+        "within_10mm": "within 10 mm %",
+    }
+    for column in columns.values():
+        shown.add_column(column, justify="right")
+    for row in result.size:
+        shown.add_row(*(str(row[key]) for key in columns))
+    told = result.size_verdict
+    shown.caption = (
+        f"time grows as keyframes^{told['power_keyframes']:.2f}, as pairs compared^{told['power_pairs']:.2f}"
+    )
     return shown
 
 

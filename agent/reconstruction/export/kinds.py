@@ -7,13 +7,14 @@ from typing import Literal
 
 from agent.reconstruction.export.colmap import write_colmap
 from agent.reconstruction.export.glb import write_glb
+from agent.reconstruction.export.mcap import write_mcap
 from agent.reconstruction.export.ply import write_ply
 from agent.reconstruction.export.splat import write_splat
 from agent.reconstruction.export.transforms import write_transforms
 from agent.reconstruction.extract import Mesh
 from agent.reconstruction.view import View
 
-Kind = Literal["ply", "glb", "colmap", "transforms.json", "splat"]
+Kind = Literal["ply", "glb", "colmap", "transforms.json", "splat", "mcap"]
 
 
 def export(kind: Kind, views: list[View], mesh: Mesh, cell_m: float, folder: Path) -> Path:
@@ -25,6 +26,8 @@ def export(kind: Kind, views: list[View], mesh: Mesh, cell_m: float, folder: Pat
             write_glb(mesh, path := folder / "surface.glb")
         case "splat":
             write_splat(mesh, cell_m, path := folder / "splat.ply")
+        case "mcap":
+            write_mcap(views, mesh, path := folder / "scene.mcap")
         case "colmap":
             write_colmap(views, mesh, path := folder / "colmap")
         case "transforms.json":

@@ -29,13 +29,19 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", (3,))])
     faces["count"], faces["corners"] = 3, mesh.faces
     ending = [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    write_elements(path, vertices, ending, faces.tobytes())
+    write_elements(path, vertices, ending, faces)
 
 
-def write_elements(path: Path, vertices: NDArray[np.void], ending: list[str], rest: bytes = b"") -> None:
+def write_elements(
+    path: Path, vertices: NDArray[np.void], ending: list[str], rest: NDArray[np.void] | None = None
+) -> None:
     """A PLY file whose vertices have the fields of a structured array, floats and bytes."""
     names = vertices.dtype.names or ()
     properties = [f"property {FORMATS[vertices.dtype[name].str[1:]]} {name}" for name in names]
     head = ["ply", "format binary_little_endian 1.0", "comment aucamp, metres, z up"]
     head += [f"element vertex {len(vertices)}", *properties, *ending, "end_header"]
-    path.write_bytes("\n".join(head).encode() + b"\n" + vertices.tobytes() + rest)
+    with path.open("wb") as file:
+        file.write("\n".join(head).encode() + b"\n")
+        vertices.tofile(file)
+        if rest is not None:
+            rest.tofile(file)

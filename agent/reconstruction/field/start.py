@@ -23,7 +23,7 @@ LEAST_WEIGHT = 0.3  # one depth with a sigma of 18 mm
 
 def box_of_views(views: Sequence[View], progress: Progress = lambda done, total: None) -> Box:
     """Distances to the surface that the views' depths show. Raises Failed where they show none."""
-    stack, cell_m = stacked(views), CELL_M
+    stack, cell_m = stacked(views, 0), CELL_M
     surface = fuse(stack, cell_m, progress)
     cells = surface.table.size * SIDE**3
     if cells > MOST_CELLS:

@@ -24,5 +24,5 @@ EPOCHS = 3
 
 def scene_of(views: Sequence[View], progress: Progress = lambda done, total: None) -> Look:
     """Raises Failed where views have no depths."""
-    surfels = fit(cloud_of(mesh_of(fuse(stacked(views), CELL_M)), CELL_M), views, EPOCHS, progress)
+    surfels = fit(cloud_of(mesh_of(fuse(stacked(views, 0), CELL_M)), CELL_M), views, EPOCHS, progress)
     return lambda view: picture(surfels, view)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent.reconstruction.export.encoded import GAMMA, encoded
 from agent.reconstruction.extract import Mesh
-from agent.reconstruction.raster import Rendered, rendered
+from agent.reconstruction.raster import Rendered, pieces_of, rendered
 from agent.reconstruction.view import View
 
 Render = Callable[[View], Rendered]  # what a view would see; pixels that it cannot tell have no depth
@@ -29,7 +29,8 @@ class Beside(NamedTuple):
 
 def render_of(mesh: Mesh) -> Render:
     """Surface colours: as the surface was seen, through as much water as the mean of the cameras that saw it."""
-    return lambda view: rendered(mesh, mesh.colours, view.camera, view.rotation, view.position_m)
+    pieces = pieces_of(mesh)
+    return lambda view: rendered(mesh, mesh.colours, view.camera, view.rotation, view.position_m, pieces)
 
 
 def beside(view: View, render: Render) -> Beside:

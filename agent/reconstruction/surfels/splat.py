@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.reconstruction.camera import Camera
+from agent.reconstruction.reach import balls_of, cone, touched
 from agent.reconstruction.surfels.cloud import Cloud
 from agent.reconstruction.view import View
 from hw.compiled import compiled
@@ -26,6 +27,8 @@ PIXEL_VARIANCE = 0.3  # px^2 added to every disc, so that none falls between pix
 FRONT_M, FRONT_SHARE = 10e-3, 0.02
 NEAREST_M = 0.03
 LEAST_WEIGHT = 0.05  # of a pixel's discs together: with less it is a hole
+PIECE = 64  # discs that follow one another lie near each other: a view passes over those it cannot see together
+BESIDE = 4.0  # standard deviations that a disc shows beside its middle at most: CUT, seen through the lens
 
 kernel = compiled(error_model="numpy")
 
@@ -33,27 +36,36 @@ kernel = compiled(error_model="numpy")
 class Splats(NamedTuple):
     """The discs as one camera sees them, and in which depth each pixel's front is."""
 
+    numbers: NDArray[np.int64]  # (n,) of the discs that may be in the picture, ascending
     discs: Floats  # (n, 8): u, v, depth, conic a, b, c, half width and height [px]; depth 0: not seen
     front_m: Floats  # (height, width) inf: nothing
     weight: Floats  # (height, width) sum over the pixel's discs
     depth_m: Floats  # (height, width) from the pivot along the axis; NaN: a hole
 
 
-def splats(cloud: Cloud, view: View) -> Splats:
-    """All but the colours, which change more often."""
-    discs = np.zeros((len(cloud.place_m), 8))
+def pieces_of(cloud: Cloud) -> Floats:
+    """(m, 4) middle and radius of a ball around each PIECE discs, for `splats`."""
+    return balls_of(cloud.place_m, PIECE)
+
+
+def splats(cloud: Cloud, view: View, pieces: Floats | None = None) -> Splats:
+    """All but the colours, which change more often. pieces: of `pieces_of`, where many views look at one cloud."""
+    around = pieces_of(cloud) if pieces is None else pieces
+    seen = touched(around, cone(view.camera, view.rotation, view.position_m), BESIDE * cloud.radius_m)
+    numbers = np.flatnonzero(np.repeat(seen, PIECE)[: len(cloud.place_m)])
+    discs, place, normal = np.zeros((len(numbers), 8)), cloud.place_m[numbers], cloud.normal[numbers]
     camera, size = view.camera, (view.camera.height, view.camera.width)
-    _project(camera, view.rotation, view.position_m, cloud.place_m, cloud.normal, cloud.radius_m, discs)
+    _project(camera, view.rotation, view.position_m, place, normal, cloud.radius_m, discs)
     front, weight, depth = np.full(size, np.inf), np.zeros(size), np.zeros((*size, 1))
     _front(discs, front)
     _blend(discs, front, discs[:, 2:3], weight, depth)
     with np.errstate(invalid="ignore", divide="ignore"):
         depth_m = np.where(weight > LEAST_WEIGHT, depth[..., 0] / weight, np.nan)
-    return Splats(discs, front, weight, depth_m)
+    return Splats(numbers, discs, front, weight, depth_m)
 
 
 def blended(drawn: Splats, values: Floats) -> Floats:
-    """Mean (height, width, k) of the discs' values (n, k) in each pixel; NaN in holes."""
+    """Mean (height, width, k) of the values (n, k) of drawn.numbers in each pixel; NaN in holes."""
     weight, total = np.zeros_like(drawn.weight), np.zeros((*drawn.weight.shape, values.shape[1]))
     _blend(drawn.discs, drawn.front_m, values, weight, total)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -61,8 +73,8 @@ def blended(drawn: Splats, values: Floats) -> Floats:
 
 
 def gathered(drawn: Splats, pixels: Floats) -> tuple[Floats, Floats]:
-    """What comes back to each disc of pixels' values (height, width, k): sums (n, k) of share times value, and of
-    shares (n,). A disc's share of a pixel is its part in the mean; holes must be 0."""
+    """What comes back to each disc of drawn.numbers of pixels' values (height, width, k): sums (n, k) of share times
+    value, and of shares (n,). A disc's share of a pixel is its part in the mean; holes must be 0."""
     total, shares = np.zeros((len(drawn.discs), pixels.shape[2])), np.zeros(len(drawn.discs))
     _gather(drawn.discs, drawn.front_m, drawn.weight, pixels, total, shares)
     return total, shares
