@@ -10,6 +10,7 @@ with xi = (w, t) of all views along their cameras' axes, and Lambda the informat
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -70,9 +71,7 @@ def normal_of(
     """The normal equations there, and the cost."""
     gone, c, m = state.gone.ravel(), len(corners.owner), len(matches.other)
     pull = -prior.poses @ gone
-    made = Normal(
-        prior.poses.copy(), pull, np.zeros(c), np.zeros(c), np.zeros((c, 6)), np.zeros((m, 6)), np.zeros(m)
-    )
+    made = Normal(prior.poses.copy(), pull, np.zeros(c), np.zeros(c), np.zeros((c, 6)), np.zeros((m, 6)), np.zeros(m))
     first = np.searchsorted(matches.corner, np.arange(c + 1))
     there = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
     cost = _sum(there, corners, matches, first, prior, state.inverse, scale_px, made)
@@ -107,7 +106,7 @@ def _sum(
             continue
         miss, certain = prior.inverse[c] - q[c], prior.certainty[c]
         large = 1.0 + miss * miss * certain / FOCUS_SCALE**2
-        cost += 0.5 * FOCUS_SCALE**2 * np.log(large)
+        cost += 0.5 * FOCUS_SCALE**2 * math.log(large)
         to.curve[c], to.tug[c] = certain / large, certain / large * miss
         for m in range(first[c], first[c + 1]):
             cost += _add(stack, corners, matches, c, m, q[c], scale, to)
@@ -116,14 +115,13 @@ def _sum(
 
 
 @kernel
-def _add(
-    stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: float, scale: float, to: Normal
-) -> float:
+def _add(stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: float, scale: float, to: Normal) -> float:
     """One match."""
     n, o, z = corners.owner[c], matches.other[m], 1.0 / q
     mine, its = camera_in(stack, n), camera_in(stack, o)
     x, y = slopes_of(mine, corners.pixel[c, 0], corners.pixel[c, 1])
-    p, there = np.array((x * (z - mine.ahead_m), y * (z - mine.ahead_m), z)), np.zeros(3)
+    p, there, h = np.zeros(3), np.zeros(3), np.zeros(3)
+    p[0], p[1], p[2] = x * (z - mine.ahead_m), y * (z - mine.ahead_m), z
     turn = np.zeros((3, 3))  # from n's axes to o's
     for i in range(3):
         for j in range(3):
@@ -146,7 +144,8 @@ def _add(
         rest = du if r == 0 else dv
         # A point of o's frame goes to p' + turn (w x p + t) with n's motion, to p' - w x p' - t with o's.
         g = by_point[r]
-        h = g @ turn
+        for k in range(3):
+            h[k] = g[0] * turn[0, k] + g[1] * turn[1, k] + g[2] * turn[2, k]
         for k in range(3):
             i, j = (k + 1) % 3, (k + 2) % 3
             of_n[k], of_n[3 + k] = p[i] * h[j] - p[j] * h[i], h[k]
@@ -164,23 +163,21 @@ def _add(
                 to.hessian[6 * o + i, 6 * o + j] += share * of_o[i] * of_o[j]
                 to.hessian[6 * n + i, 6 * o + j] += share * of_n[i] * of_o[j]
                 to.hessian[6 * o + i, 6 * n + j] += share * of_o[i] * of_n[j]
-    return 0.5 * scale**2 / SIGMA_PX**2 * np.log(large)
+    return 0.5 * scale**2 / SIGMA_PX**2 * math.log(large)
 
 
 @kernel
 def _eliminate(n: int, others: NDArray[np.int64], c: int, first: int, to: Normal) -> None:
     """A corner's own unknown: what it leaves to each pair of the views that see it."""
-    count = len(others) + 1
-    views, parts = np.empty(count, np.int64), np.empty((count, 6))
-    views[0], parts[0] = n, to.of_corner[c]
-    views[1:], parts[1:] = others, to.of_match[first : first + count - 1]
-    for a in range(count):
+    for a in range(len(others) + 1):
+        va, pa = (n, to.of_corner[c]) if a == 0 else (others[a - 1], to.of_match[first + a - 1])
         for i in range(6):
-            part = parts[a, i] / to.curve[c]
-            to.pull[6 * views[a] + i] -= part * to.tug[c]
-            for b in range(count):
+            part = pa[i] / to.curve[c]
+            to.pull[6 * va + i] -= part * to.tug[c]
+            for b in range(len(others) + 1):
+                vb, pb = (n, to.of_corner[c]) if b == 0 else (others[b - 1], to.of_match[first + b - 1])
                 for j in range(6):
-                    to.hessian[6 * views[a] + i, 6 * views[b] + j] -= part * parts[b, j]
+                    to.hessian[6 * va + i, 6 * vb + j] -= part * pb[j]
 
 
 @kernel

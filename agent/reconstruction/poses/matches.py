@@ -2,9 +2,9 @@
 
 A corner's window is a small plane, tilted as the focus map is around it; another view that should see it does so by an
 affine map, as in the plane sweep. Poses are off, so that it is not quite there: it is looked for all around, first
-blurred in steps of STEP_PX, then sharp in single pixels, with parabolas over the best. Steps are counted in the window's
-own plane, so that the other picture is read once for all of them. What is almost as alike elsewhere (tiles) is refused,
-as are what is not alike enough, and maps that stretch or squeeze a window too much.
+blurred in steps of STEP_PX, then sharp in single pixels, with parabolas over the best. Steps are counted in the
+window's own plane, so that the other picture is read once for all of them. What is almost as alike elsewhere (tiles)
+is refused, as are what is not alike enough, and maps that stretch or squeeze a window too much.
 """
 
 from __future__ import annotations
@@ -106,14 +106,14 @@ def _search(
     for c in range(len(pixels)):
         u, v, z0 = pixels[c, 0], pixels[c, 1], depths[c]
         # Rays of the corner and of what lies two pixels right and below: 1/z is linear on the plane through them.
-        right, down = 2.0 * tilt[int(v), int(u), 0], 2.0 * tilt[int(v), int(u), 1]
-        z1, z2 = 1.0 / max(1.0 / z0 + right, 1e-3), 1.0 / max(1.0 / z0 + down, 1e-3)
+        more = 2.0 * tilt[int(v), int(u)]
+        z1, z2 = 1.0 / max(1.0 / z0 + more[0], 1e-3), 1.0 / max(1.0 / z0 + more[1], 1e-3)
         x0, y0 = slopes_of(mine, u, v)
         x1, y1 = slopes_of(mine, u + 2.0, v)
         x2, y2 = slopes_of(mine, u, v + 2.0)
         a0, a1, a2 = z0 - mine.ahead_m, z1 - mine.ahead_m, z2 - mine.ahead_m
-        read(blurred[n], mine.width, mine.height, u, v, float(STEP_PX), 0.0, 0.0, float(STEP_PX), own)
-        read(sharp[n], mine.width, mine.height, u, v, 1.0, 0.0, 0.0, 1.0, own_sharp)
+        read(blurred[n], mine.width, mine.height, u, v, (float(STEP_PX), 0.0), (0.0, float(STEP_PX)), own)
+        read(sharp[n], mine.width, mine.height, u, v, (1.0, 0.0), (0.0, 1.0), own_sharp)
         for k in range(len(others)):
             o = others[k]
             its = camera_in(stack, o)
@@ -127,14 +127,15 @@ def _search(
             known = float(stack.depth_m[o, int(v0 + 0.5), int(u0 + 0.5)])  # a NaN hides nothing
             if not _alike_in_shape(ux, vx, uy, vy) or abs(known - there) > HIDDEN * there:
                 continue
-            read(blurred[o], its.width, its.height, u0, v0, STEP_PX * ux, STEP_PX * vx, STEP_PX * uy, STEP_PX * vy, wide)
+            across, down = (STEP_PX * ux, STEP_PX * vx), (STEP_PX * uy, STEP_PX * vy)
+            read(blurred[o], its.width, its.height, u0, v0, across, down, wide)
             correlate(own, wide, alike)
             row, col = top(alike)
             if elsewhere(alike, row, col) > alike[row, col] - UNIQUE:
                 continue
             i, j = float(STEP_PX * (row - reach)), float(STEP_PX * (col - reach))
             u0, v0 = u0 + j * ux + i * uy, v0 + j * vx + i * vy
-            read(sharp[o], its.width, its.height, u0, v0, ux, vx, uy, vy, near)
+            read(sharp[o], its.width, its.height, u0, v0, (ux, vx), (uy, vy), near)
             correlate(own_sharp, near, alike_near)
             row, col = top(alike_near)
             if alike_near[row, col] < LEAST or min(row, col) == 0 or max(row, col) == 2 * NEAR_PX:

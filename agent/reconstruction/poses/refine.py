@@ -1,9 +1,9 @@
 """Poses of all views from their pictures together: corners of each found in the others, then everything moved to fit.
 
-Pictures are compared with pictures, not with a scene that was built from them: such a scene holds each view's own error,
-and draws the view back to where it was. First corners are looked for as far away as poses may be wrong, then, once they
-fit, close by. The common motion of everything stays what priors make of it (twist.between), and so does most of the
-scale: focus depths and places know that alike.
+Pictures are compared with pictures, not with a scene that was built from them: such a scene holds each view's own
+error, and draws the view back to where it was. First corners are looked for as far away as poses may be wrong, then,
+once they fit, close by. The common motion of everything stays what priors make of it (twist.between); its scale is what
+places and focus depths say of it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def refine(views: Sequence[View], progress: Progress = lambda done, total: None)
         there = found._replace(depth_m=1.0 / state.inverse)
         seen = matched(now, there, robots, reach_px, lambda done, _, n=n: progress(n * len(views) + done, total))
         for scale in scales:
-            state, off_px = step(stack, found, seen, prior, state, scale)
+            state, _ = step(stack, found, seen, prior, state, scale)
         reach_px = LEAST_REACH_PX
     ends = [step(stack, found, seen, prior, one, 1.0)[1] for one in (start, state)]
     placed = [

@@ -24,22 +24,21 @@ def square(side: int) -> Floats:
 @kernel
 def read(
     picture: NDArray[np.float32], width: int, height: int, u: float, v: float,
-    ux: float, vx: float, uy: float, vy: float, out: Floats,
+    across: tuple[float, float], down: tuple[float, float], out: Floats,
 ) -> None:  # fmt: skip
-    """Fill out (odd, odd) from about (u, v), a column on by (ux, vx) and a row on by (uy, vy); NaN beyond the rim."""
+    """Fill out (odd, odd) from about (u, v), a column on by `across`, a row on by `down`; NaN beyond the rim."""
     half = out.shape[0] // 2
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            x = u + (j - half) * ux + (i - half) * uy
-            y = v + (j - half) * vx + (i - half) * vy
+            x = u + (j - half) * across[0] + (i - half) * down[0]
+            y = v + (j - half) * across[1] + (i - half) * down[1]
             if not (0.0 <= x < width - 1 and 0.0 <= y < height - 1):
                 out[i, j] = math.nan
                 continue
             a, b = int(y), int(x)
-            down, across = y - a, x - b
-            top = picture[a, b] + across * (picture[a, b + 1] - picture[a, b])
-            bottom = picture[a + 1, b] + across * (picture[a + 1, b + 1] - picture[a + 1, b])
-            out[i, j] = top + down * (bottom - top)
+            above = picture[a, b] + (x - b) * (picture[a, b + 1] - picture[a, b])
+            below = picture[a + 1, b] + (x - b) * (picture[a + 1, b + 1] - picture[a + 1, b])
+            out[i, j] = above + (y - a) * (below - above)
 
 
 @quick
@@ -47,10 +46,13 @@ def correlate(own: Floats, wide: Floats, alike: Floats) -> None:
     """Fill alike: ZNCC of a window with each of its size in a wider one; -1 where that has a NaN, or no texture."""
     side = own.shape[0]
     n = float(side * side)
-    less, texture = own - own.mean(), 0.0
+    mean, texture = 0.0, 0.0
     for i in range(side):
         for j in range(side):
-            texture += less[i, j] * less[i, j]
+            mean += own[i, j] / n
+    for i in range(side):
+        for j in range(side):
+            texture += (own[i, j] - mean) ** 2
     for a in range(alike.shape[0]):
         for b in range(alike.shape[1]):
             total, squares, product = 0.0, 0.0, 0.0
@@ -59,7 +61,7 @@ def correlate(own: Floats, wide: Floats, alike: Floats) -> None:
                     value = wide[a + i, b + j]
                     total += value
                     squares += value * value
-                    product += value * less[i, j]
+                    product += value * (own[i, j] - mean)
             rest = squares - total * total / n
             textured = rest > LEAST_TEXTURE * n and texture > LEAST_TEXTURE * n
             alike[a, b] = product / math.sqrt(texture * rest) if textured else -1.0
@@ -68,12 +70,12 @@ def correlate(own: Floats, wide: Floats, alike: Floats) -> None:
 @kernel
 def top(alike: Floats) -> tuple[int, int]:
     """Row and column of the most alike."""
-    best = 0
-    flat = alike.ravel()
-    for k in range(1, len(flat)):
-        if flat[k] > flat[best]:
-            best = k
-    return best // alike.shape[1], best % alike.shape[1]
+    row, col = 0, 0
+    for i in range(alike.shape[0]):
+        for j in range(alike.shape[1]):
+            if alike[i, j] > alike[row, col]:
+                row, col = i, j
+    return row, col
 
 
 @kernel
