@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,19 +80,17 @@ def test_poses_come_back_whole(wrong: float) -> None:
     true = some_views()
     corners, matches = seen(true, wrong)
     off = lost(true)
-    stack, prior = stacked(off), Prior(information_of(off), 1.0 / corners.depth_m, certainty_of(off, corners))
+    # What is measured here has no errors, so that priors would only be in its way; focus says how large everything is.
+    stack, prior = stacked(off), Prior(1e-6 * information_of(off), 1.0 / corners.depth_m, np.full(len(corners.owner), 1e6))
     state = first_state(stack, corners)
-    for scale in (8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 0.5, 0.5):
+    for scale in (8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 0.3, 0.1, 0.1, 0.1):
         state, off_px = step(stack, corners, matches, prior, state, scale)
-    found = [moved(view, w, t) for view, w, t in zip(off, np.zeros((6, 3)), np.zeros((6, 3)), strict=True)]
-    found = [
-        View(v.robot, v.incarnation, v.seq, v.camera, r, p, v.pose_covariance, v.picture, v.depth_m, v.sigma_m)
-        for v, r, p in zip(found, state.rotations, state.positions_m, strict=True)
-    ]
+    placed = zip(off, state.rotations, state.positions_m, strict=True)
+    found = [replace(view, rotation=rotation, position_m=place) for view, rotation, place in placed]
     motion = between(found, true)
     metres, radians = apart([by_motion(view, motion) for view in found], true)
-    assert metres.max() < 0.4e-3 and np.degrees(radians.max()) < 0.02
-    assert np.quantile(off_px, 0.7) < 0.05
+    assert metres.max() < 2e-5 and np.degrees(radians.max()) < 2e-3
+    assert np.quantile(off_px, 0.7) < 0.01
 
 
 def test_views_of_a_robot_share_their_error() -> None:
@@ -99,7 +99,7 @@ def test_views_of_a_robot_share_their_error() -> None:
     assert covariance[:6, 12:].max() == pytest.approx(0.0, abs=1e-9)  # of other robots: nothing
     both = [slice(0, 6), slice(6, 12)]
     own = np.diag(covariance[both[0], both[0]])
-    assert own[:3] > views[0].pose_covariance[0, 0]
+    assert own[:3].min() > views[0].pose_covariance[0, 0]
     difference = covariance[both[0], both[0]][:3, :3].trace() - covariance[both[0], both[1]][:3, :3].trace()
     assert difference < 0.2 * own[:3].sum()
     assert own[3:].min() > VIEW_SIGMA[1] ** 2
@@ -113,5 +113,5 @@ def test_a_robots_focus_is_wrong_in_all_of_its_depths_together() -> None:
     )
     relative = certainty_of(views, many) / 0.5**2
     assert relative[: 2 * count].sum() == pytest.approx(FOCUS_SHARED**-2)  # r1's, in two views
-    few = Corners(*(field[:10] for field in many))
+    few = Corners(*(field[:5] for field in many))
     assert certainty_of(views, few) == pytest.approx((0.5**2 / 5e-3) ** 2)

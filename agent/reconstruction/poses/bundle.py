@@ -71,11 +71,12 @@ def normal_of(
     """The normal equations there, and the cost."""
     gone, c, m = state.gone.ravel(), len(corners.owner), len(matches.other)
     pull = -prior.poses @ gone
+    held = -0.5 * float(pull @ gone)
     made = Normal(prior.poses.copy(), pull, np.zeros(c), np.zeros(c), np.zeros((c, 6)), np.zeros((m, 6)), np.zeros(m))
     first = np.searchsorted(matches.corner, np.arange(c + 1))
     there = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
     cost = _sum(there, corners, matches, first, prior, state.inverse, scale_px, made)
-    return made, cost - 0.5 * float(pull @ gone)
+    return made, cost + held
 
 
 def step(
