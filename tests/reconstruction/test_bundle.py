@@ -81,7 +81,8 @@ def test_poses_come_back_whole(wrong: float) -> None:
     corners, matches = seen(true, wrong)
     off = lost(true)
     # What is measured here has no errors, so that priors would only be in its way; focus says how large everything is.
-    stack, prior = stacked(off), Prior(1e-6 * information_of(off), 1.0 / corners.depth_m, np.full(len(corners.owner), 1e6))
+    sure = np.full(len(corners.owner), 1e6)
+    stack, prior = stacked(off), Prior(1e-6 * information_of(off), 1.0 / corners.depth_m, sure)
     state = first_state(stack, corners)
     for scale in (8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 0.3, 0.1, 0.1, 0.1):
         state, off_px = step(stack, corners, matches, prior, state, scale)

@@ -51,7 +51,7 @@ def matched(
     robots: of each view, whatever tells them apart. progress counts views.
     """
     count = len(stack.cameras)
-    pictures = [np.stack([tones(stack, n, blur_px) for n in range(count)]) for blur_px in BLURS_PX]
+    blurred, sharp = (np.stack([tones(stack, n, blur_px) for n in range(count)]) for blur_px in BLURS_PX)
     tilt = np.zeros((*stack.depth_m.shape[1:], 2))
     same = np.array([[a == b for b in robots] for a in robots])
     first = np.searchsorted(found.owner, np.arange(count + 1))
@@ -64,7 +64,7 @@ def matched(
         _shown(stack, n, found.pixel[mine], found.depth_m[mine], shown)
         others = np.sort(np.concatenate([_most(shown * same[n], OWN_VIEWS), _most(shown * ~same[n], OTHER_VIEWS)]))
         at = np.full((first[n + 1] - first[n], len(others), 2), np.nan)
-        _search(stack, *pictures, n, others, found.pixel[mine], found.depth_m[mine], tilt, reach, at)
+        _search(stack, blurred, sharp, n, others, found.pixel[mine], found.depth_m[mine], tilt, reach, at)
         corner, other = np.nonzero(np.isfinite(at[..., 0]))
         parts.append(Matches(corner + first[n], others[other], at[corner, other]))
         progress(n + 1, count)

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from agent.progress import Progress
+from agent.reconstruction.camera import Floats
 from agent.reconstruction.poses.bundle import Prior, first_state, step
 from agent.reconstruction.poses.corners import Corners, corners
 from agent.reconstruction.poses.matches import matched
@@ -47,16 +49,24 @@ def refine(views: Sequence[View], progress: Progress = lambda done, total: None)
     for n, scales in enumerate(SCALES_PX):
         now = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
         there = found._replace(depth_m=1.0 / state.inverse)
-        seen = matched(now, there, robots, reach_px, lambda done, _, n=n: progress(n * len(views) + done, total))
+        seen = matched(now, there, robots, reach_px, partial(_part, progress, n * len(views), total))
         for scale in scales:
             state, _ = step(stack, found, seen, prior, state, scale)
         reach_px = LEAST_REACH_PX
-    ends = [step(stack, found, seen, prior, one, 1.0)[1] for one in (start, state)]
     placed = [
         replace(view, rotation=rotation, position_m=position)
         for view, rotation, position in zip(views, state.rotations, state.positions_m, strict=True)
     ]
-    return Refined(placed, len(seen.other), tuple(float(np.median(px)) if len(px) else 0.0 for px in ends))
+    before, after = (_median(step(stack, found, seen, prior, one, 1.0)[1]) for one in (start, state))
+    return Refined(placed, len(seen.other), (before, after))
+
+
+def _part(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
+
+
+def _median(values: Floats) -> float:
+    return float(np.median(values)) if len(values) else 0.0
 
 
 def _reach_px(views: Sequence[View], stack: Stack, found: Corners) -> float:
