@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.reconstruction.camera import project
-from agent.reconstruction.poses.bundle import Prior, State, first_state, normal_of, step
+from agent.reconstruction.poses.bundle import Loss, Prior, State, first_state, normal_of, step
 from agent.reconstruction.poses.corners import Corners
 from agent.reconstruction.poses.matches import Matches
 from agent.reconstruction.poses.shared_prior import FOCUS_SHARED, VIEW_SIGMA, certainty_of, information_of
@@ -17,6 +17,7 @@ from agent.reconstruction.stack import stacked
 from agent.reconstruction.view import View, moved, rotation_of, surface_points, to_camera
 from tests.reconstruction.a_plane import CAMERA, some_views
 
+LOSS = Loss(2.0, 0.5)
 RNG = np.random.default_rng(11)
 
 
@@ -49,15 +50,15 @@ def test_the_pull_is_the_slope_of_the_cost() -> None:
     stack, prior = stacked(off), Prior(information_of(off), 1.0 / corners.depth_m, certainty_of(off, corners))
     state, h = first_state(stack, corners), 1e-6
     for _ in range(2):  # from where poses are not where priors have them, and depths not where focus has them
-        state, _ = step(stack, corners, matches, prior, state, 2.0)
+        state, _ = step(stack, corners, matches, prior, state, LOSS)
     state = state._replace(inverse=state.inverse * RNG.normal(1.0, 2e-3, len(state.inverse)))
-    normal, _ = normal_of(stack, corners, matches, prior, state, 2.0)
+    normal, _ = normal_of(stack, corners, matches, prior, state, LOSS)
 
     def cost(xi: np.ndarray, further: np.ndarray) -> float:
         turned = np.array([r @ rotation_of(w) for r, w in zip(state.rotations, xi[:, :3], strict=True)])
         gone = state.positions_m + np.einsum("nij,nj->ni", state.rotations, xi[:, 3:])
         there = State(turned, gone, state.gone + xi, state.inverse + further)
-        return normal_of(stack, corners, matches, prior, there, 2.0)[1]
+        return normal_of(stack, corners, matches, prior, there, LOSS)[1]
 
     still, none = np.zeros((len(true), 6)), np.zeros(len(state.inverse))
     # Corners were eliminated from the pull: what they take of it is put back.
@@ -85,7 +86,7 @@ def test_poses_come_back_whole(wrong: float) -> None:
     stack, prior = stacked(off), Prior(1e-6 * information_of(off), 1.0 / corners.depth_m, sure)
     state = first_state(stack, corners)
     for scale in (8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 0.3, 0.1, 0.1, 0.1):
-        state, off_px = step(stack, corners, matches, prior, state, scale)
+        state, off_px = step(stack, corners, matches, prior, state, Loss(scale, 0.5))
     placed = zip(off, state.rotations, state.positions_m, strict=True)
     found = [replace(view, rotation=rotation, position_m=place) for view, rotation, place in placed]
     motion = between(found, true)

@@ -3,9 +3,10 @@
 Bundle adjustment. A corner lies on its own pixel's ray at 1/z: one unknown, which is eliminated (Schur), so that six
 for each view are left. Steps are Gauss and Newton's, with Cauchy's weights of a scale c that narrows; least becomes
 
-    c^2/2 sum log(1 + |found - seen|^2 / c^2) / SIGMA_PX^2 + the like of (1/z_focus - 1/z) + 1/2 xi' Lambda xi
+    c^2/2 sum log(1 + |found - seen|^2 / c^2) / s^2 + the like of (1/z_focus - 1/z) + 1/2 xi' Lambda xi
 
-with xi = (w, t) of all views along their cameras' axes, and Lambda the information of shared_prior.py.
+with xi = (w, t) of all views along their cameras' axes, Lambda the information of shared_prior.py, and s what a match
+is worth, in pixels.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from agent.reconstruction.stereo.warp import camera_in
 from agent.reconstruction.view import rotation_of
 from hw.compiled import compiled
 
-SIGMA_PX = 0.5
 FOCUS_SCALE = 2.0  # Cauchy's, for depths, in their standard deviations
 DAMPING = 1e-6
 
@@ -48,6 +48,13 @@ class Prior(NamedTuple):
     certainty: Floats  # (c,) information of that
 
 
+class Loss(NamedTuple):
+    """Of matches, in pixels."""
+
+    scale_px: float  # Cauchy's: what is so far off has half the weight
+    sigma_px: float  # what one match is worth beside priors
+
+
 class Normal(NamedTuple):
     """Normal equations; a kernel adds to them."""
 
@@ -66,7 +73,7 @@ def first_state(stack: Stack, corners: Corners) -> State:
 
 
 def normal_of(
-    stack: Stack, corners: Corners, matches: Matches, prior: Prior, state: State, scale_px: float
+    stack: Stack, corners: Corners, matches: Matches, prior: Prior, state: State, loss: Loss
 ) -> tuple[Normal, float]:
     """The normal equations there, and the cost."""
     gone, c, m = state.gone.ravel(), len(corners.owner), len(matches.other)
@@ -75,15 +82,15 @@ def normal_of(
     made = Normal(prior.poses.copy(), pull, np.zeros(c), np.zeros(c), np.zeros((c, 6)), np.zeros((m, 6)), np.zeros(m))
     first = np.searchsorted(matches.corner, np.arange(c + 1))
     there = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
-    cost = _sum(there, corners, matches, first, prior, state.inverse, scale_px, made)
+    cost = _sum(there, corners, matches, first, prior, state.inverse, loss, made)
     return made, cost + held
 
 
 def step(
-    stack: Stack, corners: Corners, matches: Matches, prior: Prior, state: State, scale_px: float
+    stack: Stack, corners: Corners, matches: Matches, prior: Prior, state: State, loss: Loss
 ) -> tuple[State, Floats]:
     """One step; and how far, in pixels, each match was off before it."""
-    normal, _ = normal_of(stack, corners, matches, prior, state, scale_px)
+    normal, _ = normal_of(stack, corners, matches, prior, state, loss)
     normal.hessian[np.diag_indices(len(normal.pull))] *= 1.0 + DAMPING
     xi = np.linalg.solve(normal.hessian, normal.pull).reshape(-1, 6)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -99,7 +106,7 @@ def step(
 @kernel
 def _sum(
     stack: Stack, corners: Corners, matches: Matches, first: NDArray[np.int64], prior: Prior, q: Floats,
-    scale: float, to: Normal,
+    loss: Loss, to: Normal,
 ) -> float:  # fmt: skip
     cost = 0.0
     for c in range(len(q)):
@@ -110,13 +117,13 @@ def _sum(
         cost += 0.5 * FOCUS_SCALE**2 * math.log(large)
         to.curve[c], to.tug[c] = certain / large, certain / large * miss
         for m in range(first[c], first[c + 1]):
-            cost += _add(stack, corners, matches, c, m, q[c], scale, to)
+            cost += _add(stack, corners, matches, c, m, q[c], loss, to)
         _eliminate(corners.owner[c], matches.other[first[c] : first[c + 1]], c, first[c], to)
     return cost
 
 
 @kernel
-def _add(stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: float, scale: float, to: Normal) -> float:
+def _add(stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: float, loss: Loss, to: Normal) -> float:
     """One match."""
     n, o, z = corners.owner[c], matches.other[m], 1.0 / q
     mine, its = camera_in(stack, n), camera_in(stack, o)
@@ -137,8 +144,8 @@ def _add(stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: fl
     if not good:
         to.off_px[m] = np.inf
         return 0.0
-    large = 1.0 + (du * du + dv * dv) / scale**2
-    share = 1.0 / SIGMA_PX**2 / large
+    large = 1.0 + (du * du + dv * dv) / loss.scale_px**2
+    share = 1.0 / loss.sigma_px**2 / large
     by_point, of_n, of_o = np.zeros((2, 3)), np.zeros(6), np.zeros(6)
     pixel_by_point(its, there, by_point)
     for r in range(2):
@@ -164,7 +171,7 @@ def _add(stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: fl
                 to.hessian[6 * o + i, 6 * o + j] += share * of_o[i] * of_o[j]
                 to.hessian[6 * n + i, 6 * o + j] += share * of_n[i] * of_o[j]
                 to.hessian[6 * o + i, 6 * n + j] += share * of_o[i] * of_n[j]
-    return 0.5 * scale**2 / SIGMA_PX**2 * math.log(large)
+    return 0.5 * (loss.scale_px / loss.sigma_px) ** 2 * math.log(large)
 
 
 @kernel

@@ -17,7 +17,7 @@ import numpy as np
 
 from agent.progress import Progress
 from agent.reconstruction.camera import Floats
-from agent.reconstruction.poses.bundle import Prior, first_state, step
+from agent.reconstruction.poses.bundle import Loss, Prior, first_state, step
 from agent.reconstruction.poses.corners import Corners, corners
 from agent.reconstruction.poses.matches import matched
 from agent.reconstruction.poses.shared_prior import certainty_of, information_of
@@ -25,6 +25,8 @@ from agent.reconstruction.stack import Stack, stacked
 from agent.reconstruction.view import View
 
 REACH_SIGMAS, LEAST_REACH_PX, MOST_REACH_PX = 3.5, 8.0, 40.0
+LEAST_SIGMA_PX = 0.5  # what one match is worth at best
+TOGETHER = 6.0  # times the median of how far matches are off: those of a picture are wrong together, as its camera is
 # Cauchy's scales in pixels, a step each: what is found far away may be wrong, but poses are, too.
 SCALES_PX = ((8.0,) * 4 + (4.0,) * 3 + (2.0,) * 3 + (1.0,) * 3, (3.0,) * 3 + (1.0,) * 5)
 
@@ -45,19 +47,19 @@ def refine(views: Sequence[View], progress: Progress = lambda done, total: None)
     prior = Prior(information_of(views), 1.0 / found.depth_m, certainty_of(views, found))
     state = start = first_state(stack, found)
     total = len(SCALES_PX) * len(views)
-    reach_px = _reach_px(views, stack, found)
+    reach_px, sigma_px = _reach_px(views, stack, found), LEAST_SIGMA_PX
     for n, scales in enumerate(SCALES_PX):
         now = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
         there = found._replace(depth_m=1.0 / state.inverse)
         seen = matched(now, there, robots, reach_px, partial(_part, progress, n * len(views), total))
         for scale in scales:
-            state, _ = step(stack, found, seen, prior, state, scale)
-        reach_px = LEAST_REACH_PX
+            state, off_px = step(stack, found, seen, prior, state, Loss(scale, sigma_px))
+        reach_px, sigma_px = LEAST_REACH_PX, max(LEAST_SIGMA_PX, TOGETHER * _median(off_px))
     placed = [
         replace(view, rotation=rotation, position_m=position)
         for view, rotation, position in zip(views, state.rotations, state.positions_m, strict=True)
     ]
-    before, after = (_median(step(stack, found, seen, prior, one, 1.0)[1]) for one in (start, state))
+    before, after = (_median(step(stack, found, seen, prior, one, Loss(1.0, sigma_px))[1]) for one in (start, state))
     return Refined(placed, len(seen.other), (before, after))
 
 
