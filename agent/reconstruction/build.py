@@ -16,10 +16,10 @@ from agent.progress import Progress, Show
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.neighbours import neighbours
 from agent.reconstruction.raster import pieces_of, rendered
 from agent.reconstruction.stack import Stack, stacked
-from agent.reconstruction.stereo import Swept, plane_sweep
+from agent.reconstruction.stereo.neighbours import neighbours
+from agent.reconstruction.stereo.plane_sweep import Swept, plane_sweep
 from agent.reconstruction.view import View
 
 CELL_M = 5e-3

@@ -20,7 +20,6 @@ from agent.reconstruction.image.held_back import held_back
 from agent.reconstruction.image.judged import HeldBack, judged
 from agent.reconstruction.image.model import ImageModel, ImageSettings, image
 from agent.reconstruction.poses.refine import refine
-from agent.reconstruction.poses.scene import scene_of
 from agent.reconstruction.recorded import recorded_views
 from agent.reconstruction.report.report import write_report
 from agent.reconstruction.transforms_in import transforms_views
@@ -81,7 +80,7 @@ def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View],
         raise Failed(f"no whole sweep of the focus to build on in these recordings{f': {why}' if why else ''}")
     used, held = held_back(views)
     if settings.refine:
-        used = refine(used, scene_of, lambda done, total: show(done, total, "refining poses")).views
+        used = refine(used, lambda done, total: show(done, total, "refining poses")).views
     return _built(used, settings, settings.stereo, show), held, passed_over
 
 

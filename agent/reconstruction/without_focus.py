@@ -15,9 +15,9 @@ from agent.failure import Failed
 from agent.progress import Progress
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.extract import Mesh
-from agent.reconstruction.neighbours import neighbours
 from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo import Range, plane_sweep
+from agent.reconstruction.stereo.neighbours import neighbours
+from agent.reconstruction.stereo.plane_sweep import Range, plane_sweep
 from agent.reconstruction.view import View
 
 DISTANCE_M = 0.7

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from agent.reconstruction.camera import project, unproject
 from agent.reconstruction.poses.evidence import evidence, flow
-from agent.reconstruction.poses.refine import clipped, place, refine
+from agent.reconstruction.poses.place import clipped, place
+from agent.reconstruction.poses.refine import refine
 from agent.reconstruction.poses.twist import Motion, apart, between, by_motion, carried, moved_about
 from agent.reconstruction.view import diagonal_prior, moved, rotation_of, to_camera
 from tests.reconstruction.a_plane import CAMERA, a_view, look, some_views
+from tests.reconstruction.drawn import drawn_view, plane_depth
 
 
 def test_flow_is_what_central_differences_of_the_whole_camera_say() -> None:
@@ -48,24 +51,36 @@ def test_a_robots_motion_is_its_views_own_carried_over() -> None:
 
 
 def test_errors_of_robots_come_back() -> None:
-    true, rng = some_views(), np.random.default_rng(3)
-    errors = {r: (rng.normal(0, np.radians(0.5), 3), rng.normal(0, 3e-3, 3)) for r in ("r1", "r2", "r3")}
-    off = [moved_about(view, np.array([0.0, 0.1, 0.2]), *errors[view.robot]) for view in true]
-    before, _ = apart(off, true)
-    # Each sees what it truly saw, from where it is not.
-    wide = diagonal_prior(np.radians(2.0), 20e-3)  # pictures are too small here to stand up to a narrow one
-    pairs = zip(off, true, strict=True)
-    seen = [replace(view, picture=t.picture, depth_m=t.depth_m, pose_covariance=wide) for view, t in pairs]
-    found = refine(seen, lambda views: look)
-    metres, radians = apart(found.views, true)
-    assert metres.max() < 0.1 * before.max() and np.degrees(radians.max()) < 0.1
-    assert found.costs[-1] < 1e-3 * found.costs[0]
+    floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+    places = [(0.0, -0.40), (0.02, -0.44), (0.30, -0.30), (0.33, -0.26), (-0.30, -0.28), (-0.26, -0.33)]
+    drawn = [drawn_view(n, (x, y, 0.4 + 0.1 * (n % 2)), (0.0, 0.0, 0.0), floor) for n, (x, y) in enumerate(places)]
+    survey = diagonal_prior(np.radians(0.5), 3e-3)
+    true = [replace(view, robot=f"r{n // 2}", pose_covariance=survey) for n, view in enumerate(drawn)]
+    rng = np.random.default_rng(3)
+    errors = [(rng.normal(0, np.radians(0.5), 3), rng.normal(0, 3e-3, 3)) for _ in range(3)]
+    off = [moved_about(view, true[n // 2 * 2].position_m, *errors[n // 2]) for n, view in enumerate(true)]
+    found = refine(off)
+    motion = [between(views, true) for views in (off, found.views)]  # of everything: nobody can see that
+    (before, _), (metres, radians) = (
+        apart([by_motion(view, taken) for view in views], true)
+        for views, taken in zip((off, found.views), motion, strict=True)
+    )
+    assert before.max() > 7e-3
+    assert metres.max() < 2e-3 and np.degrees(radians.max()) < 0.1  # how large everything is, three robots know badly
+    assert found.off_px[1] < 0.1 < 1.0 < found.off_px[0]
+
+
+def test_views_that_share_nothing_stay_where_they_are() -> None:
+    plain = [replace(view, picture=np.full_like(view.picture, 0.3)) for view in some_views()]
+    found = refine(plain)
+    assert found.matches == 0
+    assert apart(found.views, plain)[0].max() < 1e-9
 
 
 def test_a_view_alone_finds_its_place_in_a_scene() -> None:
     true = a_view("r9", 0, (0.02, 0.03, 0.0), (0.0, 0.1, 0.05))
     lost = moved(true, np.array([0.006, -0.008, 0.01]), np.array([0.004, -0.003, 0.005]))
-    found = place(lost, look).views[0]
+    found = place(lost, look).view
     metres, radians = apart([found], [true])
     assert metres[0] < 3e-4 and np.degrees(radians[0]) < 0.05
 
@@ -82,7 +97,7 @@ def test_a_common_motion_is_taken_off_whole() -> None:
 def test_a_prior_that_knows_all_keeps_a_view_where_it_is() -> None:
     true = a_view("r1", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     lost = moved(true, np.array([0.003, 0.0, 0.0]), np.zeros(3))
-    kept = place(lost, look, np.eye(6) * 1e12).views[0]
+    kept = place(lost, look, np.eye(6) * 1e12).view
     assert apart([kept], [lost])[0][0] < 1e-6
 
 

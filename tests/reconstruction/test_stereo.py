@@ -6,9 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.reconstruction.neighbours import neighbours
 from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo import Swept, plane_sweep, slopes_of_map
+from agent.reconstruction.stereo.neighbours import neighbours
+from agent.reconstruction.stereo.plane_sweep import Swept, plane_sweep
+from agent.reconstruction.stereo.warp import slopes_of_map
 from agent.reconstruction.view import View
 from tests.reconstruction.drawn import drawn_view, plane_depth
 

@@ -31,12 +31,11 @@ from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.image.model import ImageSettings, image
-from agent.reconstruction.neighbours import neighbours
 from agent.reconstruction.poses.refine import refine
-from agent.reconstruction.poses.scene import scene_of
 from agent.reconstruction.report.beside import psnr_db, render_of
 from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo import plane_sweep
+from agent.reconstruction.stereo.neighbours import neighbours
+from agent.reconstruction.stereo.plane_sweep import plane_sweep
 from agent.reconstruction.view import View
 
 SENSOR: Sensor = "crop_1280"
@@ -116,7 +115,7 @@ def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSe
     views = rendered.trained if poses == "exact" else noisy(rendered.trained, rendered.seed)
     start = processor_s()
     if poses == "refined":
-        views = refine(views, scene_of).views
+        views = refine(views).views
     refined_s = processor_s() - start
     made = surfaces(views)
     focus, sweep, both = (_scored(mesh, views, rendered, truth_m) for mesh in (made.focus, made.sweep, made.both))

@@ -1,7 +1,7 @@
 """An image model held against photographs that it has not seen: peak signal to noise, where the camera really was.
 
 What is a millimetre off costs more than all that a model gets wrong, and says nothing about it: so each photograph
-first finds its place in the model's pictures (poses/refine.place), as if it were a robot's.
+first finds its place in the model's pictures (poses/place.py), as if it were a robot's.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.reconstruction.camera import shrunk
-from agent.reconstruction.poses.refine import place
+from agent.reconstruction.poses.place import place
 from agent.reconstruction.view import View
 
 Pictures = NDArray[np.float32]
@@ -42,7 +42,7 @@ def judged(look: Look, views: Sequence[View]) -> list[HeldBack]:
 
 def _judged(look: Look, view: View) -> HeldBack:
     small = smaller(view, SMALLER)
-    found = place(small, lambda there: _floats(look(there)), rounds=ROUNDS).views[0]
+    found = place(small, lambda there: _floats(look(there)), rounds=ROUNDS).view
     there = replace(view, rotation=found.rotation, position_m=found.position_m)
     light, depth_m = look(there)
     return HeldBack(there, light, depth_m, psnr_db(light, view.picture), psnr_db(look(view)[0], view.picture))

@@ -37,13 +37,13 @@ class Normal(NamedTuple):
     cost: float
 
 
-def evidence(view: View, seen: Floats, seen_depth_m: Floats, blur_px: float = 0.0) -> Normal:
+def evidence(view: View, seen: Floats, seen_depth_m: Floats) -> Normal:
     """seen: linear light (height, width, 3) and depth (height, width) as they look from the view; NaN in holes."""
     good = np.isfinite(seen).all(axis=-1) & np.isfinite(seen_depth_m)
     side = 2 * HOLE_PX + 1
     good = cv2.erode(good.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1).astype(bool)
-    model = _tone(np.where(np.isfinite(seen), seen, 0.0), blur_px)
-    tones = _tone(view.picture.astype(float), blur_px)
+    model = _tone(np.where(np.isfinite(seen), seen, 0.0))
+    tones = _tone(view.picture.astype(float))
     depth = np.where(np.isfinite(seen_depth_m), seen_depth_m, 0.0)
     off = np.abs(tones - model)[good]
     scale = max(TONE_SPREAD * float(np.median(off)), LEAST_TONE) if off.size else 1.0
@@ -56,9 +56,8 @@ def evidence(view: View, seen: Floats, seen_depth_m: Floats, blur_px: float = 0.
     return Normal(hessian, pull, cost)
 
 
-def _tone(light: Floats, blur_px: float) -> Floats:
-    tone = np.ascontiguousarray((np.maximum(light, 0.0) + DARKEST) ** GAMMA)
-    return np.asarray(cv2.GaussianBlur(tone, (0, 0), blur_px), float) if blur_px > 0.0 else tone
+def _tone(light: Floats) -> Floats:
+    return np.ascontiguousarray((np.maximum(light, 0.0) + DARKEST) ** GAMMA)
 
 
 def _slopes(tones: Floats) -> tuple[Floats, Floats]:

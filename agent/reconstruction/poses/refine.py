@@ -1,114 +1,79 @@
-"""Poses of all views from their pictures and depths together: robots first, then each view by itself.
+"""Poses of all views from their pictures together: corners of each found in the others, then everything moved to fit.
 
-A round builds surface and colours from where cameras are believed to be, and moves each robot, with all of its views,
-to where its pictures fit better what all robots saw; priors hold what pictures cannot tell. Early rounds look at
-blurred pictures, which a few pixels cannot lead astray. The common motion of everything stays what the priors make of
-it: see twist.between.
+Pictures are compared with pictures, not with a scene that was built from them: such a scene holds each view's own
+error, and draws the view back to where it was. First corners are looked for as far away as poses may be wrong, then,
+once they fit, close by. The common motion of everything stays what priors make of it (twist.between); its scale is what
+places and focus depths say of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.reconstruction.poses.evidence import Normal, evidence
-from agent.reconstruction.poses.twist import carried, moved_about
-from agent.reconstruction.view import View, moved
+from agent.progress import Progress
+from agent.reconstruction.camera import Floats
+from agent.reconstruction.poses.bundle import Loss, Prior, first_state, step
+from agent.reconstruction.poses.corners import Corners, corners
+from agent.reconstruction.poses.matches import matched
+from agent.reconstruction.poses.shared_prior import certainty_of, information_of
+from agent.reconstruction.stack import Stack, stacked
+from agent.reconstruction.view import View
 
-Floats = NDArray[np.float64]
-
-Look = Callable[[View], tuple[Floats, Floats]]  # linear light (h, w, 3) and depth (h, w) from a view; NaN in holes
-Build = Callable[[Sequence[View]], Look]  # what the scene looks like, made of views as they stand
-
-BLURS_PX = (2.0, 1.5, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)  # of the rounds of robots; the sharp ones gain a point of F each
-STEPS = 2  # of Gauss-Newton in a round
-ROBOT_CLIP = (8e-3, 6e-3)  # rad and m of one step
-VIEW_SIGMA = (np.radians(0.1), 1e-3)  # rad and m: what a view has of its own, beside its robot
-VIEW_CLIP = (10e-3, 8e-3)
-PLACE_ROUNDS = 8  # of placing one view in a scene that stands
-LEAST_SIGMA = 1e-6  # rad and m: of a prior that claims to know everything
+REACH_SIGMAS, LEAST_REACH_PX, MOST_REACH_PX = 3.5, 8.0, 40.0
+LEAST_SIGMA_PX = 0.5  # what one match is worth at best
+TOGETHER = 6.0  # times the median of how far matches are off: those of a picture are wrong together, as its camera is
+# Cauchy's scales in pixels, a step each: what is found far away may be wrong, but poses are, too.
+SCALES_PX = ((8.0,) * 4 + (4.0,) * 3 + (2.0,) * 3 + (1.0,) * 3, (3.0,) * 3 + (1.0,) * 5)
 
 
 class Refined(NamedTuple):
     views: list[View]
-    costs: tuple[float, ...]  # of pictures and depths before each round, and at the end
+    matches: int  # corners found in other pictures, in the last round
+    off_px: tuple[float, float]  # median of how far they are from where poses put them, before and after
 
 
-def refine(views: Sequence[View], build: Build, done: Callable[[int, int], None] = lambda done, total: None) -> Refined:
-    """Views in the same order, where they fit each other. done(rounds, in all) is called after each.
+def refine(views: Sequence[View], progress: Progress = lambda done, total: None) -> Refined:
+    """Views in the same order, where they fit each other. progress counts views, once a round.
 
-    A robot's prior is what its views' covariances say, taken as one: they share what is wrong. Its last round gives
-    each view a motion of its own, of VIEW_SIGMA.
+    Raises Failed where there is no view.
     """
-    now, total = list(views), len(BLURS_PX) + 1
-    robots = sorted({(view.robot, view.incarnation) for view in views})
-    groups = [[n for n, view in enumerate(views) if (view.robot, view.incarnation) == robot] for robot in robots]
-    centres = [np.mean([views[n].position_m for n in group], axis=0) for group in groups]
-    priors = [_prior([views[n] for n in group], centre) for group, centre in zip(groups, centres, strict=True)]
-    gone = [np.zeros(6) for _ in groups]
-    costs = []
-    for n, blur_px in enumerate(BLURS_PX):
-        look = build(now)
-        for step in range(STEPS):
-            cost = 0.0
-            for g, (group, centre) in enumerate(zip(groups, centres, strict=True)):
-                found = [_of_robot(now[k], look, blur_px, centre) for k in group]
-                cost += sum(one.cost for one in found)
-                hessian = sum((one.hessian for one in found), priors[g].copy())
-                pull = sum((one.pull for one in found), -priors[g] @ gone[g])
-                xi = clipped(np.asarray(np.linalg.solve(hessian, pull), float), ROBOT_CLIP)
-                gone[g] = gone[g] + xi
-                for k in group:
-                    now[k] = moved_about(now[k], centre, xi[:3], xi[3:])
-            if step == 0:
-                costs.append(cost)
-        done(n + 1, total)
-    look, own = build(now), _diagonal(VIEW_SIGMA)
-    placed = [place(view, look, own, STEPS) for view in now]
-    costs.append(sum(one.costs[0] for one in placed))
-    costs.append(sum(one.costs[-1] for one in placed))
-    done(total, total)
-    return Refined([one.views[0] for one in placed], tuple(costs))
+    stack = stacked(views)
+    found, robots = corners(stack), [(view.robot, view.incarnation) for view in views]
+    prior = Prior(information_of(views), 1.0 / found.depth_m, certainty_of(views, found))
+    state = start = first_state(stack, found)
+    total = len(SCALES_PX) * len(views)
+    reach_px, sigma_px = _reach_px(views, stack, found), LEAST_SIGMA_PX
+    for n, scales in enumerate(SCALES_PX):
+        now = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
+        there = found._replace(depth_m=1.0 / state.inverse)
+        seen = matched(now, there, robots, reach_px, partial(_part, progress, n * len(views), total))
+        for scale in scales:
+            state, off_px = step(stack, found, seen, prior, state, Loss(scale, sigma_px))
+        reach_px, sigma_px = LEAST_REACH_PX, max(LEAST_SIGMA_PX, TOGETHER * _median(off_px))
+    placed = [
+        replace(view, rotation=rotation, position_m=position)
+        for view, rotation, position in zip(views, state.rotations, state.positions_m, strict=True)
+    ]
+    before, after = (_median(step(stack, found, seen, prior, one, Loss(1.0, sigma_px))[1]) for one in (start, state))
+    return Refined(placed, len(seen.other), (before, after))
 
 
-def place(view: View, look: Look, prior: Floats | None = None, rounds: int = PLACE_ROUNDS) -> Refined:
-    """One view moved to where it fits a scene that stands still; prior: information (6, 6) of its own motion."""
-    information = np.zeros((6, 6)) if prior is None else prior
-    gone, costs, now = np.zeros(6), [], view
-    for _ in range(rounds):
-        found = evidence(now, *look(now))
-        costs.append(found.cost)
-        hessian = found.hessian + information + 1e-9 * np.eye(6)
-        pull = found.pull - information @ gone
-        xi = clipped(np.asarray(np.linalg.solve(hessian, pull), float), VIEW_CLIP)
-        gone, now = gone + xi, moved(now, xi[:3], xi[3:])
-    costs.append(evidence(now, *look(now)).cost)
-    return Refined([now], tuple(costs))
+def _part(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
 
 
-def clipped(xi: Floats, clip: tuple[float, float]) -> Floats:
-    """A step (6,), shortened as a whole until it turns by clip[0] rad at most, and goes no farther than clip[1] m."""
-    over = max(float(np.linalg.norm(xi[:3])) / clip[0], float(np.linalg.norm(xi[3:])) / clip[1], 1.0)
-    return np.asarray(xi / over)
+def _median(values: Floats) -> float:
+    return float(np.median(values)) if len(values) else 0.0
 
 
-def _of_robot(view: View, look: Look, blur_px: float, centre_m: Floats) -> Normal:
-    found, carry = evidence(view, *look(view), blur_px), carried(view, centre_m)
-    return Normal(carry.T @ found.hessian @ carry, carry.T @ found.pull, found.cost)
-
-
-def _prior(views: Sequence[View], centre_m: Floats) -> Floats:
-    """Information (6, 6) of a robot's motion: the mean of what its views say."""
-    total = np.zeros((6, 6))
-    for view in views:
-        carry = carried(view, centre_m)
-        covariance = view.pose_covariance + LEAST_SIGMA**2 * np.eye(6)
-        total += carry.T @ np.linalg.inv(covariance) @ carry
-    return total / len(views)
-
-
-def _diagonal(sigma: tuple[float, float]) -> Floats:
-    return np.diag([sigma[0] ** -2] * 3 + [sigma[1] ** -2] * 3)
+def _reach_px(views: Sequence[View], stack: Stack, found: Corners) -> float:
+    """How far from where it should be a corner may be in another picture, by what poses are said to be wrong by."""
+    variance = np.array([np.diag(view.pose_covariance) for view in views]).reshape(-1, 2, 3).mean(axis=(0, 2))
+    z = float(np.median(found.depth_m)) if len(found.depth_m) else 1.0
+    sigma_px = float(stack.cameras[:, 0].max()) * np.sqrt(2.0 * (variance[0] + variance[1] / z**2))
+    return float(np.clip(REACH_SIGMAS * sigma_px, LEAST_REACH_PX, MOST_REACH_PX))

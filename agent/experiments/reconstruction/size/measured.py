@@ -20,10 +20,10 @@ from agent.experiments.result import Row
 from agent.reconstruction.build import CELL_M, build
 from agent.reconstruction.camera import Camera
 from agent.reconstruction.export.kinds import export
-from agent.reconstruction.neighbours import neighbours
 from agent.reconstruction.run import figures_of
 from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo import COMPARED
+from agent.reconstruction.stereo.neighbours import neighbours
+from agent.reconstruction.stereo.plane_sweep import COMPARED
 from agent.reconstruction.view import View
 
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.progress import Progress
-from agent.reconstruction.camera import Camera, Floats, inlined, pixel_of, slopes_of
-from agent.reconstruction.neighbours import Neighbours
+from agent.reconstruction.camera import Floats, inlined, slopes_of
 from agent.reconstruction.stack import Stack
+from agent.reconstruction.stereo.neighbours import Neighbours
+from agent.reconstruction.stereo.warp import between, camera_in, seen_at, slopes_of_map
 from hw.compiled import compiled
 
 HYPOTHESES = 16
@@ -89,76 +90,14 @@ def plane_sweep(
     return Swept(kept, sigma)
 
 
-@compiled(error_model="numpy")
-def slopes_of_map(depth: NDArray[np.float32], tilt: Floats) -> None:
-    """How 1/z changes with a pixel to the right and down (height, width, 2), over 9 x 9 pixels; 0 where unknown."""
-    for row in range(depth.shape[0]):
-        for col in range(depth.shape[1]):
-            n, su, sv, sq = 0, 0.0, 0.0, 0.0
-            suu, suv, svv, suq, svq = 0.0, 0.0, 0.0, 0.0, 0.0
-            tilt[row, col, 0] = tilt[row, col, 1] = 0.0
-            if not depth[row, col] > 0.0:
-                continue
-            middle = 1.0 / depth[row, col]
-            for i in range(max(row - 4, 0), min(row + 5, depth.shape[0]), 2):
-                for j in range(max(col - 4, 0), min(col + 5, depth.shape[1]), 2):
-                    q = 1.0 / depth[i, j] - middle
-                    if not abs(q) < 0.1 * middle:
-                        continue
-                    u, v = float(j - col), float(i - row)
-                    n, su, sv, sq = n + 1, su + u, sv + v, sq + q
-                    suu, suv, svv, suq, svq = suu + u * u, suv + u * v, svv + v * v, suq + u * q, svq + v * q
-            if n < 9:
-                continue
-            suu, suv, svv = suu - su * su / n, suv - su * sv / n, svv - sv * sv / n
-            suq, svq = suq - su * sq / n, svq - sv * sq / n
-            determinant = suu * svv - suv * suv
-            if determinant > 1e-6 * suu * svv:
-                tilt[row, col, 0] = (svv * suq - suv * svq) / determinant
-                tilt[row, col, 1] = (suu * svq - suv * suq) / determinant
-
-
-@inlined
-def _camera(stack: Stack, n: int) -> Camera:
-    c, size = stack.cameras[n], stack.sizes[n]
-    return Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
-
-
-@inlined
-def _seen_at(camera: Camera, m: Floats, shift: Floats, x: float, y: float, z: float) -> tuple[float, float, bool]:
-    """A point of one view's frame in another's picture, by the rotation (3, 3) and shift (3,) between them."""
-    return pixel_of(
-        camera,
-        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + shift[0],
-        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + shift[1],
-        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + shift[2],
-    )
-
-
-@kernel
-def _between(stack: Stack, n: int, others: NDArray[np.int64], turns: Floats, shifts: Floats) -> None:
-    """Rotation and shift from view n's frame into each other's."""
-    for k in range(len(others)):
-        o = others[k]
-        if o < 0:
-            continue
-        for a in range(3):
-            shifts[k, a] = 0.0
-            for b in range(3):
-                shifts[k, a] += stack.rotations[o, b, a] * (stack.positions_m[n, b] - stack.positions_m[o, b])
-                turns[k, a, b] = 0.0
-                for c in range(3):
-                    turns[k, a, b] += stack.rotations[o, c, a] * stack.rotations[n, c, b]
-
-
 @kernel
 def _sweep(
     stack: Stack, grey: NDArray[np.float32], n: int, others: NDArray[np.int64], tilt: Floats,
     ends: tuple[float, float], costs: Floats, found: NDArray[np.float32],
 ) -> None:  # fmt: skip
     turns, shifts = np.empty((MOST_NEIGHBOURS, 3, 3)), np.empty((MOST_NEIGHBOURS, 3))
-    _between(stack, n, others, turns, shifts)
-    mine = _camera(stack, n)
+    between(stack, n, others, turns, shifts)
+    mine = camera_in(stack, n)
     own = np.empty(25, np.float32)
     for row in range(HALF, mine.height - HALF):
         for col in range(HALF, mine.width - HALF):
@@ -187,11 +126,11 @@ def _sweep(
                     o = others[k]
                     if o < 0:
                         break
-                    its = _camera(stack, o)
+                    its = camera_in(stack, o)
                     a0, a1, a2 = z0 - mine.ahead_m, z1 - mine.ahead_m, z2 - mine.ahead_m
-                    u0, v0, good0 = _seen_at(its, turns[k], shifts[k], x0 * a0, y0 * a0, z0)
-                    u1, v1, good1 = _seen_at(its, turns[k], shifts[k], x1 * a1, y1 * a1, z1)
-                    u2, v2, good2 = _seen_at(its, turns[k], shifts[k], x2 * a2, y2 * a2, z2)
+                    u0, v0, good0 = seen_at(its, turns[k], shifts[k], x0 * a0, y0 * a0, z0)
+                    u1, v1, good1 = seen_at(its, turns[k], shifts[k], x1 * a1, y1 * a1, z1)
+                    u2, v2, good2 = seen_at(its, turns[k], shifts[k], x2 * a2, y2 * a2, z2)
                     if not (good0 and good1 and good2):
                         continue
                     ux, vx = (u1 - u0) / HALF, (v1 - v0) / HALF
@@ -269,8 +208,8 @@ def _agreeing(
 ) -> None:  # fmt: skip
     """The depths of view n that so many neighbours have, too."""
     turns, shifts = np.empty((MOST_NEIGHBOURS, 3, 3)), np.empty((MOST_NEIGHBOURS, 3))
-    _between(stack, n, others, turns, shifts)
-    mine = _camera(stack, n)
+    between(stack, n, others, turns, shifts)
+    mine = camera_in(stack, n)
     for row in range(mine.height):
         for col in range(mine.width):
             z = float(found[n, row, col])
@@ -283,8 +222,8 @@ def _agreeing(
                 o = others[k]
                 if o < 0:
                     break
-                its = _camera(stack, o)
-                u, v, good = _seen_at(its, turns[k], shifts[k], px, py, z)
+                its = camera_in(stack, o)
+                u, v, good = seen_at(its, turns[k], shifts[k], px, py, z)
                 if not (good and -0.5 < u < its.width - 0.5 and -0.5 < v < its.height - 0.5):
                     continue
                 there = turns[k, 2, 0] * px + turns[k, 2, 1] * py + turns[k, 2, 2] * z + shifts[k, 2]

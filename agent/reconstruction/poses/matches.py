@@ -1,0 +1,153 @@
+"""Where corners of one picture are in others: what pictures say of poses before anything is built from them.
+
+A corner's window is a small plane, tilted as the focus map is around it; another view that should see it does so by an
+affine map, as in the plane sweep. Poses are off, so that it is not quite there: it is looked for all around, first
+blurred in steps of STEP_PX, then sharp in single pixels, with parabolas over the best. Steps are counted in the
+window's own plane, so that the other picture is read once for all of them. What is almost as alike elsewhere (tiles)
+is refused, as are what is not alike enough, and maps that stretch or squeeze a window too much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.progress import Progress
+from agent.reconstruction.camera import Floats, slopes_of
+from agent.reconstruction.poses.corners import Corners, tones
+from agent.reconstruction.poses.windows import correlate, elsewhere, read, square, summit, top
+from agent.reconstruction.stack import Stack
+from agent.reconstruction.stereo.warp import between, camera_in, seen_at, slopes_of_map
+from hw.compiled import compiled
+
+BLURS_PX, STEP_PX = (1.5, 0.7), 2
+COARSE, FINE, NEAR_PX = 4, 5, 4  # half widths of windows, samples; half of where the sharp one is looked for
+LEAST, UNIQUE = 0.75, 0.05  # ZNCC of the sharp window; how much less it must be elsewhere, blurred
+MOST_STRETCH, MOST_SQUEEZE = 2.0, 0.45  # of a window by its map: singular values
+HIDDEN = 0.12  # of z: where the other view knows another depth, something else is before it
+OWN_VIEWS, OTHER_VIEWS = 16, 24  # of the same robot and of others, those that should see the most corners
+
+kernel = compiled(error_model="numpy")
+
+
+class Matches(NamedTuple):
+    """m corners found again; in the order of corners, a corner's own one after the other."""
+
+    corner: NDArray[np.int64]  # (m,) which one
+    other: NDArray[np.int64]  # (m,) the view it was found in
+    pixel: Floats  # (m, 2) where
+
+
+def matched(
+    stack: Stack, found: Corners, robots: Sequence[object], reach_px: float,
+    progress: Progress = lambda done, total: None,
+) -> Matches:  # fmt: skip
+    """Every corner in the pictures that should show it, so many pixels at most from where its depth and poses put it.
+
+    robots: of each view, whatever tells them apart. progress counts views.
+    """
+    count = len(stack.cameras)
+    blurred, sharp = (np.stack([tones(stack, n, blur_px) for n in range(count)]) for blur_px in BLURS_PX)
+    tilt = np.zeros((*stack.depth_m.shape[1:], 2))
+    same = np.array([[a == b for b in robots] for a in robots])
+    first = np.searchsorted(found.owner, np.arange(count + 1))
+    reach = math.ceil(reach_px / STEP_PX)
+    parts = []
+    for n in range(count):
+        mine = np.s_[first[n] : first[n + 1]]
+        slopes_of_map(stack.depth_m[n], tilt)
+        shown = np.zeros(count, np.int64)
+        _shown(stack, n, found.pixel[mine], found.depth_m[mine], shown)
+        others = np.sort(np.concatenate([_most(shown * same[n], OWN_VIEWS), _most(shown * ~same[n], OTHER_VIEWS)]))
+        at = np.full((first[n + 1] - first[n], len(others), 2), np.nan)
+        _search(stack, blurred, sharp, n, others, found.pixel[mine], found.depth_m[mine], tilt, reach, at)
+        corner, other = np.nonzero(np.isfinite(at[..., 0]))
+        parts.append(Matches(corner + first[n], others[other], at[corner, other]))
+        progress(n + 1, count)
+    return Matches(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+
+def _most(shown: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """The views that show the most corners, and any at all."""
+    best = np.argsort(-shown, kind="stable")[:most]
+    return best[shown[best] > 0]
+
+
+@kernel
+def _shown(stack: Stack, n: int, pixels: Floats, depths: Floats, shown: NDArray[np.int64]) -> None:
+    count, mine = len(stack.cameras), camera_in(stack, n)
+    turns, shifts = np.empty((count, 3, 3)), np.empty((count, 3))
+    between(stack, n, np.arange(count), turns, shifts)
+    for c in range(len(pixels)):
+        x, y = slopes_of(mine, pixels[c, 0], pixels[c, 1])
+        a = depths[c] - mine.ahead_m
+        for o in range(count):
+            its = camera_in(stack, o)
+            u, v, good = seen_at(its, turns[o], shifts[o], x * a, y * a, depths[c])
+            if o != n and good and 0.0 <= u < its.width - 1 and 0.0 <= v < its.height - 1:
+                shown[o] += 1
+
+
+@kernel
+def _search(
+    stack: Stack, blurred: NDArray[np.float32], sharp: NDArray[np.float32], n: int, others: NDArray[np.int64],
+    pixels: Floats, depths: Floats, tilt: Floats, reach: int, at: Floats,
+) -> None:  # fmt: skip
+    mine = camera_in(stack, n)
+    turns, shifts = np.empty((len(others), 3, 3)), np.empty((len(others), 3))
+    between(stack, n, others, turns, shifts)
+    own, own_sharp = square(2 * COARSE + 1), square(2 * FINE + 1)
+    wide, alike = square(2 * (COARSE + reach) + 1), square(2 * reach + 1)
+    near, alike_near = square(2 * (FINE + NEAR_PX) + 1), square(2 * NEAR_PX + 1)
+    for c in range(len(pixels)):
+        u, v, z0 = pixels[c, 0], pixels[c, 1], depths[c]
+        # Rays of the corner and of what lies two pixels right and below: 1/z is linear on the plane through them.
+        more = 2.0 * tilt[int(v), int(u)]
+        z1, z2 = 1.0 / max(1.0 / z0 + more[0], 1e-3), 1.0 / max(1.0 / z0 + more[1], 1e-3)
+        x0, y0 = slopes_of(mine, u, v)
+        x1, y1 = slopes_of(mine, u + 2.0, v)
+        x2, y2 = slopes_of(mine, u, v + 2.0)
+        a0, a1, a2 = z0 - mine.ahead_m, z1 - mine.ahead_m, z2 - mine.ahead_m
+        read(blurred[n], mine.width, mine.height, u, v, (float(STEP_PX), 0.0), (0.0, float(STEP_PX)), own)
+        read(sharp[n], mine.width, mine.height, u, v, (1.0, 0.0), (0.0, 1.0), own_sharp)
+        for k in range(len(others)):
+            o = others[k]
+            its = camera_in(stack, o)
+            u0, v0, good0 = seen_at(its, turns[k], shifts[k], x0 * a0, y0 * a0, z0)
+            u1, v1, good1 = seen_at(its, turns[k], shifts[k], x1 * a1, y1 * a1, z1)
+            u2, v2, good2 = seen_at(its, turns[k], shifts[k], x2 * a2, y2 * a2, z2)
+            if not (good0 and good1 and good2 and 0.0 <= u0 < its.width - 1 and 0.0 <= v0 < its.height - 1):
+                continue
+            ux, vx, uy, vy = (u1 - u0) / 2.0, (v1 - v0) / 2.0, (u2 - u0) / 2.0, (v2 - v0) / 2.0
+            there = turns[k, 2, 0] * x0 * a0 + turns[k, 2, 1] * y0 * a0 + turns[k, 2, 2] * z0 + shifts[k, 2]
+            known = float(stack.depth_m[o, int(v0 + 0.5), int(u0 + 0.5)])  # a NaN hides nothing
+            if not _alike_in_shape(ux, vx, uy, vy) or abs(known - there) > HIDDEN * there:
+                continue
+            across, down = (STEP_PX * ux, STEP_PX * vx), (STEP_PX * uy, STEP_PX * vy)
+            read(blurred[o], its.width, its.height, u0, v0, across, down, wide)
+            correlate(own, wide, alike)
+            row, col = top(alike)
+            if elsewhere(alike, row, col) > alike[row, col] - UNIQUE:
+                continue
+            i, j = float(STEP_PX * (row - reach)), float(STEP_PX * (col - reach))
+            u0, v0 = u0 + j * ux + i * uy, v0 + j * vx + i * vy
+            read(sharp[o], its.width, its.height, u0, v0, (ux, vx), (uy, vy), near)
+            correlate(own_sharp, near, alike_near)
+            row, col = top(alike_near)
+            if alike_near[row, col] < LEAST or min(row, col) == 0 or max(row, col) == 2 * NEAR_PX:
+                continue
+            i, j = summit(alike_near, row, col)
+            i, j = i - NEAR_PX, j - NEAR_PX
+            at[c, k, 0], at[c, k, 1] = u0 + j * ux + i * uy, v0 + j * vx + i * vy
+
+
+@kernel
+def _alike_in_shape(ux: float, vx: float, uy: float, vy: float) -> bool:
+    """Whether a map keeps a window's singular values within bounds, and does not turn it over."""
+    half, area = 0.5 * (ux * ux + vx * vx + uy * uy + vy * vy), ux * vy - uy * vx
+    rest = math.sqrt(max(half * half - area * area, 0.0))
+    return area > 0.0 and half + rest < MOST_STRETCH**2 and half - rest > MOST_SQUEEZE**2
