@@ -28,7 +28,7 @@ SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Side of the square that is as large as a creature's box, in lengths: 0.50, standard deviation of its logarithm 0.35,
 # of one that showed all its sides to three robots in two dives of the twin. Who shows its side goes on to: what one
-# frame says of the range is what ten do that are a fifth of a second apart.
+# frame says of the range is what ten do.
 FACE, FACE_SIGMA, ALIKE = 0.5, 0.4, 10.0
 TURNED_SIGMA, TURNED_ALIKE = 0.25, 3.0  # the same where its side is known, to some twenty degrees
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
