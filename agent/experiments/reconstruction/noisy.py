@@ -34,14 +34,3 @@ def _off(view: View, turn: Floats, shift: Floats, middle: Floats, rng: np.random
     w, t = rng.normal(0.0, OWN[1], 3), rng.normal(0.0, OWN[0], 3)
     both = math.hypot(SHARED[1], OWN[1]), math.hypot(SHARED[0], OWN[0])
     return replace(moved(there, w, t), pose_covariance=diagonal_prior(*both))
-
-
-def onto(points_m: Floats, believed: Sequence[View], true: Sequence[View]) -> Floats:
-    """Points (n, 3) moved by the rigid motion that brings the believed places of the cameras onto the true ones.
-
-    A motion that is common to all poses cannot be seen in any picture, so that nobody can be blamed for it.
-    """
-    a, b = (np.array([view.position_m for view in views]) for views in (believed, true))
-    u, _, v = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
-    turn = v.T @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(v.T @ u.T)))]) @ u.T
-    return np.asarray((points_m - a.mean(axis=0)) @ turn.T + b.mean(axis=0))
