@@ -14,10 +14,8 @@ from agent.kernel.control.gaze import SWIFTEST_DEG_S, triangle
 from agent.kernel.control.roam import rows_deg
 from agent.kernel.ranging.calibration import CameraFit
 
-AWAY_NS, ELSEWHERE_NS = (
-    200_000_000,
-    2_000_000_000,
-)  # several steps; and longer than a glance, after which it begins anew
+AWAY_NS = 200_000_000  # several steps
+ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew
 
 
 class Scan:

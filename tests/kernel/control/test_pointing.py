@@ -1,6 +1,6 @@
 """Pointing and search as state machines: the gimbal's play is taken from one side, and the search sees both sides."""
 
-from agent.kernel.control.pointing import PLAY_US, Pointing, Search
+from agent.kernel.control.pointing import HIGHEST_US, LOWEST_US, PLAY_US, Pointing, Search, reachable
 
 S = 1_000_000_000
 
@@ -17,6 +17,16 @@ def test_final_approach_always_comes_from_below() -> None:
     before = pointing.steady_from_ns
     pointing.aim((1600, 1450), now)
     assert pointing.steady_from_ns == before
+
+
+def test_no_pulse_is_asked_for_that_a_board_refuses() -> None:
+    for goal in ((480, 500), (500, 979), (2500, 1500), (2600, 2501)):
+        pointing = Pointing()
+        pointing.aim((1500, 1500), 0)
+        pointing.aim(reachable(goal), 10**9)
+        for t_ns in range(10**9, 4 * 10**9, 10**8):
+            assert all(LOWEST_US <= pulse <= HIGHEST_US for pulse in pointing.servos_us(t_ns))
+    assert reachable((1234, 1400)) == (1234, 1400)
 
 
 def test_search_waits_for_the_gimbal_and_visits_both_sides() -> None:

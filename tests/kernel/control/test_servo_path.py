@@ -39,3 +39,16 @@ def test_it_knows_the_last_seconds() -> None:
     newest_ns = START_NS + 199 * STEP_NS
     assert path.at(newest_ns - KEEP_NS).told_ns == newest_ns - KEEP_NS
     assert path.at(newest_ns - KEEP_NS - 1) is None
+
+
+def test_one_that_turns_on_after_a_jump_is_known_again() -> None:
+    path, known_from_ns = ServoPath(), None
+    path.begin((1500.0, 1500.0))
+    for k in range(60):
+        path.add(START_NS + k * STEP_NS, (2000.0 + 33.0 * k, 1500.0))  # 60 degrees a second: never where it is told
+        stand = path.at(START_NS + k * STEP_NS + STEP_NS // 2)
+        if math.isinf(stand.sigma_us):
+            known_from_ns = None
+        elif known_from_ns is None:
+            known_from_ns = k * STEP_NS
+    assert 300_000_000 < known_from_ns < 900_000_000
