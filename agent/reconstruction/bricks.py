@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.failure import Failed
-from agent.reconstruction.camera import Camera, Floats, slopes_of, unproject
-from agent.reconstruction.stack import Stack, camera_at
+from agent.reconstruction.camera import Floats, slopes_of, unproject
+from agent.reconstruction.stack import Stack, camera_at, camera_in
 from hw.compiled import compiled
 
 SIDE = 8  # cells along a brick
@@ -85,8 +85,7 @@ def _mark(stack: Stack, origin: Floats, cell_m: float, reach_m: float, index: ND
     brick_m = SIDE * cell_m
     steps_m = 0.4 * brick_m
     for n in range(stack.depth_m.shape[0]):
-        c, size = stack.cameras[n], stack.sizes[n]
-        camera = Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
+        camera, size = camera_in(stack, n), stack.sizes[n]
         r, t = stack.rotations[n], stack.positions_m[n]
         for row in range(size[1]):
             for col in range(size[0]):

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.reconstruction.bricks import kernel
-from agent.reconstruction.camera import Camera, Floats, pixel_of
+from agent.reconstruction.camera import Floats, pixel_of
 from agent.reconstruction.extract import Mesh
 from agent.reconstruction.reach import balls_of, cones, touches
-from agent.reconstruction.stack import Stack
+from agent.reconstruction.stack import Stack, camera_in
 
 BAND_M = 12e-3
 OFF = 0.05  # of the sensor's limit
@@ -50,14 +50,13 @@ def _colour(
             if found == MOST_VIEWS:
                 break
             n = near[m]
-            c, size, r, t = stack.cameras[n], stack.sizes[n], stack.rotations[n], stack.positions_m[n]
-            camera = Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
+            camera, r, t = camera_in(stack, n), stack.rotations[n], stack.positions_m[n]
             dx, dy, dz = vertices[number, 0] - t[0], vertices[number, 1] - t[1], vertices[number, 2] - t[2]
             px = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
             py = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
             pz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
             u, v, before = pixel_of(camera, px, py, pz)
-            if not (before and 0.0 <= u < size[0] - 1 and 0.0 <= v < size[1] - 1):
+            if not (before and 0.0 <= u < camera.width - 1 and 0.0 <= v < camera.height - 1):
                 continue
             row, col = int(v + 0.5), int(u + 0.5)
             depth, sigma = float(stack.depth_m[n, row, col]), float(stack.sigma_m[n, row, col])

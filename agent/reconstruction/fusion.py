@@ -18,9 +18,9 @@ import numpy as np
 
 from agent.progress import Progress
 from agent.reconstruction.bricks import SIDE, Surface, allocated, kernel
-from agent.reconstruction.camera import Camera, Floats, inlined, pixel_of
+from agent.reconstruction.camera import Floats, inlined, pixel_of
 from agent.reconstruction.reach import cones, touches
-from agent.reconstruction.stack import Stack
+from agent.reconstruction.stack import Stack, camera_in
 
 TRUNCATION_M = 12e-3  # at cells of 5 mm: two cells and a half to both sides
 FREE = 0.3  # of the weight: that something is not there is known less sharply than where it is
@@ -83,17 +83,16 @@ def _fuse(stack: Stack, reach: Floats, surface: Surface, places: np.ndarray, tru
                         if found == MOST_VIEWS:
                             break
                         n = near[m]
-                        c, size = stack.cameras[n], stack.sizes[n]
-                        camera = Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
+                        camera = camera_in(stack, n)
                         r, t = stack.rotations[n], stack.positions_m[n]
                         dx, dy, dz = x - t[0], y - t[1], z - t[2]
                         px = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
                         py = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
                         pz = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
                         u, v, before = pixel_of(camera, px, py, pz)
-                        if not (before and -0.5 < u < size[0] - 0.5 and -0.5 < v < size[1] - 0.5):
+                        if not (before and -0.5 < u < camera.width - 0.5 and -0.5 < v < camera.height - 0.5):
                             continue
-                        depth = depth_at(stack.depth_m, n, u, v, size[0], size[1])
+                        depth = depth_at(stack.depth_m, n, u, v, camera.width, camera.height)
                         row, col = int(v + 0.5), int(u + 0.5)
                         sigma = float(stack.sigma_m[n, row, col])
                         error = depth - pz

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.failure import Failed
-from agent.reconstruction.camera import Camera, Floats
+from agent.reconstruction.camera import Camera, Floats, inlined
 from agent.reconstruction.view import View
 
 
@@ -54,7 +54,14 @@ def stacked(views: Sequence[View], channels: Literal[0, 1, 3] = 3) -> Stack:
     )
 
 
+@inlined
+def camera_in(stack: Stack, n: int) -> Camera:
+    """The camera of one view, for kernels."""
+    c, size = stack.cameras[n], stack.sizes[n]
+    return Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
+
+
 def camera_at(stack: Stack, n: int) -> Camera:
-    """The camera of one view."""
+    """The same in plain numbers, for whom a kernel is not worth compiling."""
     f, cx, cy, bend, ahead = stack.cameras[n].tolist()
     return Camera(f, cx, cy, bend, ahead, *stack.sizes[n].tolist())

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from agent.reconstruction.camera import Camera, Floats, pixel_of, slopes_of
 from agent.reconstruction.poses.corners import Corners
 from agent.reconstruction.poses.matches import Matches
-from agent.reconstruction.stack import Stack
-from agent.reconstruction.stereo.warp import camera_in
+from agent.reconstruction.stack import Stack, camera_in
 from agent.reconstruction.view import rotation_of
 from hw.compiled import compiled
 

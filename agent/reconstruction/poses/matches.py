@@ -20,8 +20,8 @@ from agent.progress import Progress
 from agent.reconstruction.camera import Floats, slopes_of
 from agent.reconstruction.poses.corners import Corners, tones
 from agent.reconstruction.poses.windows import correlate, elsewhere, read, square, summit, top
-from agent.reconstruction.stack import Stack
-from agent.reconstruction.stereo.warp import between, camera_in, seen_at, slopes_of_map
+from agent.reconstruction.stack import Stack, camera_in
+from agent.reconstruction.stereo.warp import between, seen_at, slopes_of_map
 from hw.compiled import compiled
 
 BLURS_PX, STEP_PX = (1.5, 0.7), 2

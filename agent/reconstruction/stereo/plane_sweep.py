@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from agent.progress import Progress
 from agent.reconstruction.camera import Floats, inlined, slopes_of
-from agent.reconstruction.stack import Stack
+from agent.reconstruction.stack import Stack, camera_in
 from agent.reconstruction.stereo.neighbours import Neighbours
-from agent.reconstruction.stereo.warp import between, camera_in, seen_at, slopes_of_map
+from agent.reconstruction.stereo.warp import between, seen_at, slopes_of_map
 from hw.compiled import compiled
 
 HYPOTHESES = 16

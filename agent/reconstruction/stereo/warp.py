@@ -40,12 +40,6 @@ def slopes_of_map(depth: NDArray[np.float32], tilt: Floats) -> None:
 
 
 @inlined
-def camera_in(stack: Stack, n: int) -> Camera:
-    c, size = stack.cameras[n], stack.sizes[n]
-    return Camera(c[0], c[1], c[2], c[3], c[4], size[0], size[1])
-
-
-@inlined
 def seen_at(camera: Camera, m: Floats, shift: Floats, x: float, y: float, z: float) -> tuple[float, float, bool]:
     """A point of one view's frame in another's picture, by the rotation (3, 3) and shift (3,) between them."""
     return pixel_of(
