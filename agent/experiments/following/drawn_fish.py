@@ -7,19 +7,17 @@ by its size is wrong by half, and for as long as it keeps its side.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.experiments.following.cases import LENGTH_M
-from agent.experiments.navigation.drawn_ball import FARTHEST_M, BallPath, Pillar, hides
+from agent.experiments.navigation.drawn_ball import FARTHEST_M, BallPath, DrawnTarget
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.camera_model import pixel
-from agent.kernel.step_io import Sighting, SweepPlan
 from hw.twin.creatures.shape import swimming
 from hw.twin.creatures.swimmer import STRIDE, Attitude
 from hw.twin.devices.camera_device import look
@@ -34,45 +32,25 @@ AROUND_NS = 50_000_000  # its heading is the way that it swims in so long before
 Array = NDArray[np.float64]
 
 
-class DrawnFish:
-    """One robot's view of one fish; path: of its middle."""
+class DrawnFish(DrawnTarget):
+    """A fish; path: of its middle. Nobody sweeps what swims."""
 
     def __init__(self, fleet: Fleet, name: str, camera: CameraFit, path: BallPath) -> None:
-        (self._target, _), *_ = fleet.target.items()
+        super().__init__(fleet, path)
         self._rng, self._seed = generator(fleet.twin.seed, name, "drawn fish"), fleet.twin.seed
-        self._path, self._camera, self._camera_m = path, camera, fleet.body.camera_m
-        self._frames = 0
+        self._way, self._camera, self._camera_m = path, camera, fleet.body.camera_m
 
-    def sight(
-        self,
-        pose: RobotPose,
-        t_ns: int,
-        plan: SweepPlan | None = None,
-        index: int = -1,
-        before: Sequence[Pillar] = (),
-    ) -> Sighting:
-        """The newest frame. before: what may be before the fish, and hides it where its middle is behind. Nobody sweeps
-        what swims: plan and index mean nothing."""
-        fish_m = self._path(t_ns)
-        x, y, _ = pose.position_m.tolist()
-        seen = None if any(hides(pillar, (x, y), fish_m) for pillar in before) else self._box(pose, t_ns, fish_m)
-        frame = self.unseen(t_ns)
+    def _shows(self, pose: RobotPose, t_ns: int, at_m: Vector, lens_position: int | None) -> dict[str, Any] | None:
+        seen = self._box(pose, t_ns, at_m)
         if seen is None:
-            return frame
+            return None
         left, top, right, bottom = seen
-        return msgspec.structs.replace(
-            frame,
-            found=True,
-            centre_px=(0.5 * (left + right), 0.5 * (top + bottom)),
-            size_px=(right - left, bottom - top),
-            area_px=(right - left) * (bottom - top),
-            score=1.0,
-        )
-
-    def unseen(self, t_ns: int) -> Sighting:
-        """The newest frame, of a camera that is covered or looks past it."""
-        self._frames += 1
-        return Sighting(t_ns=t_ns, frame=self._frames, target=self._target, found=False)
+        return {
+            "centre_px": (0.5 * (left + right), 0.5 * (top + bottom)),
+            "size_px": (right - left, bottom - top),
+            "area_px": (right - left) * (bottom - top),
+            "score": 1.0,
+        }
 
     def _box(self, pose: RobotPose, t_ns: int, fish_m: Vector) -> tuple[float, float, float, float] | None:
         """Left, top, right and bottom, px, of what the picture shows; None: too little."""
@@ -94,7 +72,7 @@ class DrawnFish:
 
     def _extent(self, t_ns: int, fish_m: Vector, eye_m: Array, rotation: Array) -> tuple[Array, Array]:
         """Slopes (right, down) of the least and the most that any part of it comes to."""
-        then, soon = np.array(self._path(t_ns - AROUND_NS)), np.array(self._path(t_ns + AROUND_NS))
+        then, soon = np.array(self._way(t_ns - AROUND_NS)), np.array(self._way(t_ns + AROUND_NS))
         way_m = soon - then
         speed_m_s = float(np.linalg.norm(way_m)) / (2e-9 * AROUND_NS)
         beat = 2.0 * math.pi * speed_m_s / (STRIDE * LENGTH_M) * t_ns * 1e-9

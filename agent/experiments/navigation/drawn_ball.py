@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -62,22 +62,11 @@ def ring(robot: RobotPose) -> Pillar:
     return Pillar(x, y, RING_M)
 
 
-class DrawnBall:
-    """One robot's view of one ball; ball_m: where it lies, or its path."""
+class DrawnTarget:
+    """One robot's view of one target; path: where that lies, or its path."""
 
-    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, ball_m: Vector | BallPath) -> None:
-        (self._target, target), *_ = fleet.target.items()
-        assert target.radius_m is not None  # a ball
-        self._rng = generator(fleet.twin.seed, name, "drawn ball")
-        self._radius_m, self._ball_m = target.radius_m, ball_m
-        self._camera, self._camera_m = camera, fleet.body.camera_m
-        xx, xy, xz, yy, yz, zz = FOCUS.covariance
-        covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
-            np.zeros(3), covariance
-        )
-        self.shown = 1.0  # of its outline, or it is not found
-        self._shift, self._sweep, self._frames = 0.0, 0, 0
+    def __init__(self, fleet: Fleet, path: Vector | BallPath) -> None:
+        self._target, self._path, self._frames = next(iter(fleet.target)), path, 0
 
     def sight(
         self,
@@ -87,17 +76,16 @@ class DrawnBall:
         index: int = -1,
         before: Sequence[Pillar] = (),
     ) -> Sighting:
-        """The newest frame; plan, index: at which position of which sweep. before: what may be before the ball, and
+        """The newest frame; plan, index: at which position of which sweep. before: what may be before the target, and
         hides it where its middle is behind."""
         self._frames += 1
         sweep = 0 if plan is None else plan.sweep
-        if sweep != self._sweep:
-            self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
-        ball_m = self._ball_m(t_ns) if callable(self._ball_m) else self._ball_m
+        self._begins(sweep)
+        at_m = self._path(t_ns) if callable(self._path) else self._path
         x, y, _ = pose.position_m.tolist()
-        hidden = any(hides(pillar, (x, y), ball_m) for pillar in before)
-        seen = None if hidden else self._outline(pose, ball_m)
+        hidden = any(hides(pillar, (x, y), at_m) for pillar in before)
         lens_position = None if plan is None else plan.focus[index]
+        shows = None if hidden else self._shows(pose, t_ns, at_m, lens_position)
         frame = Sighting(
             t_ns=t_ns,
             frame=self._frames,
@@ -105,25 +93,58 @@ class DrawnBall:
             index=index,
             focus=lens_position,
             target=self._target,
-            found=seen is not None,
+            found=shows is not None,
         )
-        if seen is None:
-            return frame
-        centre_px, radius_px, peak = seen
-        return msgspec.structs.replace(
-            frame,
-            centre_px=centre_px,
-            radius_px=radius_px,
-            clarity=None if lens_position is None else _clarity(lens_position - peak - self._shift),
-            area_px=math.pi * (0.5 * radius_px) ** 2,
-            score=1.0,
-            radius_sigma_px=RADIUS_SIGMA_PX,
-        )
+        return frame if shows is None else msgspec.structs.replace(frame, **shows)
 
     def unseen(self, t_ns: int) -> Sighting:
         """The newest frame, of a camera that is covered."""
         self._frames += 1
         return Sighting(t_ns=t_ns, frame=self._frames, target=self._target, found=False)
+
+    def _begins(self, sweep: int) -> None:
+        """Asked of each frame, whether it shows anything or not; 0: no sweep."""
+
+    def _shows(self, pose: RobotPose, t_ns: int, at_m: Vector, lens_position: int | None) -> dict[str, Any] | None:
+        """What a Sighting says of a target that is there with nothing before it; None: it is not found."""
+        raise NotImplementedError
+
+
+class DrawnBall(DrawnTarget):
+    """A ball; ball_m: where it lies, or its path."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, ball_m: Vector | BallPath) -> None:
+        super().__init__(fleet, ball_m)
+        target = fleet.target[self._target]
+        assert target.radius_m is not None  # a ball
+        self._rng = generator(fleet.twin.seed, name, "drawn ball")
+        self._radius_m = target.radius_m
+        self._camera, self._camera_m = camera, fleet.body.camera_m
+        xx, xy, xz, yy, yz, zz = FOCUS.covariance
+        covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
+            np.zeros(3), covariance
+        )
+        self.shown = 1.0  # of its outline, or it is not found
+        self._shift, self._sweep = 0.0, 0
+
+    def _begins(self, sweep: int) -> None:
+        if sweep != self._sweep:
+            self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
+
+    def _shows(self, pose: RobotPose, t_ns: int, at_m: Vector, lens_position: int | None) -> dict[str, Any] | None:
+        seen = self._outline(pose, at_m)
+        if seen is None:
+            return None
+        centre_px, radius_px, peak = seen
+        return {
+            "centre_px": centre_px,
+            "radius_px": radius_px,
+            "clarity": None if lens_position is None else _clarity(lens_position - peak - self._shift),
+            "area_px": math.pi * (0.5 * radius_px) ** 2,
+            "score": 1.0,
+            "radius_sigma_px": RADIUS_SIGMA_PX,
+        }
 
     def _outline(self, pose: RobotPose, ball_m: Vector) -> tuple[tuple[float, float], float, float] | None:
         """Centre and radius in the picture, px, and the lens position at which it is sharpest; None: not in sight."""

@@ -7,15 +7,15 @@ the lens, a frame is one position of it, and shows no tags.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies
-from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall, Pillar, ring
+from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall, DrawnTarget, Pillar, ring
 from agent.experiments.navigation.drawn_camera import DrawnCamera
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
@@ -23,7 +23,6 @@ from agent.kernel.core import Agent
 from agent.kernel.messages import Message, Vector
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
-from hw.twin.history import RobotPose
 
 FRAME_STEPS, LATE_STEPS = 2, 2
 
@@ -37,27 +36,12 @@ class Frame(NamedTuple):
     sighting: Sighting | None = None
 
 
-class Drawn(Protocol):
-    """A target that is before the camera."""
-
-    def sight(
-        self,
-        pose: RobotPose,
-        t_ns: int,
-        plan: SweepPlan | None = None,
-        index: int = -1,
-        before: Sequence[Pillar] = (),
-    ) -> Sighting: ...
-
-    def unseen(self, t_ns: int) -> Sighting: ...
-
-
 class Eyes:
     """One robot's camera, with a ball before it or without; knows which sweep it is at."""
 
     def __init__(self, fleet: Fleet, name: str, bodies: Bodies, ball_m: Vector | BallPath | None) -> None:
         self.tank = DrawnCamera(fleet, name, bodies.camera(name))
-        self.ball: Drawn | None = None if ball_m is None else DrawnBall(fleet, name, bodies.camera(name), ball_m)
+        self.ball: DrawnTarget | None = None if ball_m is None else DrawnBall(fleet, name, bodies.camera(name), ball_m)
         self.hide: tuple[str, ...] = ()  # robots that the ball may be behind
         self.pillars: tuple[Pillar, ...] = ()  # what else it may be behind
         self.covered = False  # it sees nothing at all
