@@ -26,6 +26,7 @@ SEEN = (
     0.42  # of a lamp's angular radius: there the phase function is as large as its mean over the lamp seen straight on
 )
 ALONG, POINT, SURFACE = range(3)  # what is asked for: a camera's ray, one point of it, a surface that faces the lamp
+STRAIGHT_RAD = math.radians(5.0)  # scattered by less, light of all orders is taken as going straight on
 PER_LOG = (ANGLES - 1) / math.log(math.pi / SMALLEST_RAD)
 
 kernel = compiled(fastmath=True, error_model="numpy")
@@ -67,9 +68,11 @@ def scattered(
     error: float = 0.05,
     most: int = 40,
     seed: int = 0,
+    straight_rad: float | None = None,
 ) -> Orders:
     """Batches of `paths` until the total is known to the relative standard error `error`, at least 8, `most` at most."""
-    tables = particles()
+    tables = particles(STRAIGHT_RAD if straight_rad is None else straight_rad)
+    medium = medium._replace(scattering_per_m=medium.scattering_per_m * tables.kept)
     sums: list[Array] = []
     while len(sums) < most:
         sums.append(

@@ -25,6 +25,7 @@ class Particles(NamedTuple):
 
     log_phase: Array  # (ANGLES,) of the phase function per steradian, from SMALLEST_RAD to pi
     drawn_cos: Array  # (DRAWS,) cosines of scattering angles, equally likely
+    kept: float  # share of the scattering coefficient that is left
 
 
 def phase(angle_rad: Array) -> Array:
@@ -49,10 +50,14 @@ def within(angle_rad: Array) -> Array:
     return np.asarray(front + back)
 
 
-@lru_cache(maxsize=1)
-def particles() -> Particles:
+@lru_cache
+def particles(straight_rad: float = SMALLEST_RAD) -> Particles:
+    """`straight_rad`: what is scattered by less goes on as if it were not. For light of all orders that changes nothing
+    that shows, and the peak of the phase function, whence outliers come, is gone."""
     angle = np.geomspace(SMALLEST_RAD, np.pi, ANGLES)
+    kept = 1 - float(within(np.array([straight_rad]))[0]) if straight_rad > SMALLEST_RAD else 1.0
     share = within(angle)
     # what goes straight on, within the smallest angle, keeps its way
-    drawn = np.interp((np.arange(DRAWS) + 0.5) / DRAWS, share, angle, left=0.0)
-    return Particles(np.log(phase(angle)), np.cos(drawn))
+    drawn = np.interp(1 - kept * (1 - (np.arange(DRAWS) + 0.5) / DRAWS), share, angle, left=0.0)
+    flat = phase(np.maximum(angle, straight_rad)) / kept
+    return Particles(np.log(flat), np.cos(drawn), kept)
