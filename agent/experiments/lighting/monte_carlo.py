@@ -70,14 +70,13 @@ def scattered(
     seed: int = 0,
     straight_rad: float | None = None,
 ) -> Orders:
-    """Batches of `paths` until the total is known to the relative standard error `error`, at least 8, `most` at most."""
+    """Batches of paths, at least 8 and `most` at most, until the total is known to the relative `error` (standard)."""
     tables = particles(STRAIGHT_RAD if straight_rad is None else straight_rad)
     medium = medium._replace(scattering_per_m=medium.scattering_per_m * tables.kept)
+    rng = np.random.default_rng(seed)
     sums: list[Array] = []
     while len(sums) < most:
-        sums.append(
-            _batch(setting, medium, what, orders, paths, seed * 10_007 + len(sums), tables.log_phase, tables.drawn_cos)
-        )
+        sums.append(_batch(setting, medium, what, orders, paths, rng, tables.log_phase, tables.drawn_cos))
         totals = np.array([row.sum() for row in sums])
         spread = float(totals.std(ddof=1)) / math.sqrt(len(sums)) if len(sums) > 1 else math.inf
         if len(sums) >= 8 and spread <= error * float(totals.mean()):
@@ -125,10 +124,16 @@ def _turned(dx: float, dy: float, dz: float, cosine: float, phi: float) -> tuple
 
 @kernel
 def _batch(
-    setting: Setting, medium: Medium, what: int, orders: int, paths: int, seed: int, log_phase: Array, drawn_cos: Array
+    setting: Setting,
+    medium: Medium,
+    what: int,
+    orders: int,
+    paths: int,
+    rng: np.random.Generator,
+    log_phase: Array,
+    drawn_cos: Array,
 ) -> Array:
     """(orders,) means over the paths."""
-    np.random.seed(seed)
     found = np.zeros(orders)
     a, b = medium.absorption_per_m, medium.scattering_per_m
     c = a + b
@@ -140,13 +145,13 @@ def _batch(
         weight, first = 1.0, 0
         limit = setting.length_m
         if what != ALONG:
-            limit, spin = math.inf, 2.0 * math.pi * np.random.random()
+            limit, spin = math.inf, 2.0 * math.pi * rng.random()
             if what == POINT:
                 weight, first = b, 1
-                dx, dy, dz = _turned(dx, dy, dz, drawn_cos[int(np.random.random() * DRAWS)], spin)
+                dx, dy, dz = _turned(dx, dy, dz, drawn_cos[int(rng.random() * DRAWS)], spin)
             else:
                 weight = math.pi
-                dx, dy, dz = _turned(dx, dy, dz, math.sqrt(np.random.random()), spin)
+                dx, dy, dz = _turned(dx, dy, dz, math.sqrt(rng.random()), spin)
         for order in range(first, orders):
             if radius > 0.0 and order > 0:
                 limit = _hit(x - bx, y - by, z - bz, dx, dy, dz, radius)
@@ -155,7 +160,7 @@ def _batch(
             hx, hy, hz = x + s0 * dx - lx, y + s0 * dy - ly, z + s0 * dz - lz
             h = max(math.sqrt(hx * hx + hy * hy + hz * hz), 1e-6)
             low, high = math.atan(-s0 / h), (0.5 * math.pi if limit == math.inf else math.atan((limit - s0) / h))
-            turn = low + (high - low) * np.random.random()
+            turn = low + (high - low) * rng.random()
             beyond = h * math.tan(turn)
             r = math.sqrt(h * h + beyond * beyond)
             if r > LAMP_M:
@@ -169,18 +174,18 @@ def _batch(
                         found[order] += weight * b * p * beam * through * (high - low) / h
             # --- on to the next collision
             if limit == math.inf:
-                s = -math.log(1.0 - np.random.random()) / c
+                s = -math.log(1.0 - rng.random()) / c
                 weight *= b / c
             elif order == 0:
                 inside = 1.0 - math.exp(-c * limit)
-                s = -math.log(1.0 - np.random.random() * inside) / c
+                s = -math.log(1.0 - rng.random() * inside) / c
                 weight *= b / c * inside
             else:
-                s = -math.log(1.0 - np.random.random()) / c
+                s = -math.log(1.0 - rng.random()) / c
                 weight *= b / c
                 if s >= limit:
                     break
             x, y, z = x + s * dx, y + s * dy, z + s * dz
-            cosine = drawn_cos[int(np.random.random() * DRAWS)]
-            dx, dy, dz = _turned(dx, dy, dz, cosine, 2.0 * math.pi * np.random.random())
+            cosine = drawn_cos[int(rng.random() * DRAWS)]
+            dx, dy, dz = _turned(dx, dy, dz, cosine, 2.0 * math.pi * rng.random())
     return found / paths

@@ -91,7 +91,7 @@ def single_veil(
 def direct_light(
     camera_m: Vector, target_m: Vector, radius_m: float, lamp_m: Vector, lighting: Lighting
 ) -> tuple[Colours, ...]:
-    """Light of the target's skin, taken as a ball's, at the points of its inner disc; 0 where it lies in its own shade."""
+    """Light of a ball at the points of its inner disc, 0 where it lies in its own shade."""
     water, beam = lighting.water, lighting.beam
     k = [a + FORWARD * b for a, b in zip(water.absorption_per_m, water.scattering_per_m, strict=True)]
     c = [a + b for a, b in zip(water.absorption_per_m, water.scattering_per_m, strict=True)]

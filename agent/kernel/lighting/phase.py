@@ -21,9 +21,9 @@ def phase(angle_rad: float) -> float:
     d = AT_180 * square
     if abs(d - 1.0) < NEAR_ONE:
         d = 1.0 + NEAR_ONE
-    power = d**NU
+    power = math.pow(d, NU)
     front = NU * (1.0 - d) - (1.0 - power) + (d * (1.0 - power) - NU * (1.0 - d)) / square
-    far = AT_180**NU
+    far = math.pow(AT_180, NU)
     cosine = 1.0 - 2.0 * square
     back = (1.0 - far) / (16.0 * math.pi * (AT_180 - 1.0) * far) * (3.0 * cosine * cosine - 1.0)
     return front / (4.0 * math.pi * (1.0 - d) ** 2 * power) + back
