@@ -19,9 +19,16 @@ from hw.twin.faults import KINDS, AnyEvent
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
 
+Coefficient = Annotated[float, Meta(gt=0, le=20)]
+Coefficients = tuple[Coefficient, Coefficient, Coefficient]
+
+
 class SceneWater(Struct, frozen=True, kw_only=True):
     preset: WaterKind = "tap"
     grey_per_m: float = 0.15  # scattering by particles, the same in all colours
+    # Blue, green, red; both or neither. With them lamps shine, and the preset does not matter.
+    absorption_per_m: Coefficients | None = None
+    scattering_per_m: Coefficients | None = None
 
 
 class Solid(Struct, frozen=True, kw_only=True):
@@ -78,7 +85,8 @@ class StartSigma(Struct, frozen=True, kw_only=True):
 class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
-    room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
+    # Radiance of the ambient light at the surface: 1 is full scale; in water of known absorption and scattering W/m2/sr
+    room_light: Annotated[float, Meta(ge=0)] = 0.5
     white_card: Literal["upright", "lying"] = "upright"  # what the exposure is set by; upright, lying paper burns out
     camera: str = "imx519_640"  # preset of hw.twin.optics.lens
     solid: tuple[Solid, ...] = ()
@@ -104,7 +112,14 @@ def load_scene(name: str) -> Scene:
         kind = event.get("kind") if isinstance(event, dict) else None
         if kind not in KINDS:
             raise ConfigError(f"{path}: key 'event[{i}].kind': {kind!r} is none of {', '.join(KINDS)}; correct it")
-    return convert(data, Scene, path)
+    scene = convert(data, Scene, path)
+    if (scene.water.absorption_per_m is None) != (scene.water.scattering_per_m is None):
+        raise ConfigError(f"{path}: key 'water': give absorption_per_m and scattering_per_m, or neither")
+    if not scene.room_light and scene.water.absorption_per_m is None:
+        raise ConfigError(
+            f"{path}: key 'room_light': in the dark, lamps need water.absorption_per_m and scattering_per_m"
+        )
+    return scene
 
 
 def scene_of(fleet: Fleet) -> Scene:

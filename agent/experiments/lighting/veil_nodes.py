@@ -75,11 +75,13 @@ def beside(depth_m: float, radius_m: float, ahead_m: float, aside_m: float) -> S
     )
 
 
-def of_points(report: Report) -> tuple[Array, Array]:
+def of_points(report: Report, paths: int = 2500, most: int = 60) -> tuple[Array, Array, Array, Array]:
     """(4, 9, 8, 7, 3) logarithm of the light of two and more orders that a point of the water sends somewhere, times
-    tau^2 and what brings it near to even, for b = 1; and (4, 9, 8) of what arrives scattered at a surface there."""
+    tau^2 and what brings it near to even, for b = 1; and (4, 9, 8) of what arrives scattered at a surface there. Then the standard
+    errors of both."""
     volume = np.zeros((len(POINT_SHARE), len(POINT_TAU), len(OFF_DEG), len(WAY_DEG), len(SPIN_DEG)))
     surface = np.zeros(volume.shape[:3])
+    volume_error, surface_error = np.zeros(volume.shape), np.zeros(surface.shape)
     nodes = list(product(*map(enumerate, (POINT_SHARE, POINT_TAU, OFF_DEG))))
     for n, ((i, share), (j, tau), (k, off_deg)) in enumerate(nodes):
         medium = Medium(1.0 / share - 1.0, 1.0)
@@ -87,15 +89,23 @@ def of_points(report: Report) -> tuple[Array, Array]:
         seen = Setting((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), HALF_RAD)
         for what, setting in _asked(seen, tau, math.radians(off_deg)):
             drawn = scattered(
-                setting, medium, SURFACE if what is None else POINT, orders=12, paths=2500, error=0.06, most=60, seed=n
+                setting,
+                medium,
+                SURFACE if what is None else POINT,
+                orders=12,
+                paths=paths,
+                error=0.06,
+                most=most,
+                seed=n,
             )
             value = math.log(max(drawn.total * scale, 1e-12))
             if what is None:
-                surface[i, j, k] = value
+                surface[i, j, k], surface_error[i, j, k] = value, drawn.error / drawn.total
             else:
                 volume[i, j, k, what[0], what[1]] = value
+                volume_error[i, j, k, what[0], what[1]] = drawn.error / drawn.total
         report(n + 1, len(nodes))
-    return volume, surface
+    return volume, surface, volume_error, surface_error
 
 
 def _asked(seen: Setting, tau: float, off_rad: float) -> Iterator[tuple[tuple[int, int] | None, Setting]]:

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hw.twin.optics.view import LampBeam
+
 Array = NDArray[np.float64]
 
 INTENSITY_W_SR = 1.2  # on the axis, in each of three bands, at full power: some 1000 lm
@@ -17,21 +19,15 @@ EDGE_RAD = 1.2 * HALF_RAD
 COSINES = 2048
 
 
-class LampBeam(NamedTuple):
-    """One lamp at one instant, world frame."""
-
-    position_m: ArrayLike  # (3,)
-    aim: ArrayLike  # (3,) unit vector
-    power: float  # of full power, 0 to 1
-
-
 class Beams(NamedTuple):
     """All lamps in the terms of one camera, float32."""
 
     place: NDArray[np.float32]  # (n, 3) camera frame
     aim: NDArray[np.float32]  # (n, 3)
     power: NDArray[np.float32]  # (n,) W/sr on the axis
-    first: NDArray[np.int64]  # (n + 1,) of `bodies`: those that may throw a shadow in lamp k's light are from first[k] on
+    first: NDArray[
+        np.int64
+    ]  # (n + 1,) of `bodies`: those that may throw a shadow in lamp k's light are from first[k] on
     bodies: NDArray[np.int64]  # rows of `maps`
     maps: NDArray[np.float32]  # (e, 3, 4) camera to the unit sphere, or cube, of each body
     cubes: NDArray[np.int64]  # (e,)
@@ -45,16 +41,15 @@ def beam_table() -> NDArray[np.float32]:
 
 
 def make_beams(
-    lamps: Sequence[LampBeam], camera: Array, bodies: Sequence[tuple[Array, Array, float]], maps: Array, cubes: ArrayLike
+    lamps: Sequence[LampBeam], camera: Array, bodies: Sequence[tuple[Array, float]], maps: Array, cubes: ArrayLike
 ) -> Beams:
-    """`camera` (3, 4) to world; `bodies`: centre (3,) in the world, (unused axes), radius of the sphere around each, in
-    the order of `maps` (e, 3, 4)."""
+    """`camera` (3, 4) to world; `bodies`: centre (3,), world, and radius around it of each row of `maps` (e, 3, 4)."""
     rotation, eye_m = camera[:, :3], camera[:, 3]
     first, found = [0], list[int]()
     for lamp in lamps:
         place_m, aim = np.asarray(lamp.position_m, float), np.asarray(lamp.aim, float)
         local = rotation.T @ (place_m - eye_m)
-        for e, (centre_m, _, radius_m) in enumerate(bodies):
+        for e, (centre_m, radius_m) in enumerate(bodies):
             to_body = centre_m - place_m
             range_m = float(np.linalg.norm(to_body))
             unit = maps[e, :, :3] @ local + maps[e, :, 3]

@@ -127,15 +127,24 @@ def light_up(
                 s = water.surface
                 e0 += scale * (
                     shining * ways.straight[n, 0]
-                    + w00 * s[i, j, 0] + w01 * s[i, j + 1, 0] + w10 * s[i + 1, j, 0] + w11 * s[i + 1, j + 1, 0]
+                    + w00 * s[i, j, 0]
+                    + w01 * s[i, j + 1, 0]
+                    + w10 * s[i + 1, j, 0]
+                    + w11 * s[i + 1, j + 1, 0]
                 )
                 e1 += scale * (
                     shining * ways.straight[n, 1]
-                    + w00 * s[i, j, 1] + w01 * s[i, j + 1, 1] + w10 * s[i + 1, j, 1] + w11 * s[i + 1, j + 1, 1]
+                    + w00 * s[i, j, 1]
+                    + w01 * s[i, j + 1, 1]
+                    + w10 * s[i + 1, j, 1]
+                    + w11 * s[i + 1, j + 1, 1]
                 )
                 e2 += scale * (
                     shining * ways.straight[n, 2]
-                    + w00 * s[i, j, 2] + w01 * s[i, j + 1, 2] + w10 * s[i + 1, j, 2] + w11 * s[i + 1, j + 1, 2]
+                    + w00 * s[i, j, 2]
+                    + w01 * s[i, j + 1, 2]
+                    + w10 * s[i + 1, j, 2]
+                    + w11 * s[i + 1, j + 1, 2]
                 )
             n = min(int(u * math.sqrt(ONE + mx * mx + my * my) * PER_M), last)
             back = INVERSE_PI / room

@@ -23,7 +23,11 @@ STRAIGHT_RAD = math.radians(5.0)
 SINES = 2048  # of the phase table, by the sine of half the angle
 
 RANGE_STEP_M, RANGES = 0.02, 200  # of the tables of one water
-OFFS, WAYS, SPINS = 17, 13, 3  # off the axis and of the light's way, even in the sine of half the angle; cosine of the spin
+OFFS, WAYS, SPINS = (
+    17,
+    13,
+    3,
+)  # off the axis and of the light's way, even in the sine of half the angle; cosine of the spin
 FADE = 0.35  # as the table's maker has it
 
 
@@ -80,13 +84,19 @@ def read_nodes() -> Nodes:
     return Nodes(*axes, numbers[:split].reshape(sizes), numbers[split:].reshape(sizes[:3]))
 
 
-def scattering(absorption_per_m: tuple[float, ...], scattering_per_m: tuple[float, ...], orders: bool = True) -> Scattering:
-    """The tables of one water. orders=False: once scattered light alone, with all of its attenuation, for who compares."""
+def scattering(
+    absorption_per_m: tuple[float, ...], scattering_per_m: tuple[float, ...], orders: bool = True
+) -> Scattering:
+    """The tables of one water. orders=False: once scattered light alone, attenuated in full, for who compares."""
     a, b = np.array(absorption_per_m, float), np.array(scattering_per_m, float)
     kept = deflected() if orders else 1.0
     angle = 2 * np.arcsin(np.linspace(0, 1, SINES))
     shape = phase(np.maximum(angle, STRAIGHT_RAD if orders else 1e-3)) / kept
-    volume, surface = _of_water(read_nodes(), a, b) if orders else (np.zeros((RANGES, OFFS, WAYS, SPINS, 3)), np.zeros((RANGES, OFFS, 3)))
+    volume, surface = (
+        _of_water(read_nodes(), a, b)
+        if orders
+        else (np.zeros((RANGES, OFFS, WAYS, SPINS, 3)), np.zeros((RANGES, OFFS, 3)))
+    )
     return Scattering(*(np.ascontiguousarray(x, np.float32) for x in (shape, kept * b, a + kept * b, volume, surface)))
 
 

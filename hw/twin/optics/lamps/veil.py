@@ -106,7 +106,9 @@ def place_in(x: F, nodes: int) -> tuple[int, F]:
 
 
 @kernel
-def fill_veil(optics: Optics, beams: Beams, water: Scattering, beam: Floats, grid: Grid, veil: NDArray[np.float32]) -> None:
+def fill_veil(
+    optics: Optics, beams: Beams, water: Scattering, beam: Floats, grid: Grid, veil: NDArray[np.float32]
+) -> None:
     """Fill veil (rows, columns, CELLS + 1, 3), radiance from the camera to the end of each cell."""
     du = np.float32(grid.far_m) / np.float32(CELLS)
     lamps = beams.power.shape[0]
