@@ -19,6 +19,8 @@ from hw.twin.faults import KINDS, AnyEvent
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
 
+BESIDE_M = 0.12  # camera to lamp
+
 Coefficient = Annotated[float, Meta(gt=0, le=20)]
 Coefficients = tuple[Coefficient, Coefficient, Coefficient]
 
@@ -126,6 +128,22 @@ def scene_of(fleet: Fleet) -> Scene:
     """The scene that the fleet file names, filled with the water that it names."""
     scene = load_scene(fleet.twin.scene)
     return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
+
+
+def in_daylight(scene: Scene) -> Scene:
+    """The same with clear water and light from above, if it has lamps: a tank in which cameras are calibrated."""
+    if scene.water.absorption_per_m is None:
+        return scene
+    water = SceneWater(preset=scene.water.preset)
+    return msgspec.structs.replace(scene, water=water, room_light=Scene(name=scene.name).room_light)
+
+
+def lamp_place(fleet: Fleet, scene: Scene) -> Vector | None:
+    """Where in a robot's body the pivot of its lamp is: left of the camera's. None: lamps do not show in this water."""
+    if scene.water.absorption_per_m is None:
+        return None
+    x, y, z = fleet.body.camera_m
+    return x, y + BESIDE_M, z
 
 
 def put_off(sigma: StartSigma, said: tuple[float, float, float], seed: int, robot: str) -> tuple[float, float, float]:

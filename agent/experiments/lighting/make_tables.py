@@ -21,14 +21,14 @@ ROOT = Path(__file__).parents[3]
 KERNEL = ROOT / "agent/kernel/lighting/veil_table.py"
 TWIN = ROOT / "hw/twin/optics/lamps/scattered.txt"
 
-KERNEL_HEAD = '''"""Veil of all orders of scattering over model.single_veil, as logarithms. Made by `make_tables` of the experiment.
+KERNEL_HEAD = '''"""Veil of all orders of scattering over model.single_veil, logarithms. Made by `make_tables`.
 
 Beam of 25 degrees, a black ball of 70 mm at 1.25 m. Monte Carlo to a standard error of 5 % where 600,000 paths reach
 it, then smoothed. Orders of the axes: TAU, SCATTERING_SHARE, ANGLE_DEG, RATIO; a line holds the ratios of two angles.
 """
 
 '''
-TWIN_HEAD = """# Light that the water around a lamp scatters: made by `make_tables` of the experiment, read by scattered.py.
+TWIN_HEAD = """# Light that the water around a lamp scatters: made by `make_tables`, read by scattered.py.
 # Five axes: b / (a + b), scattering lengths from the lamp, degrees off its axis, degrees of the light's way off the ray
 # from it, degrees of that about the ray. Then logarithms: (5 axes) of light of two and more orders in all directions;
 # (first 3 axes) of scattered light on a surface that faces the lamp.

@@ -77,8 +77,8 @@ def beside(depth_m: float, radius_m: float, ahead_m: float, aside_m: float) -> S
 
 def of_points(report: Report, paths: int = 2500, most: int = 60) -> tuple[Array, Array, Array, Array]:
     """(4, 9, 8, 7, 3) logarithm of the light of two and more orders that a point of the water sends somewhere, times
-    tau^2 and what brings it near to even, for b = 1; and (4, 9, 8) of what arrives scattered at a surface there. Then the standard
-    errors of both."""
+    tau^2 and what brings it near to even, for b = 1; and (4, 9, 8) of what arrives scattered at a surface there.
+    Then the standard errors of both."""
     volume = np.zeros((len(POINT_SHARE), len(POINT_TAU), len(OFF_DEG), len(WAY_DEG), len(SPIN_DEG)))
     surface = np.zeros(volume.shape[:3])
     volume_error, surface_error = np.zeros(volume.shape), np.zeros(surface.shape)

@@ -81,7 +81,10 @@ def read_nodes() -> Nodes:
     sizes = [len(axis) for axis in axes]
     numbers = np.array([number for row in rows[5:] for number in row], float)
     split = int(np.prod(sizes))
-    return Nodes(*axes, numbers[:split].reshape(sizes), numbers[split:].reshape(sizes[:3]))
+    share, tau, off_deg, way_deg, spin_deg = axes
+    return Nodes(
+        share, tau, off_deg, way_deg, spin_deg, numbers[:split].reshape(sizes), numbers[split:].reshape(sizes[:3])
+    )
 
 
 def scattering(
