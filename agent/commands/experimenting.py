@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
@@ -222,6 +222,6 @@ def experiment_lighting(
     from agent.experiments.lighting import figures, run, tables
     from agent.experiments.perform import perform
 
-    waters = (water,) if water else tuple(run.WATERS)
+    waters = (water,) if water else get_args(LightWater)
     asked = run.Settings(seed=seed, scenes=scenes, draws=draws, waters=waters)
     perform(run.run, asked, tables.table, out, terminal(), "distances and fleets", figures.figures)

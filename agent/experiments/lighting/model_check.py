@@ -17,6 +17,7 @@ from agent.kernel.lighting import model
 from agent.kernel.lighting.orders import all_orders
 from agent.kernel.lighting.settings import Beam, WaterOptics
 from hw.twin.optics.lamps.beam import INTENSITY_W_SR, beam_table, make_beams
+from hw.twin.optics.lamps.lit import transmission
 from hw.twin.optics.lamps.scattered import Scattering, scattering
 from hw.twin.optics.lamps.veil import CELLS, Grid, fill_veil
 from hw.twin.optics.raycast import Optics
@@ -25,6 +26,7 @@ from hw.twin.optics.view import LampBeam
 UNCUT_RAD = 1e-6
 GREEN = 1
 REPEATS = 8
+LENGTHS = 4096  # of the transmission's table: 8 m
 
 
 def model_check(seed: int, waters: Sequence[str], sweeps: Sequence[Row]) -> Row:
@@ -111,7 +113,7 @@ def axis_veil(tables: Scattering, depth_m: float, ahead_m: float, aside_m: float
     optics = Optics(one(1e-3), one(0), one(0), one(0), one(0), one(INDEX**2), one(0))
     grid = Grid(0, 0, 1, 1, 1, depth_m - RADIUS_M)
     veil = np.zeros((1, 1, CELLS + 1, 3), np.float32)
-    fill_veil(optics, beams, tables, beam_table(), grid, veil)
+    fill_veil(optics, beams, tables, beam_table(), transmission(tables.extinct, LENGTHS), grid, veil)
     return float(veil[0, 0, CELLS, GREEN]) / INTENSITY_W_SR
 
 
@@ -126,9 +128,9 @@ def ms_per_lamp(water: str, seed: int) -> float:
         moment = sea.moment("r1", stands, burning)
         times = []
         for _ in range(REPEATS):
-            began_s = machine.monotonic_s()
+            began_s = machine.processor_s()
             sea.painter.light(moment, lens_m)
-            times.append(machine.monotonic_s() - began_s)
+            times.append(machine.processor_s() - began_s)
         return min(times)
 
     return 1e3 * (least(("r1", "r2", "r3")) - least(("r1",))) / 2
