@@ -1,9 +1,12 @@
 """A small run of the experiment, its tables and figures; what lost messages leave burning."""
 
+import math
+
 import numpy as np
 import pytest
 
 from agent.experiments.lighting import figures, run, tables
+from agent.experiments.lighting.bars import missed
 from agent.experiments.lighting.dark_water import DarkWater, stand
 from agent.experiments.lighting.model_check import correlation
 from agent.experiments.lighting.policies import after_loss, scored, sets_for
@@ -74,6 +77,25 @@ def test_an_outlier_is_smoothed_away_and_what_is_known_well_stays() -> None:
 
 
 def test_correlation_needs_sweeps_that_have_a_sigma() -> None:
-    rows = [{"sigma_mm": 2.0 * k, "expected_mm": 1.1 * k} for k in range(1, 12)]
+    rows = [{"sigma_mm": 2.0 * k, "log_j": -2.0 * math.log(k)} for k in range(1, 12)]
     assert correlation(rows) == pytest.approx(-1.0)
     assert correlation([{**row, "sigma_mm": None} for row in rows]) is None
+
+
+def test_what_is_missed_is_said(result: run.Result) -> None:
+    assert not missed(result.cases, MODEL, 1)  # no verdict of one fleet
+    slow = {**MODEL, "ms_per_lamp": 30.0, "twin_veil_first_order": 0.1}
+    assert missed([], slow, 4) == ["twin_veil_first_order", "ms_per_lamp"]
+    ladder = [
+        {
+            "water": "harbour",
+            "robots": 3,
+            "policy": policy,
+            "loss": 0.0,
+            "distance_m": 1.25,
+            "sigma_mm": sigma,
+            "accepted": 1.0,
+        }
+        for policy, sigma in (("own", 12.0), ("rule", 5.0))
+    ]
+    assert len(missed(ladder, MODEL, 4)) == 2
