@@ -29,9 +29,10 @@ HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or 
 # Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard
 # deviation of its logarithm 0.2, by what is blurred, bends and pitches; other fish are slimmer, or stouter. What one
 # frame says of the range the next ones do.
-HIGH_SIGMA, ALIKE = 0.25, 3.0
+HIGH_SIGMA, ALIKE = 0.2, 2.0
 CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
+TURNS_RAD = 0.6  # by which it may face elsewhere than it is believed to swim: a track knows of a turn when it is over
 NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
 
 
@@ -84,7 +85,7 @@ def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
     speed_m_s, far = math.hypot(u, v), math.hypot(ray[0], ray[1])
     if target.speed_m_s is None or speed_m_s < HEADS * target.speed_m_s or far == 0.0:
         return None
-    return abs(ray[0] * v - ray[1] * u) / (speed_m_s * far)
+    return min(abs(ray[0] * v - ray[1] * u) / (speed_m_s * far), 1.0)
 
 
 def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | None) -> tuple[float, float]:
@@ -93,7 +94,7 @@ def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | No
     if target.length_m is None:
         return BENDING * shown_px, 0.0
     whole_px = target.length_m * px_per_m
-    shows = SHOWN if side is None else max(side, HIGH)
+    shows = SHOWN if side is None else max(math.sin(max(math.asin(side) - TURNS_RAD, 0.0)), HIGH)
     return BENDING * max(shown_px, whole_px), HIDDEN * max(shows * whole_px - shown_px, 0.0)
 
 
