@@ -64,6 +64,7 @@ class Errand:
             self._fleet.tank.size_m[:2],
             self._speed_m_s,
             target=target,
+            swims=self._flees,
             sees=seek.sees(what.target, now_ns),
             robots_m=tuple(disc.at_m for disc in neighbours.discs(now_ns)),
             screens_m=tuple(screen.at_m for screen in self._screens_of(now_ns)),
