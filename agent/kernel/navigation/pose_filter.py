@@ -1,10 +1,11 @@
 """Where a robot is and how it moves: an extended Kalman filter, driven by the forces that were asked for.
 
-State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), the bias of the yaw rate where there is a gyro, and, once there is a
-key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is seen since is measured from
-(Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aid.py) has the place (x, y, z) of a target at
-rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances of what fluctuates: what survey
-and zeros have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
+State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), what is learnt of the body and stays (by how many kg its added mass is
+larger aside than ahead, by what share its yaw moment is larger than was asked), the bias of the yaw rate where there is
+a gyro, and, once there is a key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is
+seen since is measured from (Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aid.py) has the
+place (x, y, z) of a target at rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances of
+what fluctuates: what survey and zeros have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ FIRST_BIAS_RAD_S = math.radians(0.6)
 FIRST = (2e-2, 2e-2, 2.5e-1, 4e-3, 4e-3, 1e-1)
 # Of what stays: Munk's difference of added masses, kg^2, and by how much a yaw moment is larger than what was asked.
 FIRST_LEARNT = (0.8 * 0.8, 0.2 * 0.2)
-BIAS = 11  # where in the state
+MUNK, GAIN, BIAS = 9, 10, 11  # where they are in the state
 
 State = tuple[float, ...]
 Covariance = tuple[tuple[float, ...], ...]
@@ -75,7 +76,7 @@ class Belief(NamedTuple):
 def begin(t_ns: int, pose: Vector, covariance: Symmetric, stays: Symmetric = ZERO, gyro: bool = False) -> Belief:
     """At that pose, at rest for all that is known, nothing learnt."""
     xx, xy, xp, yy, yp, pp = covariance
-    variances = (*FIRST, *FIRST_LEARNT, *((FIRST_BIAS_RAD_S * FIRST_BIAS_RAD_S,) if gyro else ()))
+    variances = *FIRST, *FIRST_LEARNT, *((FIRST_BIAS_RAD_S * FIRST_BIAS_RAD_S,) if gyro else ())
     n = 3 + len(variances)
     P = [[0.0] * n for _ in range(n)]
     P[0][:3], P[1][:3], P[2][:3] = [xx, xy, xp], [xy, yy, yp], [xp, yp, pp]
@@ -86,10 +87,9 @@ def begin(t_ns: int, pose: Vector, covariance: Symmetric, stays: Symmetric = ZER
 
 def learnt(before: Belief, begun: Belief) -> Belief:
     """One that begins anew, with what has been learnt of the body."""
-    rows = [list(row) for row in begun.P]
-    for i in (9, 10):
-        rows[i][9:11] = before.P[i][9:11]
-    return begun._replace(x=(*begun.x[:9], *before.x[9:11], *begun.x[11:]), P=_frozen(rows))
+    x = *begun.x[:MUNK], *before.x[MUNK:BIAS], *begun.x[BIAS:]
+    kept = [(*new[:MUNK], *old[MUNK:BIAS], *new[BIAS:]) for new, old in zip(begun.P, before.P, strict=False)]
+    return begun._replace(x=x, P=(*begun.P[:MUNK], *kept[MUNK:BIAS], *begun.P[BIAS:]))
 
 
 def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
@@ -100,7 +100,6 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
     steps = -(-span_ns // STEP_NS)
     h = span_ns * 1e-9 / steps
     x, P, force, gyro = belief.x, belief.P, belief.force, _has_gyro(belief)
-    n = BIAS + 1 if gyro else BIAS
     for _ in range(steps):
         m = motion(hull, x, force, belief.asked, h)
         force, half = m.force, 0.5 * h * h
@@ -113,10 +112,16 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
             x[5] + h * m.turn,
         )
         x = (*moved, *x[6:])
-        grown = 1.0 - h * m.damping, h * m.ax_by_yaw, h * m.ay_by_yaw, 1.0 - h * m.turn_damping, [h * by for by in m.turn_by]
+        grown = (
+            1.0 - h * m.damping,
+            h * m.ax_by_yaw,
+            h * m.ay_by_yaw,
+            1.0 - h * m.turn_damping,
+            [h * by for by in m.turn_by],
+        )
         once = _times_F(P, h, *grown)  # F P; of its transpose P F', the same once more gives F P F'
         rows = _times_F(tuple(zip(*once, strict=True)), h, *grown)
-        for i, variance in enumerate(_noise(drift, m)[: n - 3], start=3):
+        for i, variance in enumerate(_noise(drift, m)[: BIAS - 3 + gyro], start=3):
             rows[i][i] += h * variance
         P = _frozen(rows)
     return belief._replace(t_ns=t_ns, x=x, P=P, force=force)
@@ -126,16 +131,16 @@ def _noise(drift: Drift, m: Motion) -> tuple[float, ...]:
     """Densities for v, r, d and bias: the more a robot swims, the more of it is only believed."""
     speed2 = drift.speed * drift.speed + m.doubt * m.doubt * drift.doubt_s
     rate2 = drift.rate * drift.rate + m.turn_doubt * m.turn_doubt * drift.doubt_s
-    push2 = drift.push * drift.push
-    return speed2, speed2, rate2, push2, push2, drift.twist * drift.twist, 0.0, 0.0, drift.bias * drift.bias
+    push2, twist2 = drift.push * drift.push, drift.twist * drift.twist
+    return speed2, speed2, rate2, push2, push2, twist2, 0.0, 0.0, drift.bias * drift.bias
 
 
 def _times_F(
     P: Rows, h: float, v_by_v: float, vx_by_yaw: float, vy_by_yaw: float, r_by_r: float, r_by: Sequence[float]
 ) -> list[list[float]]:
     """F P: only these six rows change."""
-    x, y, psi, vx, vy, r, dx, dy, dpsi, munk, gain = P[:11]
-    i, j, k, l, m = r_by
+    x, y, psi, vx, vy, r, dx, dy, dpsi, munk, gain = P[:BIAS]
+    by_psi, by_vx, by_vy, by_munk, by_gain = r_by
     return [
         [a + h * b for a, b in zip(x, vx, strict=True)],
         [a + h * b for a, b in zip(y, vy, strict=True)],
@@ -143,7 +148,7 @@ def _times_F(
         [v_by_v * a + h * b + vx_by_yaw * c for a, b, c in zip(vx, dx, psi, strict=True)],
         [v_by_v * a + h * b + vy_by_yaw * c for a, b, c in zip(vy, dy, psi, strict=True)],
         [
-            r_by_r * a + h * b + i * c + j * d + k * e + l * f + m * g
+            r_by_r * a + h * b + by_psi * c + by_vx * d + by_vy * e + by_munk * f + by_gain * g
             for a, b, c, d, e, f, g in zip(r, dpsi, psi, vx, vy, munk, gain, strict=True)
         ],
         *(list(row) for row in P[6:]),

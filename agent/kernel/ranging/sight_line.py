@@ -104,5 +104,5 @@ def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> floa
     if target.length_m is None or outline.size_px is None:
         return None
     high_px, y_px = outline.size_px[1], outline.centre_px[1]
-    whole = CUT_PX < y_px - 0.5 * high_px and y_px + 0.5 * high_px < camera.height_px - CUT_PX
+    whole = y_px - 0.5 * high_px > CUT_PX and y_px + 0.5 * high_px < camera.height_px - CUT_PX
     return HIGH * target.length_m * camera.f_px / high_px if whole and high_px > 0.0 else None
