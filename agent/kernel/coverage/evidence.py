@@ -91,12 +91,10 @@ class CoverageMap:
         return self._solid[1]
 
     def as_bytes(self) -> bytes:
-        """The whole map, the same on every robot that holds the same keyframes."""
-        sums = (self.cells, self.hits, self.passes)
+        """What is known of each cell, the same on every robot that holds the same keyframes; so are `hits` and `passes`,
+        which are left out, that robots of other versions can compare."""
         return b"".join(
-            number.to_bytes(4, "little") + total.to_bytes(8, "little")
-            for each in sums
-            for number, total in sorted(each.items())
+            number.to_bytes(4, "little") + total.to_bytes(8, "little") for number, total in sorted(self.cells.items())
         )
 
     def digest(self) -> str:
