@@ -91,8 +91,8 @@ class CoverageMap:
         return self._solid[1]
 
     def as_bytes(self) -> bytes:
-        """What is known of each cell, the same on every robot that holds the same keyframes; so are `hits` and `passes`,
-        which are left out, that robots of other versions can compare."""
+        """What is known of each cell, the same on every robot that holds the same keyframes. So are `hits` and
+        `passes`; they are left out so that robots of other versions can compare."""
         return b"".join(
             number.to_bytes(4, "little") + total.to_bytes(8, "little") for number, total in sorted(self.cells.items())
         )
