@@ -2,8 +2,8 @@
 
 Whole kernels, bodies in the plane that tethers pull, tags and points that are followed drawn as in the experiment on
 navigation; things on the floor that a draw put there. What a sweep's blocks measure is the truth of the drawn scene
-from where the camera truly was at its end, with noise; one block in OUTLIERS has a peak that is quite wrong, as in rendered
-dives. No frames are rendered, nothing is hidden but by things, and no robot is seen.
+from where the camera truly was at its end, with noise; one block in OUTLIERS has a peak that is quite wrong, as in
+rendered dives. No frames are rendered, nothing is hidden but by things, and no robot is seen.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def fleet_of(seed: int) -> Fleet:
     return msgspec.structs.replace(basin.fleet(robots, seed), coverage=coverage)
 
 
-def swum(seed: int, seconds: float = SECONDS) -> Row:
-    """known: share of the floor's cells that all keyframes together know after each minute; keyframes of each robot;
+def swum(seed: int, seconds: float = SECONDS, every_s: float = EVERY_S) -> Row:
+    """known: share of the floor's cells that all keyframes together know, every_s after every_s; keyframes of each robot;
     things: cells away from floor and walls in which the map has something, and empty: of these, how many in which
     nothing is, a cell's width around."""
     fleet = fleet_of(seed)
@@ -123,7 +123,7 @@ def swum(seed: int, seconds: float = SECONDS) -> Row:
             if own is not None and own.keyframes > made[name]:
                 made[name] = own.keyframes
                 known.add(own.known.held[name, START_NS, own.keyframes].frame)
-        if step % round(EVERY_S * STEPS_S) == 0:
+        if step % round(every_s * STEPS_S) == 0:
             shares.append(floor_share(known))
     wanted = known.solid()
     return {
@@ -152,4 +152,4 @@ def near_a_thing(number: int, known: CoverageMap, scene: Scene) -> bool:
         size = (inner * inner).sum(axis=1) if body.round else np.abs(inner).max(axis=1)
         if (size < 1.0).any():
             return True
-    return bool(index[2] == 0.0)
+    return False
