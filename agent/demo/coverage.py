@@ -27,10 +27,9 @@ class SurveyWatch:
         return self._newest
 
     def usual_digest(self) -> str:
-        """That of most maps; of as many the first by the robots' order."""
-        return next(
-            iter(digest for digest, _ in Counter(claim.digest for claim in self._newest.values()).most_common()), ""
-        )
+        """That of most maps; of as many that which was heard first."""
+        counts = Counter(claim.digest for claim in self._newest.values()).most_common(1)
+        return counts[0][0] if counts else ""
 
     @property
     def over(self) -> bool:

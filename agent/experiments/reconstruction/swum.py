@@ -105,7 +105,7 @@ def fleet_of(seed: int) -> Fleet:
 
 
 def swum(seed: int, seconds: float = SECONDS, every_s: float = EVERY_S) -> Row:
-    """known: share of the floor's cells that all keyframes together know, every_s after every_s; keyframes of each robot;
+    """known: share of the floor's cells that all keyframes together know, after each every_s; keyframes of each robot;
     things: cells away from floor and walls in which the map has something, and empty: of these, how many in which
     nothing is, a cell's width around."""
     fleet = fleet_of(seed)
