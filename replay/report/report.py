@@ -28,6 +28,7 @@ from replay.report import (
     figures_focus,
     figures_map,
     figures_posture,
+    figures_survey,
     figures_track,
     track_tables,
 )
@@ -37,6 +38,7 @@ from replay.report import (
 from replay.report.creature_track import creature_track
 from replay.report.page_template import PAGE
 from replay.report.run import Run, open_run
+from replay.report.surveyed import survey_table, surveyed
 from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
 
 
@@ -143,6 +145,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             [_svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
         ),
         *_following(run),
+        *_surveying(run),
         Section(
             "agreement",
             "Agreement",
@@ -246,6 +249,25 @@ def _following(run: Run) -> Iterator[Section]:
                 _svg(figures_track.made_of(run.fleet, track, start_ns)),
             ],
         )
+
+
+def _surveying(run: Run) -> Iterator[Section]:
+    """Of a fleet with [coverage]."""
+    found = surveyed(run.fleet, run.boxes)
+    if found is None or not found.frames:
+        return
+    yield Section(
+        "survey",
+        "The survey",
+        "How much of what is wanted each robot's map knows (dotted: the share that ends the survey) and how many "
+        "keyframes it holds: lines should lie on each other, for all tell each other all. Then from above what all "
+        "keyframes together know, with the robots' ways and the places of their sweeps (crosses).",
+        [survey_table(found)],
+        [
+            _svg(figures_survey.known_over_time(run.fleet, found, run.start_ns or 0)),
+            _svg(figures_survey.floor_above(run.fleet, found)),
+        ],
+    )
 
 
 def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
