@@ -198,6 +198,23 @@ class Whereabouts(Message, frozen=True, kw_only=True):
     yaw_sigma_deg: Annotated[float, means("degrees")]
 
 
+class LampState(Message, frozen=True, kw_only=True):
+    """A robot's lamp, and whose light it is."""
+
+    power: Annotated[float, Meta(ge=0, le=1), means("share of its full power, as commanded")]
+    pan_deg: Annotated[float, means("degrees, as its gimbal is told; positive to the left")]
+    tilt_deg: Annotated[float, means("degrees, likewise; positive upwards")]
+    phase: Annotated[
+        Literal["free", "asks", "holds", "obeys"],
+        means("free: as its own robot likes; asks, holds: light for its own sweep; obeys: as a neighbour asked"),
+    ]
+    holder: Annotated[Id | None, means("the robot whose lease it burns by, or is dark; null: none")] = None
+    lease: Annotated[Count, means("number of that lease; 0: none")] = 0
+    lamps: Annotated[tuple[Id, ...], means("whose lamps burn by that lease, as its holder knows")] = ()
+    load: Annotated[float, means("how warm it is, or how empty the battery: 1 is at its limit")] = 0.0
+    spoiled: Annotated[Count, means("own sweeps so far that were discarded because a lamp changed in them")] = 0
+
+
 class State(Message, frozen=True, kw_only=True):
     """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
 
@@ -237,6 +254,9 @@ class State(Message, frozen=True, kw_only=True):
     ] = UNSET
     behaviour: Annotated[
         str | UnsetType, means("what a robot that swims does now: the kind in the fleet file; left out: it is moored")
+    ] = UNSET
+    lamp: Annotated[
+        LampState | UnsetType, means("of a robot of a fleet that lights for each other; left out: it is none")
     ] = UNSET
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}

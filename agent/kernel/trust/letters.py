@@ -14,6 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 from agent.kernel.codec import Refusal
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Estimate
 from agent.kernel.presence import Presence
 from agent.kernel.trust.transit import CLOCKS_NS, Transit
@@ -23,7 +24,7 @@ AHEAD_S = 10  # of such messages that may be missing at any time
 INSISTS = 3  # messages in a row whose numbers fell back: a neighbour that had told a wrong one
 TWIN_NS = 10_000_000_000  # two starts of one robot that take turns within this time are two robots
 
-M = TypeVar("M", Estimate, Presence, Claim, Keyframe)
+M = TypeVar("M", Estimate, Presence, Claim, Keyframe, Light)
 
 
 class Letter(NamedTuple, Generic[M]):
