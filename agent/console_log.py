@@ -13,8 +13,9 @@ from typing import Protocol, Self
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
-from agent.kernel.messages import Estimate, Image, LogLine, State, fault_kind
+from agent.kernel.messages import Estimate, Image, LogLine, State
 from agent.kernel.presence import Presence
+from agent.kernel.status import fault_kind
 from agent.kernel.step_io import DroppedPayloads, Heard
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"

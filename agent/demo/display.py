@@ -18,7 +18,8 @@ from agent.demo import following
 from agent.demo.history import Histories
 from agent.demo.summary import PASS_PERCENT, SIGMAS
 from agent.kernel.config import Fleet
-from agent.kernel.messages import State, fault_kind
+from agent.kernel.messages import State
+from agent.kernel.status import fault_kind
 from agent.kernel.topics import EVERY_FLEET
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off

@@ -78,6 +78,7 @@ class Sweep:
         self._frames: list[Sighting] = []
         self._tilts: list[tuple[float, float]] = []  # roll and pitch since the sweep began, degrees
         self._last: Measurement | None = None  # the peak to track
+        self._before: Measurement | None = None  # the one before it
         self._failures = 0  # in a row, of tracking sweeps while there is a peak to track, of full ones else
         self._halvings = 0  # of the full sweep's positions
         self._remark: str | None = None
@@ -127,10 +128,19 @@ class Sweep:
         result = self._result(number) if complete else Rejected(number, "not finished in time", too_long=True)
         self._plan = None
         if isinstance(result, Measurement):
-            self._last, self._failures, self._halvings = result, 0, 0
+            self._before, self._last, self._failures, self._halvings = self._last, result, 0, 0
         else:
             self._failed(result.too_long, now_ns)
         return result
+
+    def take_back(self) -> None:
+        """What was measured last is to be forgotten: the light changed in it, and its peak may be none."""
+        self._last = self._before
+
+    @property
+    def most_ns(self) -> int:
+        """How long a full sweep may take, if its frames come in time."""
+        return SLACK_NS + self._full_steps * STEP_NS
 
     def remark(self) -> str | None:
         """What a full sweep showed about the lens, once."""

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 from msgspec import UNSET
 
-from agent.kernel.lighting.words import MOST_HOLDS_S, Lease, LeaseAck, Light
+from agent.kernel.lighting.words import MOST_HOLDS_S, Lease, LeaseAck, Light, Why
 
 SILENT_NS = 3_000_000_000  # who was not heard for so long is not waited for
 GONE_NS = 10_000_000_000  # whose lamp is dark, or as it was: nobody who is there is silent for so long
@@ -128,8 +128,8 @@ def _before(lease: Lease, holder: str, other: Lease, others: str) -> bool:
 def tick(party: Party, guard_ns: int, now_ns: int) -> Party:
     """What time does: leases end, and whoever asked has been answered or has waited for long enough.
 
-    All who were heard of late and obey, or the guard over and nobody busy: the own lease is in force. Somebody busy when
-    the guard is over: it is given up.
+    All who were heard of late obey, or the guard is over and nobody busy: the own lease is in force. Somebody busy
+    when the guard is over: it is given up.
     """
     if party.bound is not None and now_ns >= party.bound.ends_ns:
         party = party._replace(bound=None)
@@ -165,8 +165,8 @@ def lit_by(party: Party) -> tuple[str, ...]:
     return tuple(sorted(burning | ({party.me} if party.me in asked or not burning else set())))
 
 
-def ack_to(party: Party, src: str, cannot: str) -> LeaseAck | None:
-    """What to answer a neighbour. cannot: why the own lamp stays dark though it is named; empty: it burns."""
+def ack_to(party: Party, src: str, dark: Why) -> LeaseAck | None:
+    """What to answer a neighbour. dark: why the own lamp stays dark though it is named; empty: it burns."""
     word = party.word(src)
     lease = UNSET if word is None else word.said.lease
     if word is None or lease is UNSET:
@@ -174,7 +174,7 @@ def ack_to(party: Party, src: str, cannot: str) -> LeaseAck | None:
     incarnation, bound = word.said.incarnation, party.bound
     if bound is not None and (bound.holder, bound.incarnation, bound.lease.number) == (src, incarnation, lease.number):
         named = any(name == party.me and power > 0.0 for name, power in bound.lease.lamps)
-        return LeaseAck(incarnation, lease.number, True, cannot if named else "")  # type: ignore[arg-type]
+        return LeaseAck(incarnation, lease.number, True, dark if named else "")
     whose = party.me if bound is None else bound.holder
     return LeaseAck(incarnation, lease.number, False, "busy", whose)
 
