@@ -34,7 +34,7 @@ from hw.twin.optics.painter import Painter
 from hw.twin.pace import run_by_clock
 from hw.twin.physics.rotation import euler_rad
 from hw.twin.physics.tank import TICK_NS
-from hw.twin.scene import Scene, Solid, generator, scene_of
+from hw.twin.scene import Scene, Solid, generator, in_daylight, lamp_place, scene_of
 from hw.twin.targets import target_solids
 from hw.twin.truth import Watch, tags_as_json
 
@@ -111,7 +111,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         at_m = fleet.body.camera_m
         seen = (dive.history, lens, vcm, painter, at_m, dive.stage)
         witness = partial(dive.lookout.frame, name) if dive.lookout is not None else None
-        swims = (scene.creature, fleet.twin.seed, witness)
+        swims = (scene.creature, fleet.twin.seed, witness, lamp_place(fleet, scene))
         camera = DiveCamera(i, *seen, shutter, keeper.now_ns, rendering, scene.motion_blur, *swims)
         servers.append(FrameServer(folder / f"{name}.camera", camera))
     devices: list[Board | FrameServer] = [*dive.boards, *servers]
@@ -131,7 +131,7 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
 
 
 def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, stack: ExitStack) -> None:
-    empty = msgspec.structs.replace(scene_of(fleet), solid=(), creature=())  # nothing but the chessboard
+    empty = in_daylight(msgspec.structs.replace(scene_of(fleet), solid=(), creature=()))  # nothing but the chessboard
     bench = Bench(fleet, robot, *_optics(fleet, empty, robot), RunClock(clock_path(fleet)).now_ns())
     bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
     server = FrameServer(folder / f"{robot}.camera", bench)

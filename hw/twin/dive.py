@@ -26,6 +26,7 @@ from hw.twin.physics.battery import OPEN_V, current_a, supply_v, thrust_loss
 from hw.twin.physics.body import cast_off
 from hw.twin.physics.flow import Flow
 from hw.twin.physics.gyro import Gyros
+from hw.twin.physics.lamp import Lamps
 from hw.twin.physics.plant import Plant
 from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
 from hw.twin.physics.tank import STEP_S, TICK_NS, advance, push
@@ -60,12 +61,12 @@ class Dive:
         rows = [(plants or {}).get(name, Plant()) for name in robots]
         self.bodies, self.states = launch(fleet, robots, rows, scene.start_sigma)
         self._tank, self._waves = fleet.tank, scene.waves
-
         self.sensors = PressureSensors(seed, self.robots, [p.noise_m for p in rows], [p.late_samples for p in rows])
         self.tare_pa = self.sensors.tare_pa()
         self.gyros = Gyros(seed, self.robots, fleet.navigation is not None and fleet.navigation.gyro)
         self.sensor_faults = SensorFaults(len(robots))
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
+        self.lamps = Lamps(seed, self.robots)
         self.boards: list[Board] = []
         self.answered_s = [0.0] * len(robots)  # how long, on the wall, the last tick waited for each firmware
         self.history = History(len(robots), start_ns, len(scene.creature))
@@ -73,10 +74,8 @@ class Dive:
         self.school = School(scene.creature, seed, (*fleet.tank.size_m[:2], surface_m), scene.solid)
         self.watch: Watch | None = None  # of robots that swim, where somebody wants to know
         self.lookout: Lookout | None = None  # the same of creatures
-        self.ticks = 0
-        self._start_ns = start_ns
-        self._mounting = fleet.body
-        self._size_m, self._surface_m = np.array(fleet.tank.size_m), surface_m
+        self.ticks, self._start_ns = 0, start_ns
+        self._mounting, self._size_m, self._surface_m = fleet.body, np.array(fleet.tank.size_m), surface_m
         self._flow = Flow(seed, self.robots, scene.current, scene.tether_pull)
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
         self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, whose
@@ -107,6 +106,7 @@ class Dive:
                 self._actuate(i, act)
             elif not board.driving:
                 self._pulses_us[i] = 0.0
+                self.lamps.asked[i] = 0.0
                 self._to_show = [row for row in self._to_show if row[1] != i]
         while self._to_come and self._to_come[-1].at_s * 1e9 <= self.ticks * TICK_NS:
             apply(self._to_come.pop(), self)
@@ -133,6 +133,7 @@ class Dive:
             self._show(row[1], row[2])
             self._to_show.remove(row)
         self._advance(now_us, until_us)
+        self.lamps.tick(self.battery_v, TICK_NS * 1e-9)
         self.ticks += 1
         if self.school:
             self.school.tick(self.states["position_m"], self.stage.solids(self.now_ns), self._flow.velocity_m_s)
@@ -149,7 +150,7 @@ class Dive:
 
     def _measure(self) -> None:
         t_s = self.ticks * TICK_NS * 1e-9
-        self.history.append(self.states, self.school.attitudes)
+        self.history.append(self.states, self.school.attitudes, self.lamps.output)
         if self.ticks % WATCH_TICKS == 0:
             if self.watch is not None:
                 self.watch.see(self.states, self.now_ns)
@@ -160,7 +161,7 @@ class Dive:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)
         self._readings_pa = self.sensor_faults.corrupt(self.sensors.sample(self._water_pa, t_s)).tolist()
         self._rates_cdeg_s = self.gyros.read(self.states["rates_rad_s"])
-        drawn_a = current_a(self.states["thrust_n"])
+        drawn_a = current_a(self.states["thrust_n"]) + self.lamps.current_a
         supply = supply_v(self.battery_v, drawn_a)
         self.states["thrust_loss"] = thrust_loss(supply)
         self._drawn_a, self._supply_v = drawn_a.tolist(), supply.tolist()
@@ -172,12 +173,11 @@ class Dive:
 
     def _show(self, i: int, act: Act) -> None:
         self._pulses_us[i] = act.pulses_us
+        self.lamps.asked[i] = act.lamp_permille / 1000
         for k, servo_us in enumerate(act.servos_us):
             if servo_us:  # a servo without pulses stays where it is
                 centred_us = servo_us - self._mounting.servo_centre_us
                 self._nominal_deg[i, k] = centred_us / self._mounting.servo_us_per_deg
-
-    # --- events, from now on --------------------------------------------------------------------------------------
 
     def push(self, robot: str, force_n: Vector, point_m: Vector, for_s: float) -> None:
         """Push a robot: world-frame force at a body-frame point."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hw.camera.camera import CameraGone
 from hw.twin.creatures.swimmer import Attitude
@@ -22,13 +22,16 @@ class RobotPose(NamedTuple):
     rotation: NDArray[np.float64]  # (3, 3) body -> world
     pan_deg: float  # where the camera's gimbal truly points
     tilt_deg: float
+    lamp_pan_deg: float = 0.0
+    lamp_tilt_deg: float = 0.0
+    lamp: float = 0.0  # its light, as a share of a mean lamp's at full power
 
 
 class History:
     """A ring of the states at each tick. One thread appends; any number of threads wait and look."""
 
     def __init__(self, robots: int, start_ns: int, creatures: int = 0) -> None:
-        self._rows = np.zeros((SPAN, robots, 9))  # position, quaternion, camera pan and tilt
+        self._rows = np.zeros((SPAN, robots, 12))  # position, quaternion, pan and tilt of camera and lamp, light
         self._swum = np.zeros((SPAN, creatures, len(Attitude._fields)))
         self._start_ns = start_ns
         self._newest = -1
@@ -36,12 +39,13 @@ class History:
         self._changed = threading.Condition()
         self._awaited_ns: float = np.inf  # waking nobody costs nothing: notify only when somebody's time has come
 
-    def append(self, states: NDArray[np.void], creatures: Sequence[Attitude] = ()) -> None:
-        """The states one tick after those appended before."""
+    def append(self, states: NDArray[np.void], creatures: Sequence[Attitude] = (), lamps: ArrayLike = 0.0) -> None:
+        """The states one tick after those appended before; `lamps` (robots,): their light."""
         with self._changed:
             self._newest += 1
             row = self._rows[self._newest % SPAN]
-            row[:, :3], row[:, 3:7], row[:, 7:] = states["position_m"], states["quaternion"], states["shaft_deg"][:, :2]
+            row[:, :3], row[:, 3:7], row[:, 7:11] = states["position_m"], states["quaternion"], states["shaft_deg"]
+            row[:, 11] = lamps
             if creatures:
                 self._swum[self._newest % SPAN] = creatures
             if self.newest_ns >= self._awaited_ns:
@@ -68,7 +72,7 @@ class History:
         """
         # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
         rows = self._between(self._rows, t_ns)
-        return [RobotPose(row[:3], matrix(row[3:7]), float(row[7]), float(row[8])) for row in rows]
+        return [RobotPose(row[:3], matrix(row[3:7]), *row[7:].tolist()) for row in rows]
 
     def creatures_at(self, t_ns: int) -> list[Attitude]:
         """The attitude of each creature, as `at`."""

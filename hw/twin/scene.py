@@ -19,9 +19,18 @@ from hw.twin.faults import KINDS, AnyEvent
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
 
+BESIDE_M = 0.12  # camera to lamp
+
+Coefficient = Annotated[float, Meta(gt=0, le=20)]
+Coefficients = tuple[Coefficient, Coefficient, Coefficient]
+
+
 class SceneWater(Struct, frozen=True, kw_only=True):
     preset: WaterKind = "tap"
     grey_per_m: float = 0.15  # scattering by particles, the same in all colours
+    # Blue, green, red; both or neither. With them lamps shine, and the preset does not matter.
+    absorption_per_m: Coefficients | None = None
+    scattering_per_m: Coefficients | None = None
 
 
 class Solid(Struct, frozen=True, kw_only=True):
@@ -78,7 +87,8 @@ class StartSigma(Struct, frozen=True, kw_only=True):
 class Scene(Struct, frozen=True, kw_only=True):
     name: str
     water: SceneWater = SceneWater()
-    room_light: Positive = 0.5  # radiance of the ambient light at the surface, 1 is full scale
+    # Radiance of the ambient light at the surface: 1 is full scale; in water of known absorption and scattering W/m2/sr
+    room_light: Annotated[float, Meta(ge=0)] = 0.5
     white_card: Literal["upright", "lying"] = "upright"  # what the exposure is set by; upright, lying paper burns out
     camera: str = "imx519_640"  # preset of hw.twin.optics.lens
     solid: tuple[Solid, ...] = ()
@@ -104,13 +114,36 @@ def load_scene(name: str) -> Scene:
         kind = event.get("kind") if isinstance(event, dict) else None
         if kind not in KINDS:
             raise ConfigError(f"{path}: key 'event[{i}].kind': {kind!r} is none of {', '.join(KINDS)}; correct it")
-    return convert(data, Scene, path)
+    scene = convert(data, Scene, path)
+    if (scene.water.absorption_per_m is None) != (scene.water.scattering_per_m is None):
+        raise ConfigError(f"{path}: key 'water': give absorption_per_m and scattering_per_m, or neither")
+    if not scene.room_light and scene.water.absorption_per_m is None:
+        raise ConfigError(
+            f"{path}: key 'room_light': in the dark, lamps need water.absorption_per_m and scattering_per_m"
+        )
+    return scene
 
 
 def scene_of(fleet: Fleet) -> Scene:
     """The scene that the fleet file names, filled with the water that it names."""
     scene = load_scene(fleet.twin.scene)
     return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
+
+
+def in_daylight(scene: Scene) -> Scene:
+    """The same with clear water and light from above, if it has lamps: a tank in which cameras are calibrated."""
+    if scene.water.absorption_per_m is None:
+        return scene
+    water = SceneWater(preset=scene.water.preset)
+    return msgspec.structs.replace(scene, water=water, room_light=Scene(name=scene.name).room_light)
+
+
+def lamp_place(fleet: Fleet, scene: Scene) -> Vector | None:
+    """Where in a robot's body the pivot of its lamp is: left of the camera's. None: lamps do not show in this water."""
+    if scene.water.absorption_per_m is None:
+        return None
+    x, y, z = fleet.body.camera_m
+    return x, y + BESIDE_M, z
 
 
 def put_off(sigma: StartSigma, said: tuple[float, float, float], seed: int, robot: str) -> tuple[float, float, float]:

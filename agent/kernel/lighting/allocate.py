@@ -6,10 +6,20 @@ logarithm of the information is rounded before two of them are compared.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
+from agent.kernel.lighting.information import Worth, worth
+from agent.kernel.lighting.model import Pair, pair
 from agent.kernel.lighting.settings import Lighting
 from agent.kernel.messages import Vector
+
+ROUNDS = 2
+LEAST_RISE = math.log(1.01)  # of log J, for which a lamp is flipped
+GLARE_RAD = math.radians(
+    20.0
+)  # about the camera's axis: a lamp in there that aims at the target may shine into the lens
 
 
 class Lamp(NamedTuple):
@@ -40,7 +50,7 @@ class Choice(NamedTuple):
     usable: bool  # contrast and sigma are such that the sweep is worth making
 
 
-def allocate(own: str, scene: Scene, lamps: dict[str, Lamp], lighting: Lighting) -> Choice:
+def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighting) -> Choice:
     """The set of lamps for the sweep of robot `own`, from all lamps by robot's name, its own included.
 
     Starts from the own lamp; in two rounds, in order of names, each free lamp is flipped, and the flip is kept if J
@@ -50,4 +60,35 @@ def allocate(own: str, scene: Scene, lamps: dict[str, Lamp], lighting: Lighting)
 
     Raises KeyError if `own` is not among the lamps.
     """
-    raise NotImplementedError
+    depth_m = math.dist(scene.camera_m, scene.target_m)
+    pairs = {
+        name: pair(scene.camera_m, scene.target_m, scene.radius_m, lamp.place_m, lighting)
+        for name, lamp in sorted(lamps.items())
+        if name == own or (lamp.free and not _dazzles(scene, lamp.place_m))
+    }
+
+    def of(names: frozenset[str]) -> Worth:
+        burning: list[Pair] = [pairs[name] for name in sorted(names)]
+        return worth(burning, depth_m, scene.radius_m, scene.focal_px, scene.slope_mm)
+
+    alone = best = of(frozenset((own,)))
+    chosen = frozenset((own,))
+    for _ in range(ROUNDS):
+        for name in pairs:
+            flipped = chosen ^ {name}
+            if flipped and (tried := of(flipped)).log_j > best.log_j + LEAST_RISE:
+                chosen, best = flipped, tried
+    if best.log_j <= alone.log_j + math.log1p(lighting.gain):
+        chosen, best = frozenset((own,)), alone
+    return Choice(tuple(sorted(chosen)), best.log_j, alone.log_j, best.sigma_mm, best.usable)
+
+
+def _dazzles(scene: Scene, lamp_m: Vector) -> bool:
+    """Whether a lamp is in the picture, or nearly: it faces the target, and the camera behind that or before it."""
+    offset = [p - c for p, c in zip(lamp_m, scene.camera_m, strict=True)]
+    range_m = math.sqrt(sum(o * o for o in offset))
+    if range_m == 0.0:
+        return False
+    ahead = sum(o * a for o, a in zip(offset, scene.axis, strict=True)) / range_m
+    beyond = range_m > math.dist(scene.camera_m, scene.target_m)  # before the target, it shines away from the camera
+    return beyond and ahead > math.cos(GLARE_RAD)

@@ -13,12 +13,13 @@ from agent.kernel.messages import Vector
 from hw.camera.camera import FocusRange, Frame, Roi
 from hw.twin.creatures.shape import swimming
 from hw.twin.history import History, RobotPose
-from hw.twin.optics.view import Eye, Hull, Moment
+from hw.twin.optics.view import Eye, Hull, LampBeam, Moment
 from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal
 from hw.twin.scene import Creature
 from hw.twin.stage import Stage
 
 if TYPE_CHECKING:
+    from hw.twin.optics.exposure import Exposure
     from hw.twin.optics.lens import Lens, Vcm
     from hw.twin.optics.outline import Outline
     from hw.twin.optics.painter import Painter
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 Witness = Callable[[int, int, "list[Outline]"], None]  # middle of the exposure, number of the frame, what it shows
 
 FRAME_NS = 1_000_000_000 // 30
-EXPOSURE_NS = 10_000_000
+EXPOSURE_NS = 10_000_000  # where the exposure does not follow the light
 DELIVERY_NS = FRAME_NS  # from the opening of the shutter: exposed, read out and sent while the next one is exposed
 LATER_NS = 25_000_000  # what a machine that is slow to render may add, before time waits for it
 
@@ -60,6 +61,13 @@ def look(pose: RobotPose, camera_m: Vector) -> tuple[Eye, float]:
     return Eye(position_m, rotation), math.asin(min(max(float(rotation[2, 2]), -1.0), 1.0))
 
 
+def burning(pose: RobotPose, lamp_m: Vector) -> LampBeam:
+    """The lamp of a robot in this pose, on a gimbal whose pivot is at lamp_m in the body frame."""
+    position_m = pose.position_m + np.sum(pose.rotation * np.asarray(lamp_m), axis=1)
+    rotation = pose.rotation @ gimbal(pose.lamp_pan_deg, pose.lamp_tilt_deg) @ GIMBAL_CAMERA
+    return LampBeam(position_m, rotation[:, 2], pose.lamp)
+
+
 class DiveCamera:
     """The camera of robot number `me`, a FrameSource. Frames are rendered on demand, and only those asked for.
 
@@ -82,13 +90,15 @@ class DiveCamera:
         creatures: Sequence[Creature] = (),
         seed: int = 0,
         witness: Witness | None = None,
+        lamp_m: Vector | None = None,
     ) -> None:
         """`now_ns`: the dive's clock. `rendering(delivered_ns, latest_ns)` is around the making of a frame: it ends
         when it is delivered_ns, and it may keep time from going beyond latest_ns before that. `creatures` as the
-        history has them, of which `witness` is told what each frame shows."""
+        history has them, of which `witness` is told what each frame shows. lamp_m: where on each robot's body its
+        lamp is; None: there are none, or the water is such that they do not show."""
         self.size = (lens.width, lens.height)
         self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
-        self._me, self._history, self._camera_m = me, history, camera_m
+        self._me, self._history, self._camera_m, self._lamp_m = me, history, camera_m, lamp_m
         self._vcm, self._painter, self._clock = vcm, painter, clock
         self._now_ns, self._rendering = now_ns, rendering
         self._stage, self._blurs = stage, blurs
@@ -104,17 +114,23 @@ class DiveCamera:
         opens_ns = self._clock.opens_ns(seq)
         delivered_ns = opens_ns + DELIVERY_NS
         with self._rendering(delivered_ns, delivered_ns + LATER_NS):
-            self._history.wait(opens_ns + EXPOSURE_NS)
-            return self._frame(seq, opens_ns + EXPOSURE_NS // 2, roi)
+            exposure, open_ns = None, EXPOSURE_NS
+            if self._lamp_m is not None:  # as long as the light asks for that there is when the shutter opens
+                self._history.wait(opens_ns)
+                moment, elevation_rad = self._moment(opens_ns)
+                exposure = self._painter.metered(moment, self._vcm.image_distance_m(opens_ns, elevation_rad))
+                open_ns = exposure.open_ns or EXPOSURE_NS
+            self._history.wait(opens_ns + open_ns)
+            return self._frame(seq, opens_ns + open_ns // 2, roi, exposure, open_ns)
 
-    def _frame(self, seq: int, middle_ns: int, roi: Roi | None) -> Frame:
+    def _frame(self, seq: int, middle_ns: int, roi: Roi | None, exposure: Exposure | None, open_ns: int) -> Frame:
         middle, elevation_rad = self._moment(middle_ns)
         distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
 
         def during(share: float) -> Moment:
-            return self._moment(middle_ns + round(share * EXPOSURE_NS))[0]
+            return self._moment(middle_ns + round(share * open_ns))[0]
 
-        image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None)
+        image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None, exposure)
         if self._witness is not None and middle.creatures:
             self._witness(middle_ns, seq, self._painter.outlines(middle, distance_m))
         return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
@@ -128,4 +144,7 @@ class DiveCamera:
         if self._creatures:
             attitudes = zip(self._creatures, self._history.creatures_at(t_ns), strict=True)
             moment = moment._replace(creatures=tuple(swimming(who, how, self._seed) for who, how in attitudes))
+        if self._lamp_m is not None:
+            lamps = tuple(burning(pose, self._lamp_m) for pose in poses if pose.lamp > 0.0)
+            moment = moment._replace(lamps=lamps, own_hull=Hull(poses[self._me].position_m, poses[self._me].rotation))
         return moment, elevation_rad

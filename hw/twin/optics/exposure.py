@@ -9,6 +9,7 @@ import math
 import zlib
 from functools import lru_cache
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +47,18 @@ def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
     return np.uint64(state[0])
 
 
+class Exposure(NamedTuple):
+    """How one frame is taken."""
+
+    scale: F  # share of full scale for a radiance of 1
+    gain: F = ONE  # of the amplifier: the variance of all noise grows with it, in shares of full scale
+    open_ns: int | None = None  # how long the shutter is open; None: as the camera does by itself
+
+
 @kernel
 def expose(
     picture: Floats,
+    scale: F,
     gain: F,
     key: np.uint64,
     x0: int,
@@ -58,7 +68,10 @@ def expose(
     curve: NDArray[np.uint8],
     image: NDArray[np.uint8],
 ) -> None:
-    """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame."""
+    """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame.
+
+    At gain g a converter is full at 1/g of the well, and read noise is READ_NOISE / sqrt(g) in electrons.
+    """
     for row in range(image.shape[0]):
         for col in range(image.shape[1]):
             z = key + np.uint64((y0 + row) * full_width + x0 + col) * GOLDEN
@@ -67,6 +80,6 @@ def expose(
             z ^= z >> S31
             for c in range(3):
                 bits = (z if c == 0 else (z >> S24 if c == 1 else z >> S40)) & MASK12
-                light = max(picture[row, col, c], ZERO) * gain
-                light += math.sqrt(light * INVERSE_WELL + READ_VARIANCE) * normal[bits]
+                light = max(picture[row, col, c], ZERO) * scale
+                light += math.sqrt((light * INVERSE_WELL + READ_VARIANCE) * gain) * normal[bits]
                 image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]

@@ -1,8 +1,10 @@
 """What one robot's camera sees: the order of work from a pose to the bytes of a frame.
 
-trace (which surface, how far) -> shade (light, water) -> paint (tags) -> blur (lens) -> expose (noise, gamma).
+trace (which surface, how far) -> shade (light, water) -> paint (tags) -> lamps (their light, veil and shadows) ->
+blur (lens) -> expose (noise, gamma).
 
-Not modelled: lamps, cast shadows, mirror images at the surface and the walls, lens aberrations, vignetting.
+Not modelled: shadows of daylight, mirror images at the surface and the walls, light that goes from wall to wall, the
+halo of what is scattered between a surface and the camera, lens aberrations and glare, vignetting.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from agent.kernel.config import Tank
 from hw.twin.landmarks import PaintedTag
 from hw.twin.optics import texture
 from hw.twin.optics.defocus import blur, circles, margin
-from hw.twin.optics.exposure import expose, gamma_curve, noise_key, normal_quantiles
+from hw.twin.optics.exposure import Exposure, expose, gamma_curve, noise_key, normal_quantiles
+from hw.twin.optics.lamps.lit import LampTables, add_lamps, lamp_tables
+from hw.twin.optics.lamps.metering import COARSE, coarse, meter
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.motion import During, parts_of
 from hw.twin.optics.outline import Outline, outlines, swum_over
@@ -24,7 +28,7 @@ from hw.twin.optics.raycast import Floats, Identities, View, trace
 from hw.twin.optics.shade import PER_M, ShadingTables, shade
 from hw.twin.optics.tags import make_decals, paint
 from hw.twin.optics.texture import MATERIALS
-from hw.twin.optics.view import Chessboard, Eye, Hull, Moment, make_view
+from hw.twin.optics.view import Chessboard, Eye, Hull, LampBeam, Moment, make_view
 from hw.twin.optics.water import daylight, draw_water, transmission_and_veil
 from hw.twin.scene import Scene, generator
 
@@ -50,13 +54,15 @@ class Painter:
         robot: str,
         tags: Sequence[PaintedTag] = (),
     ) -> None:
-        self._scene, self._tags = scene, tuple(tags)
+        self._scene, self._tank, self._tags = scene, tank, tuple(tags)
         self._box_m = np.array([tank.size_m[0], tank.size_m[1], tank.surface_m])
         self._index = refractive_index
         self._lens = lens
         self._seed, self._robot = seed, robot
         self._tables: ShadingTables | None = None
-        self._gain = np.float32(1)
+        self._lamps: LampTables | None = None  # of water whose absorption and scattering are known
+        self._meter: Painter | None = None  # there the exposure follows the light; a painter of a coarse picture
+        self._exposure = Exposure(np.float32(1))
 
     def prepare(self) -> None:
         """Make textures and tables, set the exposure, and let the kernels compile: seconds on a fresh machine."""
@@ -74,11 +80,34 @@ class Painter:
             day=(room * daylight(water, steps_m)).astype(np.float32),
             pixel=np.float32(self._lens.pixel_m / self._lens.at_rest_m / self._index),
         )
+        known = self._scene.water
+        if known.absorption_per_m is not None and known.scattering_per_m is not None:
+            self._lamps = lamp_tables(known.absorption_per_m, known.scattering_per_m, self._tables)
+            if self._lens.width > 16 * COARSE:
+                others = (
+                    self._scene,
+                    self._tank,
+                    self._index,
+                    coarse(self._lens),
+                    self._seed,
+                    self._robot,
+                    self._tags,
+                )
+                self._meter = Painter(*others)
+                self._meter.prepare()
+            self._warm_up()
+            return
         arriving, _ = transmission_and_veil(water, WHITE_M)
         lit = CARD_LIGHT[self._scene.white_card] * room * daylight(water, self._box_m[2])
         card = WHITE_ALBEDO * lit * arriving
-        self._gain = np.float32(WHITE_LEVEL / card.max())
-        self.frame(Eye(self._box_m / 2, np.eye(3)), self._lens.at_rest_m, roi=(0, 0, 64, 64))
+        self._exposure = Exposure(np.float32(WHITE_LEVEL / card.max()))
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        moment = self._moment(Eye(self._box_m / 2, np.eye(3)), (), None)
+        if self._lamps is not None:
+            moment = moment._replace(lamps=(LampBeam(self._box_m / 2, (0.0, 0.0, 1.0), 1.0),))
+        self.expose(moment, self._lens.at_rest_m, (0, 0, min(64, self._lens.width), min(64, self._lens.height)))
 
     def frame(
         self,
@@ -102,11 +131,14 @@ class Painter:
         roi: Part | None = None,
         tick: int = 0,
         during: During | None = None,
+        exposure: Exposure | None = None,
     ) -> Image:
         """As frame, of the world as it is at the middle of the exposure and, if it is given, `during` it.
 
         The light of parts of the exposure is added up before the lens blurs it, by the middle's circles of confusion.
+        `exposure`: as `metered` found it; None: metered at the middle.
         """
+        exposure = exposure or self.metered(middle, image_distance_m)
         if self._tables is None:
             raise RuntimeError("call prepare() before the first frame")
         x, y, width, height = part = self._part(roi)
@@ -129,8 +161,28 @@ class Painter:
         picture = np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
         image = np.empty((height, width, 3), np.uint8)
         key = noise_key(self._seed, self._robot, tick)
-        expose(picture, self._gain, key, x, y, self._lens.width, normal_quantiles(), gamma_curve(), image)
+        expose(
+            picture,
+            exposure.scale,
+            exposure.gain,
+            key,
+            x,
+            y,
+            self._lens.width,
+            normal_quantiles(),
+            gamma_curve(),
+            image,
+        )
         return image
+
+    def metered(self, moment: Moment, image_distance_m: float) -> Exposure:
+        """How a frame of this moment is exposed. Set once by a white card; in water whose absorption and scattering are
+        known by the light there is, of the whole frame as it is without blur."""
+        if self._meter is None:
+            return self._exposure
+        part = self._meter._part(None)
+        view = self._meter._view(moment, image_distance_m)
+        return meter(self._meter._lit(moment, view, image_distance_m, part, *_trace(view, part)))
 
     def _smear(self, picture: Floats, during: During, image_distance_m: float, around: Part, nearest_m: float) -> None:
         """Draw anew what moves: everything, as the camera does, and what creatures swim over as finely as they do."""
@@ -190,13 +242,32 @@ class Painter:
     ) -> Floats:
         """Linear radiance (h, w, 3) of a part of which trace has found z-depth and identity."""
         assert self._tables is not None
-        x, y, width, height = part
         depth, identity = np.ascontiguousarray(depth), np.ascontiguousarray(identity)
+        where = (moment, view, image_distance_m, part, depth, identity)
+        if self._lamps is None or not moment.lamps:
+            return self._drawn(self._tables, *where)
+        albedo = self._drawn(self._lamps.neutral, *where)
+        picture = self._drawn(self._tables, *where) if self._scene.room_light else np.zeros_like(albedo)
+        add_lamps(self._lamps, moment, view, part, self._lens.width, depth, identity, albedo, picture)
+        return picture
+
+    def _drawn(
+        self,
+        tables: ShadingTables,
+        moment: Moment,
+        view: View,
+        image_distance_m: float,
+        part: Part,
+        depth: Floats,
+        identity: Identities,
+    ) -> Floats:
+        """Surfaces and tags by these tables: in daylight, or their albedo."""
+        x, y, width, height = part
         picture = np.empty((height, width, 3), np.float32)
-        shade(view, self._tables, x, y, depth, identity, picture)
+        shade(view, tables, x, y, depth, identity, picture)
         if moment.tags:
             decals = make_decals(moment.tags, moment.eye, image_distance_m, self._lens, self._index)
-            paint(view, self._tables, decals, x, y, depth, identity, picture)
+            paint(view, tables, decals, x, y, depth, identity, picture)
         return picture
 
     def _part(self, roi: Part | None) -> Part:

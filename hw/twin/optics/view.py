@@ -75,6 +75,14 @@ class Swimming(NamedTuple):
     parts: tuple[Ellipsoid, ...]
 
 
+class LampBeam(NamedTuple):
+    """One lamp that burns; world frame."""
+
+    position_m: ArrayLike  # (3,)
+    aim: ArrayLike  # (3,) unit vector
+    power: float  # of full power, 0 to 1
+
+
 class Moment(NamedTuple):
     """What is around a camera at one instant, its own robot left out."""
 
@@ -84,6 +92,8 @@ class Moment(NamedTuple):
     tags: Sequence[PaintedTag] = ()
     chessboard: Chessboard | None = None
     creatures: Sequence[Swimming] = ()
+    lamps: Sequence[LampBeam] = ()  # that burn, its own robot's too
+    own_hull: Hull | None = None  # which throws shadows; where no lamp burns nobody asks
 
 
 def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float, box_m: ArrayLike) -> View:

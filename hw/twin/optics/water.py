@@ -25,6 +25,9 @@ KD_PER_M = {
     "turbid": (0.846, 0.507, 0.521),  # 7C
 }
 
+LOST = 0.4  # share of scattering that daylight does not survive; most of it goes on downwards
+LEVEL_SHARE = 0.1  # of daylight that particles send level, per scattering; assumed
+
 
 class Water(NamedTuple):
     """Coefficients 1/m per colour; `veil` is Binf as a share of the light at the surface."""
@@ -39,6 +42,9 @@ def draw_water(water: SceneWater, rng: np.random.Generator) -> Water:
     """One tank's water: Kd <= bD <= the beam coefficient, and a veil that the literature's ranges allow."""
     kd = np.array(KD_PER_M[water.preset])
     direct, scatter, path_m, share = rng.uniform((1, 0.8, 1, 0.1), (1.8, 2.5, 8, 0.6))
+    if water.absorption_per_m is not None and water.scattering_per_m is not None:
+        a, b = np.array(water.absorption_per_m), np.array(water.scattering_per_m)
+        return Water(down=a + LOST * b, direct=a + b, scatter=a + b, veil=LEVEL_SHARE * b / (a + b))
     clear = water.preset == "air"
     return Water(
         down=kd,

@@ -1,0 +1,191 @@
+"""The veil of a lamp to all orders of scattering, by drawn paths: what the kernel's and the twin's tables are made from
+and held against.
+
+Backward from the camera, as light goes the same way to and fro. On each straight piece the lamp is looked at from one
+point, drawn so that its distance to the lamp does not show in the weight (equiangular: Kulla and Fajardo, Importance
+Sampling Techniques for Path Tracing in Participating Media, EGSR 2012): looked at from collisions alone, the few that
+lie beside the lamp make outliers that no number of paths averages away. The lamp is as wide as it is: straight on the
+phase function has no limit, and a point would be seen with it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.experiments.lighting.scattering import ANGLES, DRAWS, SMALLEST_RAD, particles
+from hw.compiled import compiled
+
+Array = NDArray[np.float64]
+
+LAMP_M = 0.015  # its radius; no water is nearer to its middle
+SEEN = (
+    0.42  # of a lamp's angular radius: there the phase function is as large as its mean over the lamp seen straight on
+)
+ALONG, POINT, SURFACE = range(3)  # what is asked for: a camera's ray, one point of it, a surface that faces the lamp
+STRAIGHT_RAD = math.radians(5.0)  # scattered by less, light of all orders is taken as going straight on
+PER_LOG = (ANGLES - 1) / math.log(math.pi / SMALLEST_RAD)
+
+kernel = compiled(fastmath=True, error_model="numpy")
+inlined = compiled(fastmath=True, error_model="numpy", inline="always")
+
+
+class Medium(NamedTuple):
+    absorption_per_m: float
+    scattering_per_m: float
+
+
+class Setting(NamedTuple):
+    """One lamp and what it is seen by; metres. A ball of radius 0 is none; it is black, and throws a shadow."""
+
+    lamp_m: tuple[float, float, float]
+    aim: tuple[float, float, float]  # unit vector
+    half_rad: float
+    start_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    way: tuple[float, float, float] = (0.0, 0.0, 1.0)  # unit vector: where the camera looks, or the surface does
+    length_m: float = math.inf  # of the camera's ray
+    ball_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ball_radius_m: float = 0.0
+
+
+class Orders(NamedTuple):
+    """Radiance per W/sr of the lamp, 1/m2, by order of scattering; of a point per metre, of a surface irradiance."""
+
+    mean: Array  # (orders,)
+    total: float
+    error: float  # standard error of the total, from the batches
+
+
+def scattered(
+    setting: Setting,
+    medium: Medium,
+    what: int = ALONG,
+    orders: int = 14,
+    paths: int = 20_000,
+    error: float = 0.05,
+    most: int = 40,
+    seed: int = 0,
+    straight_rad: float | None = None,
+) -> Orders:
+    """Batches of paths, at least 8 and `most` at most, until the total is known to the relative `error` (standard)."""
+    tables = particles(STRAIGHT_RAD if straight_rad is None else straight_rad)
+    medium = medium._replace(scattering_per_m=medium.scattering_per_m * tables.kept)
+    rng = np.random.default_rng(seed)
+    sums: list[Array] = []
+    while len(sums) < most:
+        sums.append(_batch(setting, medium, what, orders, paths, rng, tables.log_phase, tables.drawn_cos))
+        totals = np.array([row.sum() for row in sums])
+        spread = float(totals.std(ddof=1)) / math.sqrt(len(sums)) if len(sums) > 1 else math.inf
+        if len(sums) >= 8 and spread <= error * float(totals.mean()):
+            break
+    return Orders(np.mean(sums, axis=0), float(totals.mean()), spread)
+
+
+@inlined
+def _phase(cosine: float, least_rad: float, log_phase: Array) -> float:
+    angle = max(math.acos(min(max(cosine, -1.0), 1.0)), max(least_rad, SMALLEST_RAD))
+    x = math.log(angle / SMALLEST_RAD) * PER_LOG
+    i = min(int(x), ANGLES - 2)
+    return math.exp(log_phase[i] + (x - i) * (log_phase[i + 1] - log_phase[i]))
+
+
+@inlined
+def _hit(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, radius: float) -> float:
+    """Way to a ball whose centre is the origin, from outside; inf: it is missed."""
+    along = -(ox * dx + oy * dy + oz * dz)
+    root = radius * radius - (ox * ox + oy * oy + oz * oz - along * along)
+    return along - math.sqrt(root) if along > 0.0 and root > 0.0 else math.inf
+
+
+@inlined
+def _beam(cosine: float, half: float) -> float:
+    t = min(max((1.2 - math.acos(min(max(cosine, -1.0), 1.0)) / half) / 0.4, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@inlined
+def _turned(dx: float, dy: float, dz: float, cosine: float, phi: float) -> tuple[float, float, float]:
+    """A direction so far off (dx, dy, dz), turned about it by phi."""
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    a, b = sine * math.cos(phi), sine * math.sin(phi)
+    if abs(dz) > 0.99999:
+        return a, b, cosine * dz
+    side = math.sqrt(1.0 - dz * dz)
+    ux, uy = -dy / side, dx / side  # level, across
+    return (
+        cosine * dx + a * ux - b * dz * uy,
+        cosine * dy + a * uy + b * dz * ux,
+        cosine * dz + b * (uy * dx - ux * dy),
+    )
+
+
+@kernel
+def _batch(
+    setting: Setting,
+    medium: Medium,
+    what: int,
+    orders: int,
+    paths: int,
+    rng: np.random.Generator,
+    log_phase: Array,
+    drawn_cos: Array,
+) -> Array:
+    """(orders,) means over the paths."""
+    found = np.zeros(orders)
+    a, b = medium.absorption_per_m, medium.scattering_per_m
+    c = a + b
+    (lx, ly, lz), (ax, ay, az) = setting.lamp_m, setting.aim
+    bx, by, bz = setting.ball_m
+    radius = setting.ball_radius_m
+    for _ in range(paths):
+        (x, y, z), (dx, dy, dz) = setting.start_m, setting.way
+        weight, first = 1.0, 0
+        limit = setting.length_m
+        if what != ALONG:
+            limit, spin = math.inf, 2.0 * math.pi * rng.random()
+            if what == POINT:
+                weight, first = b, 1
+                dx, dy, dz = _turned(dx, dy, dz, drawn_cos[int(rng.random() * DRAWS)], spin)
+            else:
+                weight = math.pi
+                dx, dy, dz = _turned(dx, dy, dz, math.sqrt(rng.random()), spin)
+        for order in range(first, orders):
+            if radius > 0.0 and order > 0:
+                limit = _hit(x - bx, y - by, z - bz, dx, dy, dz, radius)
+            # --- the lamp, seen from one point of this piece
+            s0 = (lx - x) * dx + (ly - y) * dy + (lz - z) * dz
+            hx, hy, hz = x + s0 * dx - lx, y + s0 * dy - ly, z + s0 * dz - lz
+            h = max(math.sqrt(hx * hx + hy * hy + hz * hz), 1e-6)
+            low, high = math.atan(-s0 / h), (0.5 * math.pi if limit == math.inf else math.atan((limit - s0) / h))
+            turn = low + (high - low) * rng.random()
+            beyond = h * math.tan(turn)
+            r = math.sqrt(h * h + beyond * beyond)
+            if r > LAMP_M:
+                px, py, pz = (hx + beyond * dx) / r, (hy + beyond * dy) / r, (hz + beyond * dz) / r  # lamp to point
+                beam = _beam(px * ax + py * ay + pz * az, setting.half_rad)
+                if beam > 0.0:
+                    dark = radius > 0.0 and _hit(lx - bx, ly - by, lz - bz, px, py, pz, radius) < r
+                    if not dark:
+                        through = math.exp(-c * (s0 + beyond + r))
+                        p = _phase(-beyond / r, SEEN * LAMP_M / r, log_phase)
+                        found[order] += weight * b * p * beam * through * (high - low) / h
+            # --- on to the next collision
+            if limit == math.inf:
+                s = -math.log(1.0 - rng.random()) / c
+                weight *= b / c
+            elif order == 0:
+                inside = 1.0 - math.exp(-c * limit)
+                s = -math.log(1.0 - rng.random() * inside) / c
+                weight *= b / c * inside
+            else:
+                s = -math.log(1.0 - rng.random()) / c
+                weight *= b / c
+                if s >= limit:
+                    break
+            x, y, z = x + s * dx, y + s * dy, z + s * dz
+            cosine = drawn_cos[int(rng.random() * DRAWS)]
+            dx, dy, dz = _turned(dx, dy, dz, cosine, 2.0 * math.pi * rng.random())
+    return found / paths
