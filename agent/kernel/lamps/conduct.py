@@ -129,7 +129,7 @@ class Lights:
             return wanted
         phase = talk.party.phase
         if phase == "holds":
-            return not self.judging and talk.rests(self._own.now, now_ns)
+            return not self.judging and self._rests(now_ns)
         knows_where = target.believed_m is not None or seek.sees(target.name, now_ns)
         idle = phase == "free" and now_ns >= self._retry_ns and not self.judging
         if idle and knows_where and level is not None and seek.ready(target.name, now_ns):
@@ -197,12 +197,17 @@ class Lights:
         self._talk.release()
         self._swept = False
 
+    def _rests(self, now_ns: int) -> bool:
+        """All lamps that this robot knows of are at rest, its own by the own lease."""
+        assert self._talk is not None and self._own is not None
+        return self._own.by_own_lease and self._talk.rests(self._own.now, now_ns)
+
     def _lit_from(self, before: int | None, now_ns: int) -> int | None:
         """Since when the camera sees by light that is meant for it."""
         assert self._talk is not None and self._own is not None
         phase = self._talk.party.phase
         if phase == "holds":
-            if not self._talk.rests(self._own.now, now_ns):
+            if not self._rests(now_ns):
                 return None
             return before if before is not None and before >= self._granted_ns else now_ns
         return self._own.lamp.steady_ns if phase != "obeys" and self._own.now.power else None

@@ -11,10 +11,10 @@ from agent.kernel.step_io import Telemetry
 
 DARK_NS = 150_000_000  # from a set-point to light or darkness: the line to the module, its loop, the lamp's driver
 SERVO_NS = 300_000_000  # lag of a servo at the end of a turn, and what a small move does to the body
-# A lamp of 1000 lm takes 15 W. How warm it gets is assumed, not measured: as warm as it may be after seven minutes of
-# full power, and after that half of it is what it can give for ever.
-WARMS_S, COOLS_S = 300.0, 600.0
-TOO_WARM, COOL_AGAIN = 1.0, 0.8  # shares of that
+# How warm a lamp gets in water is assumed, not measured: as warm as it may be after three and a half minutes at full
+# power, and two minutes until it has cooled by two thirds.
+WARMS_S, COOLS_S = 100.0, 120.0
+TOO_WARM = 1.0  # share of what it may be
 FULL_V, EMPTY_V = 14.8, 13.2  # of four cells under light load; the control module calls 12.8 V low
 LENDS_BELOW = 0.9  # of whichever load is more; above, a robot keeps its light for itself
 

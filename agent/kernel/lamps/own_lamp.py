@@ -43,6 +43,11 @@ class OwnLamp:
         self.now = LampNow()
 
     @property
+    def by_own_lease(self) -> bool:
+        """It burns, or is dark, as the lease says that its robot holds."""
+        return self._us is not None
+
+    @property
     def dark(self) -> Why:
         """Why it does not burn for the lease that it obeys."""
         return "" if self._obeyed is None else self._obeyed.dark
@@ -79,6 +84,7 @@ class OwnLamp:
         if party.bound is None:
             self._obeyed = None
         else:
+            self._us = None
             obeyed = self._obeyed = self._obey(party.bound, seek, level)
             moves = self._speed_m_s(now_ns) > 2.0 * STILL_M_S
             return (0.0, self.lamp.us) if moves else (obeyed.power, obeyed.us)
