@@ -21,7 +21,7 @@ from agent.kernel.lamps.lamp import DARK_NS
 from agent.kernel.lighting.allocate import Choice, Lamp, Scene
 from agent.kernel.lighting.settings import Lighting, WaterOptics
 from agent.kernel.step_io import Heard, Inputs, Outputs, Sighting
-from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
+from tests.network.scripted_agent import CALIBRATION, Motors, Script
 
 START_NS, STEP_NS = 10**18, 50_000_000
 HARBOUR = Lighting(
@@ -37,6 +37,9 @@ class Weather(NamedTuple):
     twice: float = 0.0  # share that comes again, late
     restarts_hz: float = 0.0  # of each robot: down for a second, and back without memory
     disarmed_hz: float = 0.0  # of each robot: for a second and a half
+
+
+CALM = Weather()
 
 
 class Swept(NamedTuple):
@@ -125,7 +128,7 @@ class Robot:
 
 class LitSwarm:
     def __init__(
-        self, weather: Weather = Weather(), seed: int = 0, robots: int = 3, fleet: Fleet | None = None
+        self, weather: Weather = CALM, seed: int = 0, robots: int = 3, fleet: Fleet | None = None
     ) -> None:
         self.fleet, self.weather, self.random = fleet or lit_fleet(robots), weather, Random(seed)
         self.now_ns = START_NS
