@@ -130,7 +130,8 @@ class DiveCamera:
         def during(share: float) -> Moment:
             return self._moment(middle_ns + round(share * open_ns))[0]
 
-        image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None, exposure)
+        metered = () if exposure is None else (exposure,)
+        image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None, *metered)
         if self._witness is not None and middle.creatures:
             self._witness(middle_ns, seq, self._painter.outlines(middle, distance_m))
         return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))

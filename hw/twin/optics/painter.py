@@ -24,7 +24,8 @@ from hw.twin.optics.lamps.metering import COARSE, coarse, meter
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.motion import During, parts_of
 from hw.twin.optics.outline import Outline, outlines, swum_over
-from hw.twin.optics.raycast import Floats, Identities, View, trace
+from hw.twin.optics.parts import Part, grown, traced
+from hw.twin.optics.raycast import Floats, Identities, View
 from hw.twin.optics.shade import PER_M, ShadingTables, shade
 from hw.twin.optics.tags import make_decals, paint
 from hw.twin.optics.texture import MATERIALS
@@ -33,12 +34,10 @@ from hw.twin.optics.water import daylight, draw_water, transmission_and_veil
 from hw.twin.scene import Scene, generator
 
 Image = NDArray[np.uint8]  # (h, w, 3), blue green red
-Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
 
 WHITE_M, WHITE_LEVEL = 0.5, 0.75  # the exposure is set once: the scene's white card at this range has this level
 WHITE_ALBEDO, CARD_LIGHT = 0.8, {"upright": 0.6, "lying": 1.0}  # shares of the light from above, as in shade.py
 LARGEST_PX = 14.0  # radius of blur; what is blurrier, all but touching the port, is drawn with this one
-ALIGN = 4  # the coarsest pixels of the blur lie on one grid whichever part is asked for
 
 
 class Painter:
@@ -139,17 +138,23 @@ class Painter:
         `exposure`: as `metered` found it; None: metered at the middle.
         """
         exposure = exposure or self.metered(middle, image_distance_m)
+        return self.develop(self.light(middle, image_distance_m, roi, during), exposure, roi, tick)
+
+    def light(
+        self, middle: Moment, image_distance_m: float, roi: Part | None = None, during: During | None = None
+    ) -> Floats:
+        """Linear radiance (h, w, 3) behind the lens, before the sensor."""
         if self._tables is None:
             raise RuntimeError("call prepare() before the first frame")
         x, y, width, height = part = self._part(roi)
         view = self._view(middle, image_distance_m)
-        x0, y0, w0, h0 = _grown(part, margin(LARGEST_PX))
-        depth, identity = _trace(view, (x0, y0, w0, h0))
+        x0, y0, w0, h0 = grown(part, margin(LARGEST_PX))
+        depth, identity = traced(view, (x0, y0, w0, h0))
         radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX)
 
         # Tracing is cheap and tells how much of the surroundings the blur really needs.
         inside = np.s_[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
-        x1, y1, w1, h1 = around = _grown(part, margin(float(radius[inside].max())))
+        x1, y1, w1, h1 = around = grown(part, margin(float(radius[inside].max())))
         needed = np.s_[y1 - y0 : y1 - y0 + h1, x1 - x0 : x1 - x0 + w1]
         radius = np.ascontiguousarray(radius[needed])
 
@@ -158,21 +163,15 @@ class Painter:
             self._smear(picture, during, image_distance_m, around, float(depth[inside].min()))
 
         left, top, right, bottom = x - x1, y - y1, x - x1 + width, y - y1 + height
-        picture = np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
+        return np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
+
+    def develop(self, light: Floats, exposure: Exposure, roi: Part | None = None, tick: int = 0) -> Image:
+        """The bytes of the frame numbered `tick`, or of its part `roi`, of what `light` has found there."""
+        x, y, width, height = self._part(roi)
         image = np.empty((height, width, 3), np.uint8)
         key = noise_key(self._seed, self._robot, tick)
-        expose(
-            picture,
-            exposure.scale,
-            exposure.gain,
-            key,
-            x,
-            y,
-            self._lens.width,
-            normal_quantiles(),
-            gamma_curve(),
-            image,
-        )
+        curves = normal_quantiles(), gamma_curve()
+        expose(light, exposure.scale, exposure.gain, key, x, y, self._lens.width, *curves, image)
         return image
 
     def metered(self, moment: Moment, image_distance_m: float) -> Exposure:
@@ -182,7 +181,7 @@ class Painter:
             return self._exposure
         part = self._meter._part(None)
         view = self._meter._view(moment, image_distance_m)
-        return meter(self._meter._lit(moment, view, image_distance_m, part, *_trace(view, part)))
+        return meter(self._meter._lit(moment, view, image_distance_m, part, *traced(view, part)))
 
     def _smear(self, picture: Floats, during: During, image_distance_m: float, around: Part, nearest_m: float) -> None:
         """Draw anew what moves: everything, as the camera does, and what creatures swim over as finely as they do."""
@@ -204,7 +203,7 @@ class Painter:
         for share in (np.arange(parts) + 0.5) / parts - 0.5:
             moment = during(float(share))
             view = self._view(moment, image_distance_m)
-            picture += self._lit(moment, view, image_distance_m, part, *_trace(view, part))
+            picture += self._lit(moment, view, image_distance_m, part, *traced(view, part))
         picture /= np.float32(parts)
         return picture
 
@@ -217,7 +216,7 @@ class Painter:
         roi: Part | None = None,
     ) -> Floats:
         """Truth (h, w): z-depth in metres from the optical centre, along the refracted rays that are rendered."""
-        return _trace(self._view(self._moment(eye, hulls, chessboard), image_distance_m), self._part(roi))[0]
+        return traced(self._view(self._moment(eye, hulls, chessboard), image_distance_m), self._part(roi))[0]
 
     def outlines(self, moment: Moment, image_distance_m: float) -> list[Outline]:
         """Truth: where in the frame each creature is, and how much of it shows; refracted as the picture is."""
@@ -276,18 +275,3 @@ class Painter:
         if min(x, y) < 0 or min(w, h) < 1 or x + w > width or y + h > height:
             raise ValueError(f"region {roi} is not inside the frame of {width}x{height} pixels")
         return x, y, w, h
-
-
-def _trace(view: View, part: Part) -> tuple[Floats, NDArray[np.uint8]]:
-    x, y, width, height = part
-    depth = np.empty((height, width), np.float32)
-    identity = np.empty((height, width), np.uint8)
-    trace(view, x, y, depth, identity)
-    return depth, identity
-
-
-def _grown(part: Part, rim: int) -> Part:
-    """A part and `rim` pixels around it, on the grid of the coarsest pixels."""
-    x, y, width, height = part
-    x0, y0 = (x - rim) // ALIGN * ALIGN, (y - rim) // ALIGN * ALIGN
-    return x0, y0, -(-(x + width + rim - x0) // ALIGN) * ALIGN, -(-(y + height + rim - y0) // ALIGN) * ALIGN
