@@ -122,7 +122,7 @@ class Agent:
             claims=claims,
             keyframes=keyframes,
             light=self.lights.say(now_ns),
-            lens=self.pursuit.lens(),
+            lens=self.lights.lens(self.pursuit.lens()),
             outcome=outcome,
         )
 
@@ -164,8 +164,9 @@ class Agent:
         return fix
 
     def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
-        ball, cues = self.current.ball, self._fleet.ranging.cues
-        return locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
+        ball = self.current.ball
+        outline, cues = self.lights.seen(peak, eye, ball, self._fleet.ranging.cues)
+        return locate(self._calibration, eye, outline, peak.lens_position, peak.sigma, ball, cues, own)
 
     def _sight(self, peak: Measurement, known: tuple[Belief, OwnPose], prior: Prior, now_ns: int) -> bool:
         """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also

@@ -8,7 +8,7 @@ from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import Pointing, Search, off_centre_px, reachable
 from agent.kernel.control.roam import Roam
-from agent.kernel.control.sweep import Measurement, Rejected, Sweep
+from agent.kernel.control.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
@@ -45,6 +45,7 @@ class Seek:
         self.lit_from_ns: int | None = (
             0  # since when there is light where it looks; None: it is dark, and shows nothing
         )
+        self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
         self.surveys = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
 
@@ -125,7 +126,7 @@ class Seek:
             if off_px <= CENTRED * self._camera.width_px:
                 if not wanted or attitude is None or not memory.sweep.ready(now_ns):
                     return None
-                plan = memory.sweep.start(now_ns)
+                plan = memory.sweep.start(now_ns, self.by_light)
                 return replace(plan, target=target) if len(self._memory) > 1 else plan
             self._turn_to_pixel(memory.seen.centre_px, attitude, now_ns)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds

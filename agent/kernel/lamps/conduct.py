@@ -7,15 +7,18 @@ nothing changed meanwhile. While nobody has a lease each lamp goes with its own 
 
 from __future__ import annotations
 
+import math
+
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet
+from agent.kernel.config import Cues, Fleet, Target
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
-from agent.kernel.control.sweep import Measurement, Rejected
+from agent.kernel.control.sweep import ByLight, Measurement, Rejected
 from agent.kernel.lamps.aim import others
+from agent.kernel.lamps.aside import cues_by, whole
 from agent.kernel.lamps.choose import choose, scene_of
 from agent.kernel.lamps.own_lamp import OwnLamp
 from agent.kernel.lamps.talk import Talk
@@ -27,6 +30,9 @@ from agent.kernel.logbook import Logbook
 from agent.kernel.messages import LampState, Vector
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.ranging.cues import Outline
+from agent.kernel.ranging.focus import lens_position
 from agent.kernel.step_io import Heard, SweepOutcome
 from agent.kernel.target_state import TargetState
 from agent.kernel.topics import LIGHT
@@ -34,7 +40,8 @@ from agent.kernel.topics import LIGHT
 LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
 MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed
 AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that showed nothing, the next time twice as long
-RETRY_NS = 200_000_000  # after a lease that was not given
+RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
+LENS_STEP = 0.25  # of the peak's half width: a blur by less is not worth moving the lens
 
 
 class Lights:
@@ -53,7 +60,10 @@ class Lights:
         self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._assumed: tuple[str, ...] = ()  # whose lamps it took to burn
         self._burned: tuple[str, ...] = ()  # and that did, as was said
+        self._lamps_m: tuple[Vector, ...] = ()  # where those are
         self._spoiled = 0
+        self._lens: int | None = None  # where it rests between sweeps, as told
+        self._wanted_lens: float | None = None
 
     def hear(self, item: Heard, accepted: frozenset[int]) -> None:
         """A payload on a key of ours. Raises Refusal where it is not believed."""
@@ -97,6 +107,18 @@ class Lights:
         seek.take_back()
         return Rejected(pending.sweep, f"spoiled: {found.reason}", held_width=pending.held_width)
 
+    def seen(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, Cues]:
+        """The outline of a ball and the cues to its range, as the light leaves them in which it was swept."""
+        if self._talk is None or set(self._burned) <= {self._name}:
+            return peak.outline, cues
+        outline = whole(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, self._lamps_m)
+        return outline, cues_by(cues)
+
+    def lens(self, told: int | UnsetType | None) -> int | UnsetType | None:
+        """Where the lens shall be between sweeps: where the target is believed to be sharp, which out of focus does not
+        show in the dark. told: by whoever else moves it; of robots that swim landmarks have it."""
+        return told if self._talk is None or self._swimmer is not None or told is not UNSET else self._rest()
+
     def marked(self, outcome: SweepOutcome | UnsetType) -> SweepOutcome | UnsetType:
         """What came of a sweep, with the lamps that it was made by."""
         if self._talk is None or outcome is UNSET:
@@ -129,9 +151,11 @@ class Lights:
             return wanted
         phase = talk.party.phase
         if phase == "holds":
+            lent = any(name != self._name for name in lit_by(talk.party))
+            seek.by_light = ByLight(self._expected(seek, target, level), lent)
             return not self.judging and self._rests(now_ns)
         knows_where = target.believed_m is not None or seek.sees(target.name, now_ns)
-        idle = phase == "free" and now_ns >= self._retry_ns and not self.judging
+        idle = phase == "free" and now_ns >= self._retry_ns and talk.acquainted(now_ns) and not self.judging
         if idle and knows_where and level is not None and seek.ready(target.name, now_ns):
             talk.ask(self._wish(seek, target, level, now_ns), now_ns)
         return False
@@ -143,6 +167,10 @@ class Lights:
         talk.begin(self._own.now, now_ns)
         self._swept, self._fruitless = True, 0
         self._assumed, self._burned = lit_by(talk.party), talk.burned(self._own.now)
+        there = others(self._fleet, self._name, self._swimmer)
+        self._lamps_m = tuple(self._own.aim.place_m(*there[name]) for name in self._burned if name in there)
+        if self._name in self._burned:  # from beside the camera: nothing of the disc is dark
+            self._lamps_m = ()
 
     def burn(self, seek: Seek, target: TargetState, attitude: AttitudeLog, now_ns: int) -> None:
         """The own lamp as it shall burn from now on, and whether the camera sees by it."""
@@ -151,6 +179,9 @@ class Lights:
         keeps = seek.measuring or self.judging
         self._own.burn(self._talk.party, seek, target.believed_m, keeps, attitude, now_ns)
         seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
+        newest = attitude.newest
+        level = None if newest is None else attitude.at(newest.t_ns)
+        self._wanted_lens = self._expected(seek, target, level)
 
     def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
         """What is told to neighbours in this step."""
@@ -194,6 +225,7 @@ class Lights:
         assert self._talk is not None
         if self._talk.party.mine is not None:
             self._served_ns = now_ns
+            self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
         self._talk.release()
         self._swept = False
 
@@ -211,6 +243,23 @@ class Lights:
                 return None
             return before if before is not None and before >= self._granted_ns else now_ns
         return self._own.lamp.steady_ns if phase != "obeys" and self._own.now.power else None
+
+    def _expected(self, seek: Seek, target: TargetState, level: Attitude | None) -> float | None:
+        """Lens position at which the target would be sharp where it is believed to be; None: nobody knows."""
+        if target.believed_m is None or level is None:
+            return None
+        scene = scene_of(self._calibration, seek.eye(level), target.ball, target.believed_m)
+        if scene is None:
+            return None
+        return lens_position(self._calibration.focus, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
+
+    def _rest(self) -> int | UnsetType:
+        """Where the lens shall rest, when that has changed by enough."""
+        wanted, fit = self._wanted_lens, self._calibration.focus
+        if wanted is None or (self._lens is not None and abs(wanted - self._lens) < LENS_STEP * fit.width):
+            return UNSET
+        self._lens = round(max(wanted, 0.0))
+        return self._lens
 
     def _wish(self, seek: Seek, target: TargetState, level: Attitude, now_ns: int) -> Lease:
         """The lease to ask for."""

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from agent.kernel.codec import Refusal
 from agent.kernel.config import Fleet
-from agent.kernel.lighting.lease import Party, ack_to, ask, hear, release, said_lease, tick
+from agent.kernel.lighting.lease import Party, ack_to, acquainted, ask, hear, release, said_lease, tick
 from agent.kernel.lighting.proof import Baseline, Spoiled, baseline, verdict
 from agent.kernel.lighting.words import LampNow, Lease, Light, Why, light_fault
 from agent.kernel.topics import LIGHT, next_due_ns
@@ -23,7 +23,7 @@ class Talk:
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:
         assert fleet.lighting is not None
         self._fleet, self._tank_m, self._guard_ns = fleet.fleet, fleet.tank.size_m, round(fleet.lighting.guard_s * 1e9)
-        self.party = Party(name, incarnation)
+        self.party = Party(name, incarnation, tuple(sorted(fleet.robot[name].neighbours)))
         self.letters = Letters[Light](fleet.fleet, name, fleet.robot[name].neighbours)
         self._seq = 0
         self._due_ns = 0
@@ -38,7 +38,13 @@ class Talk:
         self.party = hear(self.party, said, arrived_ns - letter.late_ns)
 
     def tick(self, now_ns: int) -> None:
+        if not self.party.since_ns:
+            self.party = self.party._replace(since_ns=now_ns)
         self.party = tick(self.party, self._guard_ns, now_ns)
+
+    def acquainted(self, now_ns: int) -> bool:
+        """Whether it knows of all neighbours by now who is there."""
+        return acquainted(self.party, now_ns)
 
     def ask(self, lease: Lease, now_ns: int) -> None:
         """Ask for light; only who is free can."""

@@ -55,6 +55,8 @@ class Party(NamedTuple):
 
     me: str
     incarnation: int
+    neighbours: tuple[str, ...] = ()
+    since_ns: int = 0  # when it began to listen
     number: int = 0  # of its newest lease
     mine: Mine | None = None
     bound: Bound | None = None
@@ -77,6 +79,12 @@ class Party(NamedTuple):
             return None
         mine = (self.incarnation, self.mine.lease.number)
         return ack if (ack.incarnation, ack.number) == mine else None
+
+
+def acquainted(party: Party, now_ns: int) -> bool:
+    """Whether each neighbour was heard since the start, or there was time enough for it. Until then a lamp may burn, or
+    go out, of which this robot knows nothing; nobody asks for light before."""
+    return now_ns - party.since_ns > GONE_NS or all(party.word(name) is not None for name in party.neighbours)
 
 
 def ask(party: Party, lease: Lease, now_ns: int) -> Party:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from agent.kernel.lighting.lease import GONE_NS, Party
+from agent.kernel.lighting.lease import GONE_NS, Party, acquainted
 from agent.kernel.lighting.words import LampNow
 
 Verdict = Literal["pending", "kept"]
@@ -42,6 +42,8 @@ def baseline(party: Party, own: LampNow, now_ns: int) -> Baseline | str:
     """What a sweep that begins now starts from; or whose lamp is still to come to rest."""
     if not own.steady:
         return party.me
+    if not acquainted(party, now_ns):
+        return next(name for name in party.neighbours if party.word(name) is None)
     marks = []
     for name, word in party.words:
         if now_ns - word.arrived_ns > GONE_NS:

@@ -127,9 +127,7 @@ class Robot:
 
 
 class LitSwarm:
-    def __init__(
-        self, weather: Weather = CALM, seed: int = 0, robots: int = 3, fleet: Fleet | None = None
-    ) -> None:
+    def __init__(self, weather: Weather = CALM, seed: int = 0, robots: int = 3, fleet: Fleet | None = None) -> None:
         self.fleet, self.weather, self.random = fleet or lit_fleet(robots), weather, Random(seed)
         self.now_ns = START_NS
         self.kept: list[Swept] = []
