@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
@@ -14,6 +14,7 @@ from agent.experiments.choices import (
     WATERS,
     FollowingPolicy,
     ImageKind,
+    LightWater,
     LocalizationKind,
     NavigationCase,
     PosesKind,
@@ -207,3 +208,20 @@ def experiment_following(
         raise ConfigError("no such case: share has 1, 2, 3 or 5 robots, silent and moored have 3; change --robots")
     asked = run.Settings(seed=seed, seeds=seeds, only=only, robots=robots)
     perform(run.run, asked, tables.table, out, terminal(), "seconds of work", figures.figures)
+
+
+@app.command("lighting", epilog="Example: aucamp experiment lighting --water harbour --scenes 8")
+def experiment_lighting(
+    seed: Seed = 0,
+    scenes: Annotated[int, typer.Option(min=1, help="Fleets of each size in each water.")] = 4,
+    draws: Annotated[int, typer.Option(min=4, help="Sweeps of each robot in each light.")] = 6,
+    water: Annotated[LightWater | None, typer.Option(help="Only this dark water; else all.")] = None,
+    out: OutFolder = None,
+) -> None:
+    """Robots that light for each other in the dark: own lamp, all lamps, one set, the rule, the optimum."""
+    from agent.experiments.lighting import figures, run, tables
+    from agent.experiments.perform import perform
+
+    waters = (water,) if water else get_args(LightWater)
+    asked = run.Settings(seed=seed, scenes=scenes, draws=draws, waters=waters)
+    perform(run.run, asked, tables.table, out, terminal(), "distances and fleets", figures.figures)

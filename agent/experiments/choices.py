@@ -13,5 +13,6 @@ PosesKind = Literal["exact", "noisy", "refined"]  # of cameras that a scene is r
 ScenePart = Literal["scenes", "coverage", "size"]  # of the experiment reconstruction
 ImageKind = Literal["field", "surfels", "none"]  # what a scene's pictures are rendered by
 FollowingPolicy = Literal["share", "silent", "moored"]
+LightWater = Literal["coastal", "bay", "harbour"]  # dark waters of which absorption and scattering are told apart
 DEFAULT_SENSOR: Sensor = "imx519_640"
 WATERS: tuple[WaterKind, ...] = get_args(WaterKind)

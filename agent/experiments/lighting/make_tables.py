@@ -1,6 +1,6 @@
 """`python -m agent.experiments.lighting.make_tables [kernel] [twin]`: both tables of scattered light, from Monte Carlo.
 
-Half an hour of one core. The same seeds make the same tables on one machine.
+Minutes of one core. The same seeds make the same tables on one machine.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ ROOT = Path(__file__).parents[3]
 KERNEL = ROOT / "agent/kernel/lighting/veil_table.py"
 TWIN = ROOT / "hw/twin/optics/lamps/scattered.txt"
 
-KERNEL_HEAD = '''"""Veil of all orders of scattering over model.single_veil, logarithms. Made by `make_tables`.
+KERNEL_HEAD = '''"""Veil of all orders of scattering over that of one, as logarithms; made by `make_tables`.
 
-Beam of 25 degrees, a black ball of 70 mm at 1.25 m. Monte Carlo to a standard error of 5 % where 600,000 paths reach
-it, then smoothed. Orders of the axes: TAU, SCATTERING_SHARE, ANGLE_DEG, RATIO; a line holds the ratios of two angles.
+Beam of 25 degrees, a black ball of 70 mm at 1.25 m. Monte Carlo to a standard error of 5 %, then smoothed.
+Order of the axes: TAU, SCATTERING_SHARE, ANGLE_DEG, RATIO; a line holds the ratios of three angles.
 """
 
 '''

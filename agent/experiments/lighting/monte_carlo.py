@@ -2,10 +2,10 @@
 and held against.
 
 Backward from the camera, as light goes the same way to and fro. On each straight piece the lamp is looked at from one
-point, drawn so that its distance to the lamp does not show in the weight (equiangular: Kulla and Fajardo, Importance
-Sampling Techniques for Path Tracing in Participating Media, EGSR 2012): looked at from collisions alone, the few that
-lie beside the lamp make outliers that no number of paths averages away. The lamp is as wide as it is: straight on the
-phase function has no limit, and a point would be seen with it.
+point within its beam, drawn so that its distance to the lamp does not show in the weight (equiangular: Kulla and
+Fajardo, Importance Sampling Techniques for Path Tracing in Participating Media, EGSR 2012): looked at from collisions
+alone, the few that lie beside the lamp make outliers that no number of paths averages away. For the
+same reason every other new direction is drawn about the lamp's.
 """
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.experiments.lighting.scattering import ANGLES, DRAWS, SMALLEST_RAD, particles
+from agent.experiments.lighting.scattering import ANGLES, DRAWS, SMALLEST_RAD, Particles, particles
 from hw.compiled import compiled
 
 Array = NDArray[np.float64]
 
 LAMP_M = 0.015  # its radius; no water is nearer to its middle
-SEEN = (
-    0.42  # of a lamp's angular radius: there the phase function is as large as its mean over the lamp seen straight on
-)
 ALONG, POINT, SURFACE = range(3)  # what is asked for: a camera's ray, one point of it, a surface that faces the lamp
 STRAIGHT_RAD = math.radians(5.0)  # scattered by less, light of all orders is taken as going straight on
 PER_LOG = (ANGLES - 1) / math.log(math.pi / SMALLEST_RAD)
@@ -76,7 +73,7 @@ def scattered(
     rng = np.random.default_rng(seed)
     sums: list[Array] = []
     while len(sums) < most:
-        sums.append(_batch(setting, medium, what, orders, paths, rng, tables.log_phase, tables.drawn_cos))
+        sums.append(_batch(setting, medium, what, orders, paths, rng, tables))
         totals = np.array([row.sum() for row in sums])
         spread = float(totals.std(ddof=1)) / math.sqrt(len(sums)) if len(sums) > 1 else math.inf
         if len(sums) >= 8 and spread <= error * float(totals.mean()):
@@ -85,8 +82,8 @@ def scattered(
 
 
 @inlined
-def _phase(cosine: float, least_rad: float, log_phase: Array) -> float:
-    angle = max(math.acos(min(max(cosine, -1.0), 1.0)), max(least_rad, SMALLEST_RAD))
+def _phase(cosine: float, log_phase: Array) -> float:
+    angle = max(math.acos(min(max(cosine, -1.0), 1.0)), SMALLEST_RAD)
     x = math.log(angle / SMALLEST_RAD) * PER_LOG
     i = min(int(x), ANGLES - 2)
     return math.exp(log_phase[i] + (x - i) * (log_phase[i + 1] - log_phase[i]))
@@ -107,6 +104,42 @@ def _beam(cosine: float, half: float) -> float:
 
 
 @inlined
+def _in_cone(
+    qx: float,
+    qy: float,
+    qz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    ax: float,
+    ay: float,
+    az: float,
+    edge2: float,
+    limit: float,
+) -> tuple[float, float]:
+    """Where on a ray, from q off the lamp on, it is within the lamp's beam: (v A)^2 >= cos^2 v^2 and v A > 0."""
+    m, n = qx * ax + qy * ay + qz * az, dx * ax + dy * ay + dz * az
+    qq, qd = qx * qx + qy * qy + qz * qz, qx * dx + qy * dy + qz * dz
+    a, b, c = n * n - edge2, m * n - edge2 * qd, m * m - edge2 * qq
+    root = b * b - a * c
+    if abs(a) < 1e-9:  # along the beam's edge
+        cut = -0.5 * c / b if b != 0.0 else 0.0
+        if n > 0.0:
+            return max(cut, 0.0), limit
+        return 0.0, min(cut, limit)
+    if root <= 0.0:
+        return 0.0, 0.0
+    root = math.sqrt(root)
+    one, two = (-b - root) / a, (-b + root) / a
+    low, high = min(one, two), max(one, two)
+    if a > 0.0:
+        return (max(high, 0.0), limit) if n > 0.0 else (0.0, min(low, limit))
+    if m + 0.5 * (low + high) * n <= 0.0:
+        return 0.0, 0.0
+    return max(low, 0.0), min(high, limit)
+
+
+@inlined
 def _turned(dx: float, dy: float, dz: float, cosine: float, phi: float) -> tuple[float, float, float]:
     """A direction so far off (dx, dy, dz), turned about it by phi."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -122,6 +155,40 @@ def _turned(dx: float, dy: float, dz: float, cosine: float, phi: float) -> tuple
     )
 
 
+@inlined
+def _towards(x: float, y: float, z: float, lx: float, ly: float, lz: float) -> tuple[float, float, float]:
+    tx, ty, tz = lx - x, ly - y, lz - z
+    r = max(math.sqrt(tx * tx + ty * ty + tz * tz), 1e-9)
+    return tx / r, ty / r, tz / r
+
+
+@inlined
+def _scattered(
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    lx: float,
+    ly: float,
+    lz: float,
+    rng: np.random.Generator,
+    tables: Particles,
+) -> tuple[float, float, float, float]:
+    """A new direction and its weight. Every other one is drawn about the direction of the lamp: most light comes from
+    near there, and large angles, which alone lead there from most places, would hardly ever be drawn."""
+    tx, ty, tz = _towards(x, y, z, lx, ly, lz)
+    k, spin = int(rng.random() * DRAWS), 2.0 * math.pi * rng.random()
+    if rng.random() < 0.5:
+        ux, uy, uz = _turned(dx, dy, dz, tables.drawn_cos[k], spin)
+    else:
+        ux, uy, uz = _turned(tx, ty, tz, tables.aimed_cos[k], spin)
+    here = _phase(ux * dx + uy * dy + uz * dz, tables.log_phase)
+    there = _phase(ux * tx + uy * ty + uz * tz, tables.log_aim)
+    return ux, uy, uz, here / (0.5 * here + 0.5 * there + 1e-20)
+
+
 @kernel
 def _batch(
     setting: Setting,
@@ -130,8 +197,7 @@ def _batch(
     orders: int,
     paths: int,
     rng: np.random.Generator,
-    log_phase: Array,
-    drawn_cos: Array,
+    tables: Particles,
 ) -> Array:
     """(orders,) means over the paths."""
     found = np.zeros(orders)
@@ -140,6 +206,7 @@ def _batch(
     (lx, ly, lz), (ax, ay, az) = setting.lamp_m, setting.aim
     bx, by, bz = setting.ball_m
     radius = setting.ball_radius_m
+    edge2 = math.cos(1.2 * setting.half_rad) ** 2
     for _ in range(paths):
         (x, y, z), (dx, dy, dz) = setting.start_m, setting.way
         weight, first = 1.0, 0
@@ -148,10 +215,21 @@ def _batch(
             limit, spin = math.inf, 2.0 * math.pi * rng.random()
             if what == POINT:
                 weight, first = b, 1
-                dx, dy, dz = _turned(dx, dy, dz, drawn_cos[int(rng.random() * DRAWS)], spin)
+                dx, dy, dz, share = _scattered(x, y, z, dx, dy, dz, lx, ly, lz, rng, tables)
+                weight *= share
             else:
-                weight = math.pi
-                dx, dy, dz = _turned(dx, dy, dz, math.sqrt(rng.random()), spin)
+                nx, ny, nz = dx, dy, dz
+                if rng.random() < 0.5:
+                    dx, dy, dz = _turned(nx, ny, nz, math.sqrt(rng.random()), spin)
+                else:
+                    dx, dy, dz = _towards(x, y, z, lx, ly, lz)
+                    dx, dy, dz = _turned(dx, dy, dz, tables.aimed_cos[int(rng.random() * DRAWS)], spin)
+                cosine = dx * nx + dy * ny + dz * nz
+                if cosine <= 0.0:
+                    continue
+                tx, ty, tz = _towards(x, y, z, lx, ly, lz)
+                other = _phase(dx * tx + dy * ty + dz * tz, tables.log_aim)
+                weight = cosine / (0.5 * cosine / math.pi + 0.5 * other)
         for order in range(first, orders):
             if radius > 0.0 and order > 0:
                 limit = _hit(x - bx, y - by, z - bz, dx, dy, dz, radius)
@@ -159,19 +237,20 @@ def _batch(
             s0 = (lx - x) * dx + (ly - y) * dy + (lz - z) * dz
             hx, hy, hz = x + s0 * dx - lx, y + s0 * dy - ly, z + s0 * dz - lz
             h = max(math.sqrt(hx * hx + hy * hy + hz * hz), 1e-6)
-            low, high = math.atan(-s0 / h), (0.5 * math.pi if limit == math.inf else math.atan((limit - s0) / h))
-            turn = low + (high - low) * rng.random()
-            beyond = h * math.tan(turn)
-            r = math.sqrt(h * h + beyond * beyond)
-            if r > LAMP_M:
+            start, end = _in_cone(x - lx, y - ly, z - lz, dx, dy, dz, ax, ay, az, edge2, limit)
+            if end > start:
+                low = math.atan((start - s0) / h)
+                high = 0.5 * math.pi if end == math.inf else math.atan((end - s0) / h)
+                turn = low + (high - low) * rng.random()
+                beyond = h * math.tan(turn)
+                r = math.sqrt(h * h + beyond * beyond)
                 px, py, pz = (hx + beyond * dx) / r, (hy + beyond * dy) / r, (hz + beyond * dz) / r  # lamp to point
-                beam = _beam(px * ax + py * ay + pz * az, setting.half_rad)
-                if beam > 0.0:
-                    dark = radius > 0.0 and _hit(lx - bx, ly - by, lz - bz, px, py, pz, radius) < r
-                    if not dark:
-                        through = math.exp(-c * (s0 + beyond + r))
-                        p = _phase(-beyond / r, SEEN * LAMP_M / r, log_phase)
-                        found[order] += weight * b * p * beam * through * (high - low) / h
+                dark = radius > 0.0 and _hit(lx - bx, ly - by, lz - bz, px, py, pz, radius) < r
+                if r > LAMP_M and not dark:
+                    beam = _beam(px * ax + py * ay + pz * az, setting.half_rad)
+                    through = math.exp(-c * (s0 + beyond + r))
+                    p = _phase(-beyond / r, tables.log_phase)
+                    found[order] += weight * b * p * beam * through * (high - low) / h
             # --- on to the next collision
             if limit == math.inf:
                 s = -math.log(1.0 - rng.random()) / c
@@ -186,6 +265,6 @@ def _batch(
                 if s >= limit:
                     break
             x, y, z = x + s * dx, y + s * dy, z + s * dz
-            cosine = drawn_cos[int(rng.random() * DRAWS)]
-            dx, dy, dz = _turned(dx, dy, dz, cosine, 2.0 * math.pi * rng.random())
+            dx, dy, dz, share = _scattered(x, y, z, dx, dy, dz, lx, ly, lz, rng, tables)
+            weight *= share
     return found / paths

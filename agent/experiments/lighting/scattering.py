@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 INDEX, SLOPE = 1.10, 3.5835
-SMALLEST_RAD = 1e-3
+SMALLEST_RAD = 1e-6
+AIM_RAD = 5e-3
+NONE = -60.0  # stands for the logarithm of nothing
 ANGLES = 4096  # of the tables, even in the logarithm of the angle
-DRAWS = 1 << 16
+DRAWS = 1 << 18
 
 
 class Particles(NamedTuple):
@@ -25,6 +27,10 @@ class Particles(NamedTuple):
 
     log_phase: Array  # (ANGLES,) of the phase function per steradian, from SMALLEST_RAD to pi
     drawn_cos: Array  # (DRAWS,) cosines of scattering angles, equally likely
+    log_aim: (
+        Array  # (ANGLES,) as log_phase, of directions that are drawn about the lamp's: the same without a peak or hole
+    )
+    aimed_cos: Array  # (DRAWS,)
     kept: float  # share of the scattering coefficient that is left
 
 
@@ -55,9 +61,12 @@ def particles(straight_rad: float = SMALLEST_RAD) -> Particles:
     """`straight_rad`: what is scattered by less goes on as if it were not. For light of all orders that changes nothing
     that shows, and the peak of the phase function, whence outliers come, is gone."""
     angle = np.geomspace(SMALLEST_RAD, np.pi, ANGLES)
-    kept = 1 - float(within(np.array([straight_rad]))[0]) if straight_rad > SMALLEST_RAD else 1.0
-    share = within(angle)
-    # what goes straight on, within the smallest angle, keeps its way
-    drawn = np.interp(1 - kept * (1 - (np.arange(DRAWS) + 0.5) / DRAWS), share, angle, left=0.0)
-    flat = phase(np.maximum(angle, straight_rad)) / kept
-    return Particles(np.log(flat), np.cos(drawn), kept)
+    even = (np.arange(DRAWS) + 0.5) / DRAWS
+    straight = float(within(np.array([straight_rad]))[0])
+    drawn = np.interp(straight + (1 - straight) * even, within(angle), angle)
+    log_phase = np.where(angle >= straight_rad, np.log(phase(angle) / (1 - straight)), NONE)
+    filled = phase(np.maximum(angle, max(straight_rad, AIM_RAD)))
+    ring = np.pi * np.diff(-np.cos(angle)) * (filled[1:] + filled[:-1])
+    share = np.concatenate([[0.0], np.cumsum(ring)])
+    aimed = np.interp(even * share[-1], share, angle)
+    return Particles(log_phase, np.cos(drawn), np.log(filled / share[-1]), np.cos(aimed), 1 - straight)

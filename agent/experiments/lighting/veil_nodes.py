@@ -57,7 +57,7 @@ def one_node(
     water = WaterOptics(absorption_per_m=(a,) * 3, scattering_per_m=(b,) * 3)
     single = single_veil(DEPTH_M, RADIUS_M, ahead_m, aside_m, water, Beam(intensity_w_sr=1.0))[0]
     drawn = scattered(
-        beside(DEPTH_M, RADIUS_M, ahead_m, aside_m), Medium(a, b), orders=12, paths=10_000, most=most, seed=seed
+        beside(DEPTH_M, RADIUS_M, ahead_m, aside_m), Medium(a, b), orders=12, paths=500, most=most, seed=seed
     )
     return math.log(drawn.total / single), drawn.error / drawn.total
 
@@ -75,7 +75,7 @@ def beside(depth_m: float, radius_m: float, ahead_m: float, aside_m: float) -> S
     )
 
 
-def of_points(report: Report, paths: int = 2500, most: int = 60) -> tuple[Array, Array, Array, Array]:
+def of_points(report: Report, paths: int = 300, most: int = 20) -> tuple[Array, Array, Array, Array]:
     """(4, 9, 8, 7, 3) logarithm of the light of two and more orders that a point of the water sends somewhere, times
     tau^2 and what brings it near to even, for b = 1; and (4, 9, 8) of what arrives scattered at a surface there.
     Then the standard errors of both."""
@@ -94,7 +94,7 @@ def of_points(report: Report, paths: int = 2500, most: int = 60) -> tuple[Array,
                 SURFACE if what is None else POINT,
                 orders=12,
                 paths=paths,
-                error=0.06,
+                error=0.04,
                 most=most,
                 seed=n,
             )

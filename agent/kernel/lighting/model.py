@@ -53,13 +53,19 @@ def pair(camera_m: Vector, target_m: Vector, radius_m: float, lamp_m: Vector, li
 
 
 def single_veil(
-    depth_m: float, radius_m: float, ahead_m: float, aside_m: float, water: WaterOptics, beam: Beam
+    depth_m: float,
+    radius_m: float,
+    ahead_m: float,
+    aside_m: float,
+    water: WaterOptics,
+    beam: Beam,
+    lost: float = FORWARD,
 ) -> Colours:
     """Veil of one order of scattering on the camera's axis, from the camera to the target's surface.
 
     depth_m: camera to the target's centre. The lamp is so far ahead of the camera and beside its axis.
     The integral of  b p I exp(-k r - c s) / r^2  with k = a + 0.4 b, by midpoints of equal angles seen from the lamp,
-    where 1/r^2 is even.
+    where 1/r^2 is even. lost: share of scattering that the lamp's light does not survive; 1 for a single order alone.
     """
     aside_m = max(aside_m, LEAST_M)
     end_m = max(depth_m - radius_m, 0.0)
@@ -81,9 +87,9 @@ def single_veil(
         s = ahead_m + r * sin
         # ds / r^2 is step / aside_m; light that goes along (sin, cos) is scattered towards the camera
         weight = phase(0.5 * math.pi + turn) * shining
-        blue += weight * math.exp(-(a[0] + FORWARD * b[0]) * r - (a[0] + b[0]) * s)
-        green += weight * math.exp(-(a[1] + FORWARD * b[1]) * r - (a[1] + b[1]) * s)
-        red += weight * math.exp(-(a[2] + FORWARD * b[2]) * r - (a[2] + b[2]) * s)
+        blue += weight * math.exp(-(a[0] + lost * b[0]) * r - (a[0] + b[0]) * s)
+        green += weight * math.exp(-(a[1] + lost * b[1]) * r - (a[1] + b[1]) * s)
+        red += weight * math.exp(-(a[2] + lost * b[2]) * r - (a[2] + b[2]) * s)
     scale = beam.intensity_w_sr * step / aside_m
     return blue * b[0] * scale, green * b[1] * scale, red * b[2] * scale
 

@@ -29,6 +29,7 @@ class Beams(NamedTuple):
         np.int64
     ]  # (n + 1,) of `bodies`: those that may throw a shadow in lamp k's light are from first[k] on
     bodies: NDArray[np.int64]  # rows of `maps`
+    origins: NDArray[np.float32]  # (rows of `bodies`, 3) the lamp, as that body's map has it
     maps: NDArray[np.float32]  # (e, 3, 4) camera to the unit sphere, or cube, of each body
     cubes: NDArray[np.int64]  # (e,)
 
@@ -45,7 +46,7 @@ def make_beams(
 ) -> Beams:
     """`camera` (3, 4) to world; `bodies`: centre (3,), world, and radius around it of each row of `maps` (e, 3, 4)."""
     rotation, eye_m = camera[:, :3], camera[:, 3]
-    first, found = [0], list[int]()
+    first, found, origins = [0], list[int](), list[Array]()
     for lamp in lamps:
         place_m, aim = np.asarray(lamp.position_m, float), np.asarray(lamp.aim, float)
         local = rotation.T @ (place_m - eye_m)
@@ -58,6 +59,7 @@ def make_beams(
             off = math.acos(min(max(float(to_body @ aim) / max(range_m, 1e-9), -1.0), 1.0))
             if range_m <= radius_m or off <= EDGE_RAD + math.asin(min(radius_m / range_m, 1.0)):
                 found.append(e)
+                origins.append(unit)
         first.append(len(found))
     places = np.array([rotation.T @ (np.asarray(lamp.position_m, float) - eye_m) for lamp in lamps])
     aims = np.array([rotation.T @ np.asarray(lamp.aim, float) for lamp in lamps])
@@ -67,6 +69,7 @@ def make_beams(
         power=np.array([INTENSITY_W_SR * lamp.power for lamp in lamps], np.float32),
         first=np.array(first),
         bodies=np.array(found, np.int64),
+        origins=np.array(origins, np.float32).reshape(-1, 3),
         maps=np.asarray(maps, np.float32),
         cubes=np.asarray(cubes, np.int64),
     )

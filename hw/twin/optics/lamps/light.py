@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw.twin.optics.lamps.beam import Beams
-from hw.twin.optics.lamps.scattered import OFFS, RANGES, Floats, Scattering
-from hw.twin.optics.lamps.veil import CELLS, HALF, PER_RANGE, Grid, beam_at, in_shadow, place_in
+from hw.twin.optics.lamps.scattered import OFFS, SURFACE_STEP_M, Floats, Scattering
+from hw.twin.optics.lamps.veil import CELLS, HALF, PER_M, Grid, beam_at, in_shadow, place_in
 from hw.twin.optics.raycast import (
     CHESSBOARD_ID,
     FLOOR_ID,
@@ -33,9 +33,9 @@ from hw.twin.optics.raycast import (
     ray,
 )
 
-PER_M = np.float32(512)  # steps a metre of `straight`
 INVERSE_PI = np.float32(1 / math.pi)
 DIFFUSE_WALL, DIFFUSE_SLOPE = np.float32(0.6), np.float32(0.4)  # as in shade.py, whose light is divided out
+PER_SURFACE = np.float32(1 / SURFACE_STEP_M)
 NEAREST_M2 = np.float32(1e-3)
 
 
@@ -95,7 +95,8 @@ def light_up(
 ) -> None:
     """Add the lamps' light to picture (h, w, 3), W/m2/sr; albedo (h, w, 3) as shade() has drawn it without water in a
     room of light 1."""
-    last = ways.straight.shape[0] - 1
+    last, around = ways.straight.shape[0] - 1, water.surface
+    farthest = around.shape[0] - 1
     for row in range(depth.shape[0]):
         for col in range(depth.shape[1]):
             who = identity[row, col]
@@ -105,6 +106,7 @@ def light_up(
             u = depth[row, col]
             px, py = a + u * mx, b + u * my
             nx, ny, nz, room = _normal(view, who, px, py, u)
+            itself = int(who) - SOLID_ID
             inverse_n = ONE / math.sqrt(nx * nx + ny * ny + nz * nz)
             e0 = e1 = e2 = ZERO
             for lamp in range(beams.power.shape[0]):
@@ -114,38 +116,24 @@ def light_up(
                 if facing <= ZERO:
                     continue
                 r2 = max(wx * wx + wy * wy + wz * wz, NEAREST_M2)
-                r = math.sqrt(r2)
-                cosine = (wx * beams.aim[lamp, 0] + wy * beams.aim[lamp, 1] + wz * beams.aim[lamp, 2]) / r
-                i, fi = place_in(r * PER_RANGE, RANGES)
-                j, fj = place_in(math.sqrt(max(HALF - HALF * cosine, ZERO)) * np.float32(OFFS - 1), OFFS)
-                w00, w01, w10, w11 = (ONE - fi) * (ONE - fj), (ONE - fi) * fj, fi * (ONE - fj), fi * fj
+                inverse = ONE / math.sqrt(r2)
+                r = r2 * inverse
+                cosine = (wx * beams.aim[lamp, 0] + wy * beams.aim[lamp, 1] + wz * beams.aim[lamp, 2]) * inverse
+                scale = beams.power[lamp] * facing * inverse_n * inverse * inverse * inverse
+                i = min(int(r * PER_SURFACE), farthest)
+                j, up = place_in(math.sqrt(max(HALF - HALF * cosine, ZERO)) * np.float32(OFFS - 1), OFFS)
+                s0 = around[i, j, 0] + up * (around[i, j + 1, 0] - around[i, j, 0])
+                s1 = around[i, j, 1] + up * (around[i, j + 1, 1] - around[i, j, 1])
+                s2 = around[i, j, 2] + up * (around[i, j + 1, 2] - around[i, j, 2])
                 shining = beam_at(cosine, beam)
-                if shining > ZERO and in_shadow(beams, lamp, px, py, u, lx, ly, lz, int(who) - SOLID_ID):
-                    shining = ZERO
-                scale = beams.power[lamp] * facing * inverse_n / (r * r2)
-                n = min(int(r * PER_M), last)
-                s = water.surface
-                e0 += scale * (
-                    shining * ways.straight[n, 0]
-                    + w00 * s[i, j, 0]
-                    + w01 * s[i, j + 1, 0]
-                    + w10 * s[i + 1, j, 0]
-                    + w11 * s[i + 1, j + 1, 0]
-                )
-                e1 += scale * (
-                    shining * ways.straight[n, 1]
-                    + w00 * s[i, j, 1]
-                    + w01 * s[i, j + 1, 1]
-                    + w10 * s[i + 1, j, 1]
-                    + w11 * s[i + 1, j + 1, 1]
-                )
-                e2 += scale * (
-                    shining * ways.straight[n, 2]
-                    + w00 * s[i, j, 2]
-                    + w01 * s[i, j + 1, 2]
-                    + w10 * s[i + 1, j, 2]
-                    + w11 * s[i + 1, j + 1, 2]
-                )
+                if shining > ZERO and not in_shadow(beams, lamp, wx, wy, wz, itself):
+                    n = min(int(r * PER_M), last)
+                    s0 += shining * ways.straight[n, 0]
+                    s1 += shining * ways.straight[n, 1]
+                    s2 += shining * ways.straight[n, 2]
+                e0 += scale * s0
+                e1 += scale * s1
+                e2 += scale * s2
             n = min(int(u * math.sqrt(ONE + mx * mx + my * my) * PER_M), last)
             back = INVERSE_PI / room
             picture[row, col, 0] += albedo[row, col, 0] * e0 * back * ways.image[n, 0]

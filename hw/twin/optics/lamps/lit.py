@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hw.twin.optics.lamps.beam import Beams, beam_table, make_beams
-from hw.twin.optics.lamps.light import PER_M, Ways, add_veil, light_up
+from hw.twin.optics.lamps.light import Ways, add_veil, light_up
 from hw.twin.optics.lamps.scattered import Scattering, scattering
-from hw.twin.optics.lamps.veil import CELLS, fill_veil, grid_for
+from hw.twin.optics.lamps.veil import CELLS, PER_M, fill_veil, grid_for
 from hw.twin.optics.raycast import Floats, Identities, View
 from hw.twin.optics.shade import ShadingTables
 from hw.twin.optics.view import HULL_RADII_M, Moment, affine, relative
@@ -35,15 +35,18 @@ def lamp_tables(
 ) -> LampTables:
     """`water`: of who wants another; None: all orders of scattering."""
     water = water or scattering(absorption_per_m, scattering_per_m)
-    length_m = np.arange(len(shading.path))[:, None] / float(PER_M)
     extinct = np.asarray(absorption_per_m) + np.asarray(scattering_per_m)
-    ways = Ways(
-        np.exp(-water.extinct.astype(float) * length_m).astype(np.float32),
-        np.exp(-extinct * length_m).astype(np.float32),
-    )
+    lengths = len(shading.path)
+    ways = Ways(transmission(water.extinct, lengths), transmission(extinct, lengths))
     path = np.zeros_like(shading.path)
     path[:, :3] = 1
     return LampTables(water, beam_table(), ways, shading._replace(path=path, day=np.ones_like(shading.day)))
+
+
+def transmission(extinct_per_m: NDArray[Any], lengths: int) -> Floats:
+    """(lengths, 3) over n / PER_M metres."""
+    length_m = np.arange(lengths)[:, None] / float(PER_M)
+    return np.exp(-np.asarray(extinct_per_m, float) * length_m).astype(np.float32)
 
 
 def beams_of(moment: Moment, view: View) -> Beams:
@@ -81,5 +84,5 @@ def add_lamps(
     light_up(view, beams, tables.water, tables.beam, tables.ways, x, y, depth, identity, albedo, picture)
     grid = grid_for(part, full_width, min(float(depth.max()), FAREST_M))
     veil: NDArray[np.float32] = np.empty((grid.rows, grid.columns, CELLS + 1, 3), np.float32)
-    fill_veil(view.optics, beams, tables.water, tables.beam, grid, veil)
+    fill_veil(view.optics, beams, tables.water, tables.beam, tables.ways.straight, grid, veil)
     add_veil(grid, veil, x, y, depth, picture)

@@ -22,7 +22,8 @@ INDEX, SLOPE = 1.10, 3.5835  # Fournier-Forand: 0.018 of it goes back, Petzold's
 STRAIGHT_RAD = math.radians(5.0)
 SINES = 2048  # of the phase table, by the sine of half the angle
 
-RANGE_STEP_M, RANGES = 0.02, 200  # of the tables of one water
+RANGE_STEP_M, RANGES = 0.02, 200  # of the table of points
+SURFACE_STEP_M, SURFACES = 0.004, 1000  # of that of surfaces, which is so fine that a pixel takes the nearest range
 OFFS, WAYS, SPINS = (
     17,
     13,
@@ -50,7 +51,7 @@ class Scattering(NamedTuple):
     scatter: Floats  # (3,) 1/m, of the same
     extinct: Floats  # (3,) 1/m, its attenuation
     volume: Floats  # (RANGES, OFFS, WAYS, SPINS, 3) r^2 times light of two and more orders, per m and W/sr
-    surface: Floats  # (RANGES, OFFS, 3) r^2 times scattered light on a surface that faces the lamp, per W/sr
+    surface: Floats  # (SURFACES, OFFS, 3) r^2 times scattered light on a surface that faces the lamp, per W/sr
 
 
 def phase(angle_rad: Array) -> Array:
@@ -106,19 +107,19 @@ def scattering(
 def _of_water(nodes: Nodes, a: Array, b: Array) -> tuple[Array, Array]:
     """Both tables over range in metres and sines of half angles, from those over scattering lengths and angles."""
     range_m = np.maximum(np.arange(RANGES), 1) * RANGE_STEP_M
+    finely_m = np.maximum(np.arange(SURFACES), 1) * SURFACE_STEP_M
     off = np.degrees(2 * np.arcsin(np.linspace(0, 1, OFFS)))
     way = np.degrees(2 * np.arcsin(np.linspace(0, 1, WAYS)))
-    volume, surface = np.empty((RANGES, OFFS, WAYS, SPINS, 3)), np.empty((RANGES, OFFS, 3))
+    volume, surface = np.empty((RANGES, OFFS, WAYS, SPINS, 3)), np.empty((SURFACES, OFFS, 3))
     for c in range(3):
-        tau = b[c] * range_m
-        fade = np.exp(-(a[c] / b[c] + FADE) * tau)
-        at_share, at_tau = (nodes.share, b[c] / (a[c] + b[c])), (np.log(nodes.tau), np.log(tau))
-        of = _along(nodes.surface, *at_share)[0]
-        surface[..., c] = np.exp(_along(_along(of, *at_tau), nodes.off_deg, off, axis=1)) * fade[:, None]
-        of = _along(_along(nodes.volume, *at_share)[0], *at_tau)
+        at_share = nodes.share, b[c] / (a[c] + b[c])
+        decay = a[c] + FADE * b[c]
+        of = _along(_along(nodes.surface, *at_share)[0], np.log(nodes.tau), np.log(b[c] * finely_m))
+        surface[..., c] = np.exp(_along(of, nodes.off_deg, off, axis=1) - decay * finely_m[:, None])
+        of = _along(_along(nodes.volume, *at_share)[0], np.log(nodes.tau), np.log(b[c] * range_m))
         of = _along(_along(of, nodes.off_deg, off, axis=1), nodes.way_deg, way, axis=2)
         # for b = 1 it is per scattering length and squared one; r^2 is taken out, a length is left
-        volume[..., c] = np.exp(of) * fade[:, None, None, None] * b[c]
+        volume[..., c] = np.exp(of - decay * range_m[:, None, None, None]) * b[c]
     return volume, surface
 
 

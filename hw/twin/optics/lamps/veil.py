@@ -17,6 +17,7 @@ from hw.twin.optics.lamps.beam import COSINES, EDGE_RAD, Beams
 from hw.twin.optics.lamps.scattered import OFFS, RANGE_STEP_M, RANGES, SINES, SPINS, WAYS, Floats, Scattering
 from hw.twin.optics.raycast import ONE, ZERO, F, Optics, inlined, kernel, ray
 
+PER_M = np.float32(512)  # steps a metre of transmission
 CELLS, SUB = 24, 3  # along a ray, and steps in each
 HALF, TWO, QUARTER = np.float32(0.5), np.float32(2), np.float32(0.25)
 LEAST_M = np.float32(0.015)  # the lamp's radius: no water is nearer to its middle
@@ -48,19 +49,14 @@ def grid_for(part: tuple[int, int, int, int], full_width: int, far_m: float) -> 
 
 
 @inlined
-def in_shadow(beams: Beams, lamp: int, x: F, y: F, z: F, lx: F, ly: F, lz: F, itself: int) -> bool:
-    """Whether a body other than `itself` is between a lamp and a point, camera frame."""
+def in_shadow(beams: Beams, lamp: int, wx: F, wy: F, wz: F, itself: int) -> bool:
+    """Whether a body other than `itself` is between a lamp and the point so far from it, camera frame."""
     for n in range(beams.first[lamp], beams.first[lamp + 1]):
         e = beams.bodies[n]
         if e == itself:
             continue
         m = beams.maps
-        qx, qy, qz = (
-            m[e, 0, 0] * lx + m[e, 0, 1] * ly + m[e, 0, 2] * lz + m[e, 0, 3],
-            m[e, 1, 0] * lx + m[e, 1, 1] * ly + m[e, 1, 2] * lz + m[e, 1, 3],
-            m[e, 2, 0] * lx + m[e, 2, 1] * ly + m[e, 2, 2] * lz + m[e, 2, 3],
-        )
-        wx, wy, wz = x - lx, y - ly, z - lz
+        qx, qy, qz = beams.origins[n, 0], beams.origins[n, 1], beams.origins[n, 2]
         dx = m[e, 0, 0] * wx + m[e, 0, 1] * wy + m[e, 0, 2] * wz
         dy = m[e, 1, 0] * wx + m[e, 1, 1] * wy + m[e, 1, 2] * wz
         dz = m[e, 2, 0] * wx + m[e, 2, 1] * wy + m[e, 2, 2] * wz
@@ -107,18 +103,25 @@ def place_in(x: F, nodes: int) -> tuple[int, F]:
 
 @kernel
 def fill_veil(
-    optics: Optics, beams: Beams, water: Scattering, beam: Floats, grid: Grid, veil: NDArray[np.float32]
+    optics: Optics,
+    beams: Beams,
+    water: Scattering,
+    beam: Floats,
+    straight: Floats,
+    grid: Grid,
+    veil: NDArray[np.float32],
 ) -> None:
-    """Fill veil (rows, columns, CELLS + 1, 3), radiance from the camera to the end of each cell."""
+    """Fill veil (rows, columns, CELLS + 1, 3), radiance from the camera to the end of each cell. straight: (n, 3)
+    transmission per 1/PER_M m."""
     du = np.float32(grid.far_m) / np.float32(CELLS)
     lamps = beams.power.shape[0]
-    sum0 = np.float32(0)
+    last = straight.shape[0] - 1
     for row in range(grid.rows):
         for col in range(grid.columns):
             mx, my, a, b = ray(optics, grid.x0 + col * grid.step, grid.y0 + row * grid.step)
             length = math.sqrt(ONE + mx * mx + my * my)
             dx, dy, dz = mx / length, my / length, ONE / length
-            v0 = v1 = v2 = sum0
+            v0 = v1 = v2 = ZERO
             for c in range(3):
                 veil[row, col, 0, c] = ZERO
             for cell in range(CELLS):
@@ -139,19 +142,19 @@ def fill_veil(
                         cosine = (wx * ax + wy * ay + wz * az) * inverse
                         way = -(wx * dx + wy * dy + wz * dz) * inverse
                         shining = beam_at(cosine, beam)
-                        if shining > ZERO and not in_shadow(beams, lamp, px, py, pz, lx, ly, lz, -1):
+                        if shining > ZERO and not in_shadow(beams, lamp, wx, wy, wz, -1):
                             once = power * shining * phase_at(way, water.phase) * inverse * inverse * INV_SUB
-                            s = r + u * length
-                            j0 += once * water.scatter[0] * math.exp(-water.extinct[0] * s)
-                            j1 += once * water.scatter[1] * math.exp(-water.extinct[1] * s)
-                            j2 += once * water.scatter[2] * math.exp(-water.extinct[2] * s)
+                            n = min(int((r + u * length) * PER_M), last)
+                            j0 += once * water.scatter[0] * straight[n, 0]
+                            j1 += once * water.scatter[1] * straight[n, 1]
+                            j2 += once * water.scatter[2] * straight[n, 2]
                         if sub == SUB // 2:
                             m0, m1, m2 = _more_orders(cosine, way, -(dx * ax + dy * ay + dz * az), r, water.volume)
                             more = power * inverse * inverse
-                            z = u * length
-                            j0 += more * m0 * math.exp(-water.extinct[0] * z)
-                            j1 += more * m1 * math.exp(-water.extinct[1] * z)
-                            j2 += more * m2 * math.exp(-water.extinct[2] * z)
+                            n = min(int(u * length * PER_M), last)
+                            j0 += more * m0 * straight[n, 0]
+                            j1 += more * m1 * straight[n, 1]
+                            j2 += more * m2 * straight[n, 2]
                 v0 += j0 * du * length
                 v1 += j1 * du * length
                 v2 += j2 * du * length
