@@ -29,6 +29,7 @@ from replay.report import (
     figures_map,
     figures_posture,
     figures_track,
+    light,
     track_tables,
 )
 from replay.report import (
@@ -143,6 +144,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             [_svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
         ),
         *_following(run),
+        *_light(run),
         Section(
             "agreement",
             "Agreement",
@@ -219,6 +221,19 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
         ),
     ]
     return [section for section in sections if section.tables or section.figures]
+
+
+def _light(run: Run) -> Iterator[Section]:
+    """Of a fleet that lights for each other."""
+    if (table := light.sweeps(run.timelines)) is not None:
+        yield Section(
+            "light",
+            "Who lit for whom",
+            "A lane for each robot's lamp: when it burned, in the colour of the robot for whose sweep, grey for itself "
+            "while nobody had the light. The thin line: when that robot had it. No lamp should change within a sweep.",
+            [table],
+            [_svg(light.lanes(run.timelines))],
+        )
 
 
 def _following(run: Run) -> Iterator[Section]:

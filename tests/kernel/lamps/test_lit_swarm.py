@@ -66,7 +66,7 @@ def test_nobody_answers_and_the_own_lamp_is_what_there_is() -> None:
     swarm = LitSwarm(robots=3)
     for name in ("r2", "r3"):
         swarm.robots[name].agent, swarm.robots[name].down_until_ns = None, swarm.now_ns + 10**12
-    swarm.run(8.0)
+    swarm.run(18.0)
     assert swarm.kept
     assert all(sweep.lamps == sweep.burned == ("r1",) for sweep in swarm.kept)
 
