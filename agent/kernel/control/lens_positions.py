@@ -12,7 +12,7 @@ from agent.kernel.ranging.calibration import FocusFit
 
 TRACK_STEPS = 7
 TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
-EXPECTED_SPAN = 2.5  # half span of a first sweep around where others say that a target is, likewise
+EXPECTED_SPAN = 1.5  # half span of a first sweep around where others say that a target is, likewise
 HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
 FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
 PAST_INFINITY = 0.5  # and infinity by so many peak half-widths: a far target's peak has two flanks, too

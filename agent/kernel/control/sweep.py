@@ -110,7 +110,7 @@ class Sweep:
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
             lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
-        elif by_light is not None and by_light.around is not None and not self._failures:
+        elif by_light is not None and by_light.around is not None and self._failures % 2 == 0:
             lens_positions = expected_positions(by_light.around, self._fit.width, self._full_steps)
         else:
             fewest = min(FEWEST_STEPS, self._full_steps)

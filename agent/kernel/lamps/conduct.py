@@ -39,7 +39,7 @@ from agent.kernel.topics import LIGHT
 
 LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
 MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed
-AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that showed nothing, the next time twice as long
+AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that gave nothing, the next time twice as long
 RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
 LENS_STEP = 0.25  # of the peak's half width: a blur by less is not worth moving the lens
 
@@ -92,7 +92,7 @@ class Lights:
             self._pending = result
             self._talk.end(now_ns)
         elif result is not None:
-            self._over(now_ns)
+            self._fail(now_ns)
             return result
         if (pending := self._pending) is None:
             return None
@@ -102,6 +102,7 @@ class Lights:
         self._pending = None
         self._over(now_ns)
         if not isinstance(found, Spoiled):
+            self._fruitless = 0
             return pending
         self._spoiled += 1
         seek.take_back()
@@ -140,9 +141,7 @@ class Lights:
         elif phase == "free" and before == "asks":
             self._retry_ns = now_ns + RETRY_NS
         if phase == "holds" and not self._swept and now_ns - self._granted_ns > LOOK_NS:
-            self._fruitless += 1
-            self._over(now_ns)
-            self._retry_ns = now_ns + min(AGAIN_NS << min(self._fruitless, 9), LONGEST_AGAIN_NS)
+            self._fail(now_ns)
         self._own.tick(talk.party, attitude, now_ns)
 
     def may_sweep(self, seek: Seek, target: TargetState, level: Attitude | None, wanted: bool, now_ns: int) -> bool:
@@ -165,7 +164,7 @@ class Lights:
         if (talk := self._talk) is None or self._own is None:
             return
         talk.begin(self._own.now, now_ns)
-        self._swept, self._fruitless = True, 0
+        self._swept = True
         self._assumed, self._burned = lit_by(talk.party), talk.burned(self._own.now)
         there = others(self._fleet, self._name, self._swimmer)
         self._lamps_m = tuple(self._own.aim.place_m(*there[name]) for name in self._burned if name in there)
@@ -228,6 +227,12 @@ class Lights:
             self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
         self._talk.release()
         self._swept = False
+
+    def _fail(self, now_ns: int) -> None:
+        """The own lease showed nothing: the next one has more time to come, for others are waiting."""
+        self._fruitless += 1
+        self._over(now_ns)
+        self._retry_ns = now_ns + min(AGAIN_NS << min(self._fruitless, 9), LONGEST_AGAIN_NS)
 
     def _rests(self, now_ns: int) -> bool:
         """All lamps that this robot knows of are at rest, its own by the own lease."""
