@@ -19,7 +19,7 @@ from agent.calibration.fit import CalibrationRefused
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import Hull, Wrench
 from agent.kernel.navigation.event_ring import Event
-from agent.kernel.navigation.pose_filter import RATE_RAD_S, Belief, Drift, add_rate, begin, predict
+from agent.kernel.navigation.pose_filter import BIAS, GAIN, RATE_RAD_S, Belief, Drift, add_rate, begin, predict
 from agent.kernel.ranging.calibration import BodyFit
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ def whitened(of: Hull, trial: Trial) -> Array:
     before = [_wrench(event) for event in events[:first] if event.kind == "1 asked"]
     acting = before[-1] if before else (0.0, 0.0, 0.0)
     belief = begin(events[first].t_ns, pose, _six(events[first]), gyro=trial.gyro)
-    belief = belief._replace(asked=acting, force=acting)
+    belief = _gain_known(belief)._replace(asked=acting, force=acting)
     out: list[float] = []
     for event in events[first + 1 :]:
         belief = predict(belief, of, QUIET, event.t_ns)
@@ -116,10 +116,17 @@ def whitened(of: Hull, trial: Trial) -> Array:
             belief, missed = _corrected(belief, event)
             out += missed
         elif event.kind == "5 rate" and trial.gyro:
-            sigma = math.sqrt(belief.P[5][5] + 2.0 * belief.P[5][9] + belief.P[9][9] + RATE_RAD_S * RATE_RAD_S)
-            out.append((event.values[0] - belief.x[5] - belief.x[9]) / sigma)
+            sigma = math.sqrt(belief.P[5][5] + 2.0 * belief.P[5][BIAS] + belief.P[BIAS][BIAS] + RATE_RAD_S * RATE_RAD_S)
+            out.append((event.values[0] - belief.x[5] - belief.x[BIAS]) / sigma)
             belief = add_rate(belief, event.values[0])
     return np.array(out)
+
+
+def _gain_known(belief: Belief) -> Belief:
+    """One that takes every yaw moment for what was asked: what differs is the inertia's to say."""
+    P = np.array(belief.P)
+    P[GAIN], P[:, GAIN] = 0.0, 0.0
+    return belief._replace(P=tuple(map(tuple, P.tolist())))
 
 
 def _corrected(belief: Belief, fix: Event) -> tuple[Belief, list[float]]:

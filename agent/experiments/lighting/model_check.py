@@ -137,10 +137,9 @@ def ms_per_lamp(water: str, seed: int) -> float:
 
 
 def correlation(rows: Sequence[Row]) -> float | None:
-    """Of log J with the logarithm of the measured sigma per millimetre that a lens position is; None: too few."""
+    """Of log J with the logarithm of the measured sigma; None: too few."""
     good = [row for row in rows if row["sigma_mm"]]
     if len(good) < 8:
         return None
     measured = [math.log(row["sigma_mm"]) for row in good]
-    expected = [math.log(row["expected_mm"]) for row in good]
-    return float(-np.corrcoef(expected, measured)[0, 1])
+    return float(np.corrcoef([row["log_j"] for row in good], measured)[0, 1])

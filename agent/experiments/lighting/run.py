@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 import numpy as np
 
+from agent.experiments.lighting.bars import missed
 from agent.experiments.lighting.dark_water import WATERS, DarkWater, Stand, Swept, stand
 from agent.experiments.lighting.model_check import model_check
 from agent.experiments.lighting.policies import POLICIES, Names, after_loss, scored, sets_for
@@ -45,7 +46,12 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     scenes: int
     cases: list[Row]
     model: Row
+    missed: list[str]  # targets, in words
     sweeps: list[Row]  # every sweep: what the model expected, and what was measured
+
+    @property
+    def failed(self) -> bool:
+        return bool(self.missed)
 
 
 class Bench:
@@ -109,7 +115,8 @@ def run(settings: Settings, progress: Progress) -> Result:
                 sweeps += [{"water": water, **row} for row in bench.rows()]
     model = model_check(settings.seed, settings.waters, sweeps)
     step()
-    return Result(seed=settings.seed, scenes=settings.scenes, cases=cases, model=model, sweeps=sweeps)
+    wrong = missed(cases, model, settings.scenes)
+    return Result(seed=settings.seed, scenes=settings.scenes, cases=cases, model=model, missed=wrong, sweeps=sweeps)
 
 
 def draw_fleet(robots: int, rng: np.random.Generator) -> dict[str, Stand]:

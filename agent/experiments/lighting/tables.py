@@ -5,13 +5,15 @@ from __future__ import annotations
 from rich.console import Group, RenderableType
 from rich.table import Table
 
+from agent.experiments.lighting.bars import ENOUGH
 from agent.experiments.lighting.run import Result
 from agent.experiments.result import Row
 
 
 def table(result: Result) -> RenderableType:
     """All of them."""
-    return Group(_ladder(result), _fleets(result), _model(result))
+    verdict = "no verdict, too few fleets" if result.scenes < ENOUGH else "; ".join(result.missed) or "nothing"
+    return Group(_ladder(result), _fleets(result), _model(result), f"targets missed: {verdict}")
 
 
 def _millimetres(row: Row) -> str:

@@ -1,8 +1,9 @@
 """The bound: one filter for somebody who hears every measurement at once, and keeps every correlation.
 
-State: of each robot (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), the pose that it had at its key frame, and what all its
-samples of the target have wrong alike (3); and the target, at rest (3). The motion and its noise are the kernel's own
-(body_model, pose_filter.Drift), so what separates robots from this filter is that they do not tell each other all.
+State: of each robot (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi) and what is learnt of its body (2), the pose that it had
+at its key frame, and what all its samples of the target have wrong alike (3); and the target, at rest (3). The motion
+and its noise are the kernel's own (body_model, pose_filter.Drift), so what separates robots from this filter is that
+they do not tell each other all.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from numpy.typing import NDArray
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import STEP_NS, Hull, Wrench, motion
-from agent.kernel.navigation.pose_filter import FIRST, Drift
+from agent.kernel.navigation.pose_filter import FIRST, FIRST_LEARNT, Drift
 from agent.kernel.ranging.fix import Fix
 
 Array = NDArray[np.float64]
 
-OWN, EACH = 9, 15  # of a robot: what moves; all of it, with its key pose at 9 and its bias at 12
+OWN, EACH = 11, 17  # of a robot: what moves; all of it, with its key pose at 11 and its bias at 14
 ANYWHERE_M2 = 100.0  # variance of a target that nobody has seen
 
 
@@ -39,7 +40,7 @@ class JointFilter:
         self._biased = [False] * robots
         self._hull = Hull()
         drift = Drift()
-        q = (0.0, 0.0, 0.0, drift.speed, drift.speed, drift.rate, drift.push, drift.push, drift.twist)
+        q = (0.0, 0.0, 0.0, drift.speed, drift.speed, drift.rate, drift.push, drift.push, drift.twist, 0.0, 0.0)
         self._Q = np.diag(np.square(q))
 
     def knows(self, i: int) -> bool:
@@ -66,7 +67,7 @@ class JointFilter:
         k = EACH * i
         self.x[k : k + 3] = pose
         self.P[k : k + 3, k : k + 3] = full(fluctuates)
-        self.P[k + 3 : k + OWN, k + 3 : k + OWN] = np.diag(FIRST)
+        self.P[k + 3 : k + OWN, k + 3 : k + OWN] = np.diag(FIRST + FIRST_LEARNT)
         self._since_ns[i] = t_ns
 
     def predict(self, i: int, t_ns: int) -> None:
@@ -89,10 +90,11 @@ class JointFilter:
             F[3, 3] = F[4, 4] = 1.0 - h * m.damping
             F[5, 5] = 1.0 - h * m.turn_damping
             F[3, 2], F[4, 2] = h * m.ax_by_yaw, h * m.ay_by_yaw
+            F[5, [2, 3, 4, 9, 10]] = h * np.array(m.turn_by)
             self.P[own, :] = F @ self.P[own, :]
             self.P[:, own] = self.P[:, own] @ F.T
             doubts = drift.doubt_s * np.square((m.doubt, m.doubt, m.turn_doubt))  # as pose_filter.predict
-            self.P[own, own] += h * (self._Q + np.diag((0.0, 0.0, 0.0, *doubts, 0.0, 0.0, 0.0)))
+            self.P[own, own] += h * (self._Q + np.diag((0.0, 0.0, 0.0, *doubts, *(0.0,) * 5)))
         self._since_ns[i] = t_ns
 
     def ask(self, i: int, wrench: Wrench) -> None:

@@ -45,6 +45,7 @@ class Disc(NamedTuple):
     spread_m2: Spread = (0.0, 0.0, 0.0)
     yields: bool = False  # it keeps clear of the robot as well, so that each has half of the way
     strays_m: float = 0.0  # how far from there it may be by now, for all that anybody knows
+    flees: bool = False  # an animal: it gives way to who cannot
 
 
 class HalfPlane(NamedTuple):
@@ -75,17 +76,20 @@ def safe_velocity(
     things: Iterable[Disc] = (),
     robots: Iterable[Disc] = (),
 ) -> Planar:
-    """The safe velocity nearest to the wanted one; where none is, one that keeps clear of the last of the robots.
+    """The safe velocity nearest to the wanted one; where none is, one that keeps clear of all but animals; where none
+    is, one that keeps clear of the last of the robots.
 
     at_m, spread_m2: of the robot itself; tank_m: length and breadth; things: stones, the target; robots: in the order
     of their names.
     """
-    planes = [
+    things = tuple(things)
+    hard = [
         *walls(at_m, tank_m),
-        *(clear_of(at_m, spread_m2, disc) for disc in things),
+        *(clear_of(at_m, spread_m2, disc) for disc in things if not disc.flees),
         *(clear_of(at_m, spread_m2, disc) for disc in robots),
     ]
-    return nearest(planes, wanted) or _in_turn(planes, wanted)
+    soft = [clear_of(at_m, spread_m2, disc) for disc in things if disc.flees]
+    return nearest([*hard, *soft], wanted) or nearest(hard, wanted) or _in_turn(hard, wanted)
 
 
 def keep_right(wanted: Planar, at_m: Planar, spread_m2: Spread, robots: Iterable[Disc]) -> Planar:

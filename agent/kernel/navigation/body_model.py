@@ -11,9 +11,8 @@ import math
 from typing import NamedTuple
 
 OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mass; drag may be half or twice as large
-# Of a body that swims aslant, added mass that differs ahead and aside makes a moment: Munk's, this difference times
-# both speeds. And of every push some moment, for no two thrusters are alike: so long an arm.
-MUNK_KG, ARM_M = 0.8, 0.003
+OF_TURN = 0.05  # of the moment, what its own gain, which is learnt, leaves: no two thrusters have the same lag
+ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are alike
 
 # An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
 # four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
@@ -47,13 +46,18 @@ class Motion(NamedTuple):
     turn_damping: float
     ax_by_yaw: float
     ay_by_yaw: float
+    turn_by: tuple[float, float, float, float, float]  # yaw, v_x, v_y, Munk's difference, gain of the yaw moment
     doubt: float  # sigma of the acceleration, m/s^2, for what thrust and drag are not known to
     turn_doubt: float  # rad/s^2
 
 
 def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h: float) -> Motion:
-    """What a step of h seconds does from state = (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi, ...)."""
-    _, _, psi, vx, vy, r, dx, dy, dpsi = state[:9]
+    """What a step of h seconds does from state = (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi, munk, gain, ...).
+
+    Of a body that swims aslant, added mass that differs aside and ahead makes a moment: Munk's, that difference times
+    both speeds.
+    """
+    _, _, psi, vx, vy, r, dx, dy, dpsi, munk_kg, gain = state[:11]
     reached = 1.0 - math.exp(-h / hull.lag_s)
     share = 1.0 - hull.lag_s * reached / h  # of the way to what is asked, on average over the step
     ahead, left, moment = (f + (u - f) * share for f, u in zip(force, asked, strict=True))
@@ -63,10 +67,12 @@ def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h
     f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
     spin = moment / hull.inertia_kgm2
     doubt = math.hypot(OF_THRUST * math.hypot(px, py), OF_DRAG * k * math.hypot(vx, vy))
-    munk, arm = MUNK_KG * (c * vx + s * vy) * (c * vy - s * vx), ARM_M * math.hypot(ahead, left)
-    turn_doubt = math.hypot(OF_THRUST * spin, OF_DRAG * k_r * r, munk / hull.inertia_kgm2, arm / hull.inertia_kgm2)
-    ax, ay, turn = px - k * vx + dx, py - k * vy + dy, spin - k_r * r + dpsi
-    return Motion((f, g, n), ax, ay, turn, k, k_r, -py, px, doubt, turn_doubt)
+    turn_doubt = math.hypot(OF_TURN * spin, OF_DRAG * k_r * r, ARM_M * math.hypot(ahead, left) / hull.inertia_kgm2)
+    u, v, bent = c * vx + s * vy, c * vy - s * vx, munk_kg / hull.inertia_kgm2
+    ax, ay, turn = px - k * vx + dx, py - k * vy + dy, (1.0 + gain) * spin - bent * u * v - k_r * r + dpsi
+    by_speed = -bent * (c * v - s * u), -bent * (s * v + c * u)
+    turn_by = (bent * (u * u - v * v), *by_speed, -u * v / hull.inertia_kgm2, spin)
+    return Motion((f, g, n), ax, ay, turn, k, k_r, -py, px, turn_by, doubt, turn_doubt)
 
 
 def damping(hull: Hull, speed_m_s: float) -> float:

@@ -22,7 +22,7 @@ from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flo
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import by_things, odometry
-from agent.kernel.navigation.pose_filter import Belief, Drift, begin
+from agent.kernel.navigation.pose_filter import Belief, Drift, begin, learnt
 from agent.kernel.navigation.tags.defocus import readable
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import markers
@@ -109,6 +109,7 @@ class Localizer:
         pose = found.theta[0], found.theta[1], found.theta[2]
         if self._ring is None or before is None or adrift(before):
             begun = begin(frame.t_ns, pose, found.fluctuates, found.stays, self._gyro)
+            begun = begun if before is None else learnt(before, begun)
             self._ring = EventRing(begun, self.hull, Drift(), within=self._basin)
             self._asked = STILL
             self.aid.reset()

@@ -2,10 +2,11 @@
 
     v_d = sat(k_p (p_ref - p), v_max) + v_ref ;  k_p = w / (2 z), k_v = 2 z w ;  barrier.py has its say on v_d
     F = M R(psi + r tau)' (a_ref + k_v (v_d - v) + k v - d)                yaw when the thrust acts
-    r_d = sat(w_psi / (2 z) e_psi, r_max) + r_ref ;  N = J (2 z w_psi (r_d - r) + k_r r - d_psi)
+    r_d = sat(w_psi / (2 z) e_psi, r_max) + r_ref ;  N = (J (2 z w_psi (r_d - r) + k_r r - d_psi) + munk) / (1 + gain)
     u = f + 1.4 (F - f), within limits
 
-There is no integrator, and nothing that could wind up: d is learnt from the force that was sent, after the limits.
+There is no integrator, and nothing that could wind up: d, Munk's moment and the gain are learnt from the force that was
+sent, after the limits.
 """
 
 from __future__ import annotations
@@ -62,15 +63,18 @@ def wrench(belief: Belief, hull: Hull, to: Reference, velocity_m_s: Planar) -> W
 
     belief: at the time when it is sent.
     """
-    _, _, psi, vx, vy, r, dx, dy, dpsi = belief.x[:9]
+    _, _, psi, vx, vy, r, dx, dy, dpsi, munk_kg, gain = belief.x[:11]
     k = damping(hull, math.sqrt(vx * vx + vy * vy))
     stiff = 2.0 * Z * W_RAD_S
     px = hull.mass_kg * (to.acceleration_m_s2[0] + stiff * (velocity_m_s[0] - vx) + k * vx - dx)
     py = hull.mass_kg * (to.acceleration_m_s2[1] + stiff * (velocity_m_s[1] - vy) + k * vy - dy)
+    c, s = math.cos(psi), math.sin(psi)
+    munk = munk_kg * (c * vx + s * vy) * (c * vy - s * vx)
     c, s = math.cos(psi + r * hull.lag_s), math.sin(psi + r * hull.lag_s)
     turn = YAW_W_RAD_S / (2.0 * Z) * wrap(to.yaw - psi)
     rate = min(max(turn, -to.turn_rad_s), to.turn_rad_s) + to.rate_rad_s
     moment = hull.inertia_kgm2 * (2.0 * Z * YAW_W_RAD_S * (rate - r) + turn_damping(hull, r) * r - dpsi)
+    moment = (moment + munk) / (1.0 + gain)
     ahead, left, round_ = (
         f + LEAD * (wish - f) for f, wish in zip(belief.force, (c * px + s * py, c * py - s * px, moment), strict=True)
     )

@@ -1,10 +1,11 @@
 """Where a robot is and how it moves: an extended Kalman filter, driven by the forces that were asked for.
 
-State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), the bias of the yaw rate where there is a gyro, and, once there is a
-key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is seen since is measured from
-(Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aid.py) has the place (x, y, z) of a target at
-rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances of what fluctuates: what survey
-and zeros have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
+State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), what is learnt of the body and stays (by how many kg its added mass is
+larger aside than ahead, by what share its yaw moment is larger than was asked), the bias of the yaw rate where there is
+a gyro, and, once there is a key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is
+seen since is measured from (Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aid.py) has the
+place (x, y, z) of a target at rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances of
+what fluctuates: what survey and zeros have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ YAW_KNOWN_RAD = math.radians(5.0)  # beyond, what a yaw does to a place is not l
 FIRST_BIAS_RAD_S = math.radians(0.6)
 # Variances of v, r and d before anything was learnt: who was lost swims on for a while, and spins.
 FIRST = (2e-2, 2e-2, 2.5e-1, 4e-3, 4e-3, 1e-1)
+# Of what stays: Munk's difference of added masses, kg^2, and by how much a yaw moment is larger than what was asked.
+FIRST_LEARNT = (0.8 * 0.8, 0.2 * 0.2)
+MUNK, GAIN, BIAS = 9, 10, 11  # where they are in the state
 
 State = tuple[float, ...]
 Covariance = tuple[tuple[float, ...], ...]
@@ -38,7 +42,7 @@ class Drift(NamedTuple):
     speed: float = 0.005  # m/s, of a robot at rest
     rate: float = 0.015  # rad/s
     push: float = 0.014  # m/s^3: a tether that pulls by 0.15 N for 4 s
-    twist: float = 0.045  # rad/s^3
+    twist: float = 0.02  # rad/s^3
     bias: float = 2e-5  # rad/s
     doubt_s: float = 1.0  # what the model has wrong of an acceleration (Motion.doubt) is white over so long
 
@@ -72,13 +76,20 @@ class Belief(NamedTuple):
 def begin(t_ns: int, pose: Vector, covariance: Symmetric, stays: Symmetric = ZERO, gyro: bool = False) -> Belief:
     """At that pose, at rest for all that is known, nothing learnt."""
     xx, xy, xp, yy, yp, pp = covariance
-    variances = (*FIRST, FIRST_BIAS_RAD_S * FIRST_BIAS_RAD_S) if gyro else FIRST
+    variances = *FIRST, *FIRST_LEARNT, *((FIRST_BIAS_RAD_S * FIRST_BIAS_RAD_S,) if gyro else ())
     n = 3 + len(variances)
     P = [[0.0] * n for _ in range(n)]
     P[0][:3], P[1][:3], P[2][:3] = [xx, xy, xp], [xy, yy, yp], [xp, yp, pp]
     for i, variance in enumerate(variances, start=3):
         P[i][i] = variance
     return Belief(t_ns, (*pose, *(0.0,) * (n - 3)), _frozen(P), stays=stays)
+
+
+def learnt(before: Belief, begun: Belief) -> Belief:
+    """One that begins anew, with what has been learnt of the body."""
+    x = *begun.x[:MUNK], *before.x[MUNK:BIAS], *begun.x[BIAS:]
+    kept = [(*new[:MUNK], *old[MUNK:BIAS], *new[BIAS:]) for new, old in zip(begun.P, before.P, strict=False)]
+    return begun._replace(x=x, P=(*begun.P[:MUNK], *kept[MUNK:BIAS], *begun.P[BIAS:]))
 
 
 def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
@@ -89,7 +100,6 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
     steps = -(-span_ns // STEP_NS)
     h = span_ns * 1e-9 / steps
     x, P, force, gyro = belief.x, belief.P, belief.force, _has_gyro(belief)
-    n = 10 if gyro else 9
     for _ in range(steps):
         m = motion(hull, x, force, belief.asked, h)
         force, half = m.force, 0.5 * h * h
@@ -102,10 +112,16 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
             x[5] + h * m.turn,
         )
         x = (*moved, *x[6:])
-        grown = 1.0 - h * m.damping, h * m.ax_by_yaw, h * m.ay_by_yaw, 1.0 - h * m.turn_damping
+        grown = (
+            1.0 - h * m.damping,
+            h * m.ax_by_yaw,
+            h * m.ay_by_yaw,
+            1.0 - h * m.turn_damping,
+            [h * by for by in m.turn_by],
+        )
         once = _times_F(P, h, *grown)  # F P; of its transpose P F', the same once more gives F P F'
         rows = _times_F(tuple(zip(*once, strict=True)), h, *grown)
-        for i, variance in enumerate(_noise(drift, m)[: n - 3], start=3):
+        for i, variance in enumerate(_noise(drift, m)[: BIAS - 3 + gyro], start=3):
             rows[i][i] += h * variance
         P = _frozen(rows)
     return belief._replace(t_ns=t_ns, x=x, P=P, force=force)
@@ -115,20 +131,26 @@ def _noise(drift: Drift, m: Motion) -> tuple[float, ...]:
     """Densities for v, r, d and bias: the more a robot swims, the more of it is only believed."""
     speed2 = drift.speed * drift.speed + m.doubt * m.doubt * drift.doubt_s
     rate2 = drift.rate * drift.rate + m.turn_doubt * m.turn_doubt * drift.doubt_s
-    push2 = drift.push * drift.push
-    return speed2, speed2, rate2, push2, push2, drift.twist * drift.twist, drift.bias * drift.bias
+    push2, twist2 = drift.push * drift.push, drift.twist * drift.twist
+    return speed2, speed2, rate2, push2, push2, twist2, 0.0, 0.0, drift.bias * drift.bias
 
 
-def _times_F(P: Rows, h: float, v_by_v: float, vx_by_yaw: float, vy_by_yaw: float, r_by_r: float) -> list[list[float]]:
+def _times_F(
+    P: Rows, h: float, v_by_v: float, vx_by_yaw: float, vy_by_yaw: float, r_by_r: float, r_by: Sequence[float]
+) -> list[list[float]]:
     """F P: only these six rows change."""
-    x, y, psi, vx, vy, r, dx, dy, dpsi = P[:9]
+    x, y, psi, vx, vy, r, dx, dy, dpsi, munk, gain = P[:BIAS]
+    by_psi, by_vx, by_vy, by_munk, by_gain = r_by
     return [
         [a + h * b for a, b in zip(x, vx, strict=True)],
         [a + h * b for a, b in zip(y, vy, strict=True)],
         [a + h * b for a, b in zip(psi, r, strict=True)],
         [v_by_v * a + h * b + vx_by_yaw * c for a, b, c in zip(vx, dx, psi, strict=True)],
         [v_by_v * a + h * b + vy_by_yaw * c for a, b, c in zip(vy, dy, psi, strict=True)],
-        [r_by_r * a + h * b for a, b in zip(r, dpsi, strict=True)],
+        [
+            r_by_r * a + h * b + by_psi * c + by_vx * d + by_vy * e + by_munk * f + by_gain * g
+            for a, b, c, d, e, f, g in zip(r, dpsi, psi, vx, vy, munk, gain, strict=True)
+        ],
         *(list(row) for row in P[6:]),
     ]
 
@@ -155,7 +177,7 @@ def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetri
         return corrected._replace(refused=0, stays=stays)
     if belief.refused + 1 < REFUSALS:
         return belief._replace(refused=belief.refused + 1, nis=corrected.nis)
-    again = begin(belief.t_ns, pose, fluctuates, stays, _has_gyro(belief))
+    again = learnt(belief, begin(belief.t_ns, pose, fluctuates, stays, _has_gyro(belief)))
     return again._replace(force=belief.force, asked=belief.asked, restarts=belief.restarts + 1, nis=corrected.nis)
 
 
@@ -193,8 +215,8 @@ def add_flow(belief: Belief, since_ns: int, moved: Vector, covariance: Symmetric
 
 def add_rate(belief: Belief, rate_rad_s: float) -> Belief:
     """Corrected by a gyro's yaw rate of now."""
-    H = (((5, 1.0), (9, 1.0)),)
-    return _correct(belief, H, (rate_rad_s - belief.x[5] - belief.x[9],), ((RATE_RAD_S * RATE_RAD_S,),))
+    H = (((5, 1.0), (BIAS, 1.0)),)
+    return _correct(belief, H, (rate_rad_s - belief.x[5] - belief.x[BIAS],), ((RATE_RAD_S * RATE_RAD_S,),))
 
 
 def add_sighting(belief: Belief, offset_m: Vector, noise_m2: Symmetric) -> Belief:
@@ -255,7 +277,7 @@ def _own(belief: Belief) -> int:
 
 
 def _has_gyro(belief: Belief) -> bool:
-    return _own(belief) - (3 if belief.has_target else 0) == 10
+    return _own(belief) - (3 if belief.has_target else 0) > BIAS
 
 
 def _along(h: Sparse, row: Sequence[float]) -> float:

@@ -21,17 +21,17 @@ from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
 BENDING = 0.03  # of a box's longer side, by which a body that bends moves the middle of its box
-# A creature in lengths: as high, and as wide, as a fish. It swims the way it heads: so which side it shows is known
-# where its speed is.
-HIGH, WIDE = 0.3, 0.15
+# A creature in lengths: as high as a fish. It swims the way it heads: so which side it shows is known where its speed is.
+HIGH = 0.3
 SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
-# Side of the square that is as large as a creature's box, in lengths: 0.50, standard deviation of its logarithm 0.35,
-# of one that showed all its sides to three robots in two dives of the twin. Who shows its side goes on to: what one
-# frame says of the range is what ten do.
-FACE, FACE_SIGMA, ALIKE = 0.5, 0.4, 10.0
-TURNED_SIGMA, TURNED_ALIKE = 0.25, 3.0  # the same where its side is known, to some twenty degrees
+# Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard
+# deviation of its logarithm 0.2, by what is blurred, bends and pitches; other fish are slimmer, or stouter. What one
+# frame says of the range the next ones do.
+HIGH_SIGMA, ALIKE = 0.2, 2.0
+CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
+TURNS_RAD = 0.6  # by which it may face elsewhere than it is believed to swim: a track knows of a turn when it is over
 NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
 
 
@@ -60,23 +60,22 @@ def sight_line(
     r = apply(eye.rotation, ray(camera, outline.centre_px))
     way = None if believed_m is None else (believed_m[0] - px, believed_m[1] - py, believed_m[2] - pz)
     side = None if velocity_m_s is None else _side(r, velocity_m_s, target)
-    sigma_m, face_m = None, _face_range_m(outline, target, camera.f_px, side) if sized else None
+    sigma_m, far_m = None, _height_range_m(outline, target, camera) if sized else None
     if sized and target.radius_m is not None and outline.radius_px is not None:
         size = size_range(camera, outline, target)
         range_m, sigma_m = size.distance_m, math.sqrt(size.variance_m2)
     elif way is not None:
         range_m = max(r[0] * way[0] + r[1] * way[1] + r[2] * way[2], NEAREST_M)
     else:
-        range_m = unknown_m if face_m is None else max(face_m, NEAREST_M)
+        range_m = unknown_m if far_m is None else max(far_m, NEAREST_M)
     arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
     pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
     px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, *_bent_px(outline, target, camera.f_px / range_m, side))
     sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
-    if face_m is None:
+    if far_m is None:
         return line
-    sigma, alike = (FACE_SIGMA, ALIKE) if side is None else (TURNED_SIGMA, TURNED_ALIKE)
-    return ranged(line, (px, py, pz), r, face_m, sigma * math.sqrt(alike) * face_m, way)
+    return ranged(line, (px, py, pz), r, far_m, HIGH_SIGMA * math.sqrt(ALIKE) * far_m, way)
 
 
 def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
@@ -85,7 +84,7 @@ def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
     speed_m_s, far = math.hypot(u, v), math.hypot(ray[0], ray[1])
     if target.speed_m_s is None or speed_m_s < HEADS * target.speed_m_s or far == 0.0:
         return None
-    return abs(ray[0] * v - ray[1] * u) / (speed_m_s * far)
+    return min(abs(ray[0] * v - ray[1] * u) / (speed_m_s * far), 1.0)
 
 
 def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | None) -> tuple[float, float]:
@@ -94,13 +93,15 @@ def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | No
     if target.length_m is None:
         return BENDING * shown_px, 0.0
     whole_px = target.length_m * px_per_m
-    shows = SHOWN if side is None else max(side, HIGH)
+    shows = SHOWN if side is None else max(math.sin(max(math.asin(side) - TURNS_RAD, 0.0)), HIGH)
     return BENDING * max(shown_px, whole_px), HIDDEN * max(shows * whole_px - shown_px, 0.0)
 
 
-def _face_range_m(outline: Outline, target: Target, f_px: float, side: float | None) -> float | None:
-    """About how far a creature of that length is that shows so much; None: nobody knows its length."""
-    if target.length_m is None or outline.size_px is None or min(outline.size_px) <= 0.0:
+def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> float | None:
+    """About how far a creature of that length is that is so high in the picture; None: nobody knows its length, or
+    not all of its height shows."""
+    if target.length_m is None or outline.size_px is None:
         return None
-    face = FACE if side is None else math.sqrt(HIGH * math.hypot(side, WIDE))
-    return face * target.length_m * f_px / math.sqrt(outline.size_px[0] * outline.size_px[1])
+    high_px, y_px = outline.size_px[1], outline.centre_px[1]
+    whole = y_px - 0.5 * high_px > CUT_PX and y_px + 0.5 * high_px < camera.height_px - CUT_PX
+    return HIGH * target.length_m * camera.f_px / high_px if whole and high_px > 0.0 else None

@@ -99,3 +99,12 @@ def test_the_table_between_its_nodes_is_monte_carlos(
 def test_in_clear_water_there_is_one_order() -> None:
     clear = WaterOptics(absorption_per_m=(0.2,) * 3, scattering_per_m=(1e-4,) * 3)
     assert all_orders(1.25, 0.0, 0.12, clear) == pytest.approx((1.0, 1.0, 1.0), abs=1e-3)
+
+
+def test_monte_carlo_does_not_depend_on_which_angles_count_as_straight_on() -> None:
+    setting, water = beside(1.25, RADIUS_M, 0.0, 0.12), Medium(0.37, 1.82)
+    fine, coarse = (
+        scattered(setting, water, paths=5000, error=0.01, straight_rad=math.radians(deg), seed=4).total
+        for deg in (2.0, 5.0)
+    )
+    assert fine == pytest.approx(coarse, rel=0.05)

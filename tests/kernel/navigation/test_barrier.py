@@ -145,7 +145,7 @@ def swim(robots, goals, seconds, things=(), age_steps=2):
     for step in range(round(seconds / 0.05)):
         for k, each in enumerate(robots):
             begun = begin(0, tuple(map(float, each.at)), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6))
-            moving = (*map(float, each.speed), 0.0, 0.0, 0.0)
+            moving = (*map(float, each.speed), *begun.x[6:])
             belief = begun._replace(x=(*begun.x[:3], *moving), force=tuple(map(float, each.force)))
             to = Reference(goals(k, step * 0.05), float(each.at[2]))
             others = [robot(*said[j][0], KNOWN, age_steps * 0.05) for j in range(len(robots)) if j != k]
@@ -157,6 +157,20 @@ def swim(robots, goals, seconds, things=(), age_steps=2):
         least = min([least, *(np.hypot(*(a - b)) for a, b in itertools.combinations(places, 2))])
         least_thing = min([least_thing, *(np.hypot(*(a - d.at_m)) for a in places for d in things)])
     return least, least_thing
+
+
+def test_who_is_cornered_by_an_animal_lets_it_come_and_is_not_pressed_against_the_walls() -> None:
+    """It comes at 0.2 m/s from the middle, to 0.3 m from a robot that has walls behind it."""
+    at, fish = (WALL_M + 0.01, WALL_M + 0.01), Disc((WALL_M + 0.22, WALL_M + 0.22), TARGET_M, (-0.14, -0.14))
+    pressed = safe_velocity((0.0, 0.0), at, KNOWN, TANK, [fish])
+    assert min(pressed) < -0.05, "a thing that comes so is fled from, into the walls"
+    let = safe_velocity((0.0, 0.0), at, KNOWN, TANK, [fish._replace(flees=True)])
+    assert min(let) > -0.02
+    far = fish._replace(at_m=(1.0, 1.0), flees=True)
+    assert safe_velocity((0.1, 0.1), at, KNOWN, TANK, [far]) == pytest.approx((0.1, 0.1)), "it is far away"
+    beside = (1.0, 1.0)  # with room behind it is kept clear of, as of all else
+    near = Disc((1.3, 1.0), TARGET_M, (-0.1, 0.0), flees=True)
+    assert safe_velocity((0.0, 0.0), beside, KNOWN, TANK, [near])[0] < -0.1
 
 
 def test_two_that_swim_at_each_other_stop_in_time() -> None:

@@ -19,7 +19,7 @@ SURE = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
 def belief(x, y, spread=None):
     """At a pose, with a covariance in which all goes along with all."""
     rng = np.random.default_rng(5)
-    root = rng.normal(0.0, 0.1, (9, 9)) if spread is None else spread
+    root = rng.normal(0.0, 0.1, (11, 11)) if spread is None else spread
     P = root @ root.T
     return begin(0, (x, y, 0.2), SURE)._replace(P=tuple(map(tuple, P.tolist())))
 
@@ -56,7 +56,7 @@ def test_a_belief_inside_is_left_as_it_is():
 
 
 def test_one_that_errs_by_far_comes_to_the_wall_and_is_not_sure_of_it():
-    before = belief(-4.0, 1.0, np.eye(9) * 0.05)
+    before = belief(-4.0, 1.0, np.eye(11) * 0.05)
     after = kept_in(before, basin(TANK_M))
     assert HULL_M < after.x[0] < HULL_M + 0.05
     assert 0.2 * 0.05 < np.sqrt(after.P[0][0]) < 0.05

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Navigation
 from agent.kernel.navigation.gyro import LATE_NS, SILENT_NS, Gyro, Rate
+from agent.kernel.navigation.pose_filter import BIAS
 from tests.kernel.navigation.swimming_agent import InTank, fleet
 from tests.sample_messages import telemetry
 
@@ -83,7 +84,8 @@ def test_its_bias_is_learnt_and_a_blind_turn_is_followed() -> None:
     robot = rates_of(InTank(with_gyro(), seed=3), lambda body: float(body.speed[2] + bias + rng.normal(0.0, 0.001)))
     robot.run(8.0)
     belief = robot.agent.swimmer.localizer.at(robot.now_ns)
-    assert belief.x[9] == pytest.approx(bias, abs=4 * math.sqrt(belief.P[9][9])) and belief.P[9][9] < 0.004**2
+    assert belief.x[BIAS] == pytest.approx(bias, abs=4 * math.sqrt(belief.P[BIAS][BIAS]))
+    assert belief.P[BIAS][BIAS] < 0.004**2
     robot.sees_tags = False
     robot.body.speed[2] += 0.5  # something hits it
     robot.run(1.0)

@@ -24,9 +24,9 @@ LEVEL = Carriage(Attitude(0.3, 0.0, 0.0), Gimbal((0.0, -30.0), True))
 
 def known(velocity, rate, push, twist):
     """A belief with these standard deviations."""
-    variances = np.array([0.0] * 3 + [velocity] * 2 + [rate] + [push] * 2 + [twist]) ** 2
+    variances = np.array([0.0] * 3 + [velocity] * 2 + [rate] + [push] * 2 + [twist] + [0.0] * 2) ** 2
     belief = begin(0, (1.0, 1.0, 0.0), SURE)
-    return belief._replace(P=tuple(map(tuple, (np.array(belief.P) * (np.eye(9) == 0) + np.diag(variances)).tolist())))
+    return belief._replace(P=tuple(map(tuple, (np.array(belief.P) * (np.eye(11) == 0) + np.diag(variances)).tolist())))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.kernel.codec import encode
-from agent.kernel.config import Goto, Look, Orbit, Turn
+from agent.kernel.config import Goto, Limits, Look, Navigation, Orbit, Turn
 from agent.kernel.core import Agent
 from agent.kernel.navigation.company import pace
 from agent.kernel.navigation.event_ring import RING_NS
@@ -115,8 +115,9 @@ def test_it_gives_way_while_its_camera_turns_back_from_landmarks() -> None:
 
 def test_it_stands_still_while_it_looks_for_landmarks() -> None:
     """Turned to where landmarks should be, its camera would miss them."""
-    one = InTank(fleet(behaviour=Turn(yaw_deg=170.0)))
-    assert one.until(lambda: abs(one.body.speed[2]) > 0.5, 6.0)
+    slow = Navigation(limits=Limits(turn_deg_s=20.0))
+    one = InTank(replace(fleet(behaviour=Turn(yaw_deg=170.0)), navigation=slow))
+    assert one.until(lambda: abs(one.body.speed[2]) > 0.25, 6.0)
     one.sees_tags = False
     assert one.until(lambda: one.agent.swimmer._glancing, 4.0)
     one.run(0.6)

@@ -84,23 +84,28 @@ def test_what_is_hidden_of_a_creature_widens_its_line() -> None:
     assert sigma_m(0.1, Target(detector="box")) < 0.2 * sigma_m(0.1), "of unknown length: by what shows"
 
 
-def test_a_creatures_size_says_a_little_of_how_far_it_is_and_nothing_across() -> None:
+def test_a_creatures_height_says_a_little_of_how_far_it_is_and_nothing_across() -> None:
     here, fish = eye(), Target(detector="creature", length_m=0.15)
     origin = np.array(here.position_m) + CAMERA.ahead_m * np.array(apply(here.rotation, (0.0, 0.0, 1.0)))
     d = float(np.linalg.norm(THERE - origin))
-    side_px = 0.5 * 0.15 * CAMERA.f_px / (1.3 * d)  # it seems to be 1.3 times as far as it is
-    for believed in (THERE, None):
-        of = outline(here, size_px=(2.0 * side_px, 0.5 * side_px))
+    high_px = 0.3 * 0.15 * CAMERA.f_px / (1.3 * d)  # it seems to be 1.3 times as far as it is
+    for believed, long_px in ((THERE, 20.0), (THERE, 90.0), (None, 40.0)):  # from its head, its side
+        of = outline(here, size_px=(long_px, high_px))
         found = sight_line(CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed, T_NS, 1.0)
         plain = sight_line(CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed or found.x_m, T_NS, 1.0, sized=False)
         along = (THERE - origin) / d
         assert np.array(found.x_m) - origin == pytest.approx(1.3 * d * along, rel=0.01)
         weight = matrix(found.information) - matrix(plain.information)
-        assert weight == pytest.approx(np.outer(along, along) / (0.4**2 * 10 * (1.3 * d) ** 2), abs=0.01)
+        assert weight == pytest.approx(np.outer(along, along) / (0.2**2 * 2 * (1.3 * d) ** 2), abs=0.05)
     same = sight_line(
         CAMERA, here, outline(here, size_px=(9.0, 9.0)), Target(detector="box"), EXACT, 0.0, THERE, T_NS, 1.0
     )
     assert abs(along @ matrix(same.information) @ along) < 1e-6, "of a box nobody knows the size"
+    cut = outline(
+        here, size_px=(40.0, 2.1 * min(outline(here).centre_px[1], CAMERA.height_px - outline(here).centre_px[1]))
+    )
+    cut = sight_line(CAMERA, here, cut, fish, EXACT, GIMBAL_RAD, THERE, T_NS, 1.0)
+    assert abs(along @ matrix(cut.information) @ along) < 1e-6, "what the edge of the picture cuts off may be any size"
 
 
 def test_which_side_it_shows_is_known_where_its_speed_is() -> None:
@@ -108,19 +113,19 @@ def test_which_side_it_shows_is_known_where_its_speed_is() -> None:
     origin = np.array(here.position_m) + CAMERA.ahead_m * np.array(apply(here.rotation, (0.0, 0.0, 1.0)))
     along = (THERE - origin) / np.linalg.norm(THERE - origin)
     ahead, aside = 0.15 * along, 0.15 * np.array([-along[1], along[0], 0.0])
-    of = outline(here, size_px=(90.0, 30.0))
+    of = outline(here, size_px=(40.0, 30.0))
 
     def line(velocity):
         told = None if velocity is None else tuple(velocity)
         return sight_line(CAMERA, here, of, fish, EXACT, 0.0, THERE, T_NS, 1.0, velocity_m_s=told)
 
-    def range_m(velocity):
-        return float(np.linalg.norm(np.array(line(velocity).x_m) - origin))
-
-    assert range_m(ahead) < range_m(None) < range_m(aside), "the same box is a near fish head-on, or a far one's side"
-    assert range_m(0.3 * ahead) == range_m(None), "one that hardly swims may face anywhere"
+    widths = [np.linalg.eigvalsh(matrix(line(way).information)) for way in (None, 0.3 * aside)]
+    assert (widths[0] == widths[1]).all(), "one that hardly swims may face anywhere"
     across = [np.linalg.eigvalsh(matrix(line(way).information))[2] for way in (ahead, aside)]
     assert across[0] > 4.0 * across[1], "of its side, a part is hidden; head-on it is all there"
+    turned = [aside + ahead * math.tan(0.5), aside]
+    a, b = (np.linalg.eigvalsh(matrix(line(way).information))[2] for way in turned)
+    assert a > b, "and the more so the more it may only have turned"
 
 
 def test_its_covariance_is_that_of_draws() -> None:

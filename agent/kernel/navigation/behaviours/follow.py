@@ -3,7 +3,7 @@
 Each robot decides for itself. With th the bearing from the target to the robot, th_j that to another of the n that
 follow it, and g = wrap(th - th_j):
 
-    push = sum_j sgn(g) max(0, 0.9 * 2 pi / n - |g|)
+    push = sum_j sgn(g) max(0, 0.9 * 2 pi / max(n, 3) - |g|)
     goal = target + standoff (cos, sin)(th + push / 2 + d)
     d of DETOURS with the least  |d| + 2 hidden + 5 reach / m + far / m
 
@@ -104,7 +104,7 @@ def place_around(target_m: Planar, standoff_m: float, pose: Vector, around: Surr
 
 def _push(mine: float, others: list[float]) -> float:
     """By how much the others' bearings are too near to this robot's, rad, and to which side."""
-    even = SHARE * 2.0 * math.pi / (len(others) + 1)
+    even = SHARE * 2.0 * math.pi / max(len(others) + 1, 3)
     gaps = [wrap(mine - other) for other in others]
     return math.fsum(math.copysign(max(0.0, even - abs(gap)), gap) for gap in gaps)
 

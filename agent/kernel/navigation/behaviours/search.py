@@ -21,6 +21,7 @@ from agent.kernel.navigation.behaviours.surroundings import Surroundings, facing
 from agent.kernel.navigation.pilot import Reference
 
 REACHED_M = 0.06  # of an end of a lane: nobody has to be there exactly
+MIDDLE_M = 0.3  # of the tank: nearer, it is on no side
 TURNS_RAD_S = 0.3  # what a frame showed 0.2 s ago is still in view when that is known
 WAITS_NS = 2_500_000_000  # after the target was in view: for so long the gimbal turns to it, and looks
 
@@ -56,8 +57,12 @@ def search(
         return Reference(hunt.waits_m or here, yaw), hunt
     hunt = _next(what, hunt._replace(waits_m=None), here, around)
     goal = hunt.way[hunt.next]
-    x, y = goal[0] - here[0], goal[1] - here[1]
-    yaw = math.atan2(y, x) if math.hypot(x, y) > REACHED_M else yaw
+    if around.swims:  # it may come from anywhere: the wall behind the robot is where it is not
+        ahead_m, least_m = (0.5 * around.tank_m[0], 0.5 * around.tank_m[1]), MIDDLE_M
+    else:
+        ahead_m, least_m = goal, REACHED_M
+    x, y = ahead_m[0] - here[0], ahead_m[1] - here[1]
+    yaw = math.atan2(y, x) if math.hypot(x, y) > least_m else yaw
     return Reference(goal, yaw, most_m_s=what.speed_m_s, most_rad_s=TURNS_RAD_S), hunt
 
 

@@ -37,6 +37,7 @@ class Surroundings(NamedTuple):
     speed_m_s: float  # that the robot may swim at
     velocity_m_s: Planar = STILL  # at which it swims now, world frame
     target: TargetEstimate | None = None  # None: nobody ever said where it is
+    swims: bool = False  # the target that it is about, by itself
     sees: bool = False  # the robot's own camera has the target in view
     looks: bool = False  # its gaze still goes round where the target was last
     fellows_m: tuple[Planar, ...] = ()  # robots that say they do the same about the same target

@@ -38,9 +38,9 @@ def drifted(seed, seconds, gap_s, yaw_sigma=FIX[2]):
     """
     rng, hull, drift = np.random.default_rng(seed), Hull(), Drift()
     first = begin(0, START, squares((*FIX[:2], yaw_sigma)), gyro=True)
-    shares = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 1.0])  # it rests, and knows that it does
+    shares = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1, *(1.0,) * 6])  # it rests, and knows that it does
     first = first._replace(P=tuple(map(tuple, (np.array(first.P) * np.outer(shares, shares)).tolist())))
-    truth = np.array(first.x[:9]) + rng.normal(0.0, np.sqrt(np.diag(first.P)[:9]))
+    truth = np.array(first.x[:11]) + rng.normal(0.0, np.sqrt(np.diag(first.P)[:11]))
     bias = rng.normal(0.0, FIRST_BIAS_RAD_S)
     others = Posterior(tuple((BALL + rng.normal(0.0, OTHERS)).tolist()), squares(OTHERS))
     alike, ring, aid = rng.normal(0.0, ALIKE), EventRing(first, hull, drift), Aid(hull)
@@ -58,7 +58,7 @@ def drifted(seed, seconds, gap_s, yaw_sigma=FIX[2]):
         truth[:3] += H * truth[3:6] + 0.5 * H * H * a
         doubts = np.hypot((drift.speed, drift.speed, drift.rate), np.array([m.doubt, m.doubt, m.turn_doubt]))
         truth[3:6] += H * a + math.sqrt(H) * doubts * rng.normal(size=3)
-        truth[6:] += math.sqrt(H) * np.array([drift.push, drift.push, drift.twist]) * rng.normal(size=3)
+        truth[6:9] += math.sqrt(H) * np.array([drift.push, drift.push, drift.twist]) * rng.normal(size=3)
         if k % round(gap_s / H) == 0:
             tell(fix(t_ns, tuple((truth[:3] + rng.normal(0.0, FIX)).tolist()), squares(FIX), NOTHING))
         if k % 5 == 0:

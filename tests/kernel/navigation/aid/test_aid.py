@@ -202,7 +202,7 @@ def test_nothing_that_is_said_has_anything_of_it() -> None:
 
 
 def test_later_fixes_tell_where_it_was_at_a_sighting() -> None:
-    rests = np.diag([4e-4, 4e-4, 4e-4, *[1e-8] * 3, *[1e-12] * 3])  # x, y and yaw stay what they are
+    rests = np.diag([4e-4, 4e-4, 4e-4, *[1e-8] * 3, *[1e-12] * 5])  # x, y and yaw stay what they are
     first = begin(0, AT, OWN)._replace(P=tuple(map(tuple, rests.tolist())))
     ring, aid = EventRing(first, Hull(), Drift(*[0.0] * 6)), Aid(Hull())
     seen, before = Seen("ball", S // 10, offset_m(AT, (1.5, 1.0, 0.07)), R, D), ring.at(S // 10 - 1)

@@ -87,6 +87,14 @@ def test_two_on_one_side_part_and_a_wall_turns_it_to_where_there_is_room() -> No
     assert math.dist(goal, (1.5, 0.6)) > 0.55 and goal[0] < 1.2
 
 
+def test_two_alone_do_not_look_at_it_face_to_face() -> None:
+    """Their bearings would be one line; with a right angle between them they part no more."""
+    for apart, pushes in ((0.5 * math.pi, True), (math.radians(110.0), False), (math.pi, False)):
+        there = (1.5 + 0.7 * math.cos(apart), 1.0 + 0.7 * math.sin(apart))
+        goal = place_around((1.5, 1.0), 0.7, (2.2, 1.0, math.pi), around(fellows_m=(there,)))
+        assert (math.dist(goal, (2.2, 1.0)) > 0.05) is pushes
+
+
 def test_it_leaves_a_place_behind_another_robot() -> None:
     free = place_around((1.5, 1.0), 0.7, (0.7, 1.0, 0.0), around())
     hidden = place_around((1.5, 1.0), 0.7, (0.7, 1.0, 0.0), around(robots_m=((1.1, 1.0),)))

@@ -85,6 +85,19 @@ def test_it_swims_slowly_from_end_to_end_and_begins_again() -> None:
     assert len(set(reached)) == 4 and reached[:4] != reached[4:8]  # two lanes, back the other way
 
 
+def test_what_swims_is_searched_for_facing_the_middle_of_the_tank() -> None:
+    """Whatever way the lane goes: of robots that all face along their lanes, none has what is behind them all."""
+    at_yaw = {}
+    for x, y in ((0.5, 0.6), (2.5, 0.6), (0.5, 1.5), (2.5, 1.5)):
+        to, _ = reference(WHAT, start((x, y, 0.3), 0.0, S), (x, y, 0.3), S, None, around(swims=True))
+        assert to.yaw == pytest.approx(math.atan2(1.0 - y, 1.5 - x))
+        at_yaw[x, y] = to.yaw
+    to, _ = reference(WHAT, start((1.4, 1.1, 0.3), 0.0, S), (1.4, 1.1, 0.3), S, None, around(swims=True))
+    assert to.yaw == 0.3, "in the middle itself it keeps its yaw"
+    rests, _ = reference(WHAT, start((0.5, 0.6, 0.3), 0.0, S), (0.5, 0.6, 0.3), S, None, around())
+    assert abs(rests.yaw - at_yaw[0.5, 0.6]) > 0.1, "what rests is passed by sooner or later"
+
+
 def test_another_that_searches_takes_its_part_away() -> None:
     _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, None, around())
     alone = progress.hunt.way

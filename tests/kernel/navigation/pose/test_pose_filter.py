@@ -1,6 +1,4 @@
-"""The pose filter against closed forms, filterpy, a Riccati equation and a filter of both poses; its ring of events."""
-
-import random
+"""The pose filter against closed forms, filterpy, a Riccati equation and a filter of both poses."""
 
 import numpy as np
 import pytest
@@ -9,8 +7,9 @@ from scipy.linalg import block_diag, solve_discrete_are
 
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.body_model import STEP_NS, ZERO_N, ZERO_NM, Hull
-from agent.kernel.navigation.event_ring import KEEP_NS, RING_NS, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.pose_filter import (
+    BIAS,
+    FIRST_LEARNT,
     RATE_RAD_S,
     REFUSALS,
     Drift,
@@ -77,18 +76,23 @@ def test_thrusters_lag_behind_what_is_asked() -> None:
 
 
 def oracle_step(x, force, u, h, hull=HULL):
-    """(x, force, F) by the note's section 6, in numpy. x: at least nine numbers."""
+    """(x, force, F) by the note's section 6 and Munk's moment, in numpy. x: at least eleven numbers."""
     reached = 1 - np.exp(-h / hull.lag_s)
     mean = force + (u - force) * (1 - hull.lag_s * reached / h)
     c, s = np.cos(x[2]), np.sin(x[2])
     turn, turned = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])
     k = (hull.drag + hull.drag2 * np.hypot(x[3], x[4])) / hull.mass_kg
     k_r = (hull.turn_drag + hull.turn_drag2 * abs(x[5])) / hull.inertia_kgm2
-    a = np.r_[turn @ mean[:2] / hull.mass_kg - k * x[3:5] + x[6:8], mean[2] / hull.inertia_kgm2 - k_r * x[5] + x[8]]
+    (ahead, aside), spin, bent = turn.T @ x[3:5], mean[2] / hull.inertia_kgm2, x[9] / hull.inertia_kgm2
+    swing = (1 + x[10]) * spin - bent * ahead * aside - k_r * x[5] + x[8]
+    a = np.r_[turn @ mean[:2] / hull.mass_kg - k * x[3:5] + x[6:8], swing]
     F = np.eye(len(x))
     F[0:3, 3:6] = F[3:6, 6:9] = h * np.eye(3)
     F[3:6, 3:6] -= h * np.diag([k, k, k_r])
     F[3:5, 2] = h * turned @ mean[:2] / hull.mass_kg
+    F[5, 2] = -h * bent * (aside**2 - ahead**2)
+    F[5, 3:5] = -h * bent * turn @ (aside, ahead)
+    F[5, 9:11] = h * np.array([-ahead * aside / hull.inertia_kgm2, spin])
     x = x.copy()
     x[:3] += h * x[3:6] + 0.5 * h * h * a
     x[3:6] += h * a
@@ -96,11 +100,11 @@ def oracle_step(x, force, u, h, hull=HULL):
     return x, force + (u - force) * reached, F
 
 
-def noise(h, n=9):
+def noise(h, n=BIAS):
     q = np.zeros(n)
-    q[3:9] = h * np.array([0.005, 0.005, 0.015, 0.014, 0.014, 0.045]) ** 2
-    if n == 10:
-        q[9] = h * 2e-5**2
+    q[3:9] = h * np.array([0.005, 0.005, 0.015, 0.014, 0.014, 0.02]) ** 2
+    if n > BIAS:
+        q[BIAS] = h * 2e-5**2
     return np.diag(q)
 
 
@@ -112,7 +116,7 @@ def yaw_wrapped(a, b):
 
 @pytest.mark.parametrize("gyro", [False, True])
 def test_the_filter_is_that_of_filterpy(gyro) -> None:
-    rng, n = np.random.default_rng(3), 10 if gyro else 9
+    rng, n = np.random.default_rng(3), BIAS + gyro
     belief = begin(0, (1.0, 0.8, 3.1), R, gyro=gyro)
     oracle = ExtendedKalmanFilter(dim_x=n, dim_z=3)
     oracle.x, oracle.P, force, u, t_ns = np.array(belief.x), np.array(belief.P), np.zeros(3), np.zeros(3), 0
@@ -132,8 +136,8 @@ def test_the_filter_is_that_of_filterpy(gyro) -> None:
             oracle.update(z, lambda x: np.eye(3, n), lambda x: x[:3], matrix(R), residual=yaw_wrapped)
             oracle.x[2] = wrap(oracle.x[2])
         elif gyro:
-            turn, H = float(oracle.x[5] + oracle.x[9] + rng.normal(0, 0.005)), np.zeros((1, n))
-            H[0, [5, 9]] = 1.0
+            turn, H = float(oracle.x[5] + oracle.x[BIAS] + rng.normal(0, 0.005)), np.zeros((1, n))
+            H[0, [5, BIAS]] = 1.0
             belief = add_rate(belief, turn)
             oracle.update(np.array([turn]), lambda x, H=H: H, lambda x, H=H: H @ x, np.array([[RATE_RAD_S**2]]))
             oracle.x[2] = wrap(oracle.x[2])
@@ -145,21 +149,23 @@ def test_the_filter_is_that_of_filterpy(gyro) -> None:
 @pytest.mark.parametrize("gyro", [False, True])
 def test_the_steady_covariance_solves_the_riccati_equation(gyro) -> None:
     """With a gyro that is read at each fix, and whose bias wanders fast enough to be steady within 20 s."""
-    belief, period_ns, drift, n = begin(0, START, R, gyro=gyro), 5 * STEP_NS, DRIFT._replace(bias=0.01), 9 + gyro
+    belief, period_ns, drift, n = begin(0, START, R, gyro=gyro), 5 * STEP_NS, DRIFT._replace(bias=0.01), BIAS + gyro
     F, Q, h, H, V = np.eye(n), np.zeros((n, n)), STEP_NS * 1e-9, np.eye(3, n), matrix(R)
     if gyro:
-        H, V = np.vstack([H, np.eye(1, n, 5) + np.eye(1, n, 9)]), block_diag(V, RATE_RAD_S**2)
+        H, V = np.vstack([H, np.eye(1, n, 5) + np.eye(1, n, BIAS)]), block_diag(V, RATE_RAD_S**2)
     q = noise(h, n)
-    q[9:, 9:] = h * 0.01**2
+    q[BIAS:, BIAS:] = h * 0.01**2
     for _ in range(5):
         _, _, f = oracle_step(np.array([*START, *(0.0,) * (n - 3)]), np.zeros(3), np.zeros(3), h)
         F, Q = f @ F, f @ Q @ f.T + q
+    moves = np.delete(np.arange(n), (9, 10))  # at rest nothing is learnt of the body
+    F, Q, H = F[np.ix_(moves, moves)], Q[np.ix_(moves, moves)], H[:, moves]
     steady = solve_discrete_are(F.T, H.T, Q, V)  # before each fix
     for k in range(1, 200):
         belief = predict(belief, HULL, drift, k * period_ns)
         before, belief = belief, add_fix(belief, START, R, NOTHING)
-        belief = add_rate(belief, belief.x[5] + belief.x[9]) if gyro else belief
-    np.testing.assert_allclose(before.P, steady, rtol=1e-6, atol=1e-12)
+        belief = add_rate(belief, belief.x[5] + belief.x[BIAS]) if gyro else belief
+    np.testing.assert_allclose(np.array(before.P)[np.ix_(moves, moves)], steady, rtol=1e-6, atol=1e-12)
 
 
 def test_odometry_by_a_clone_is_a_filter_of_both_poses() -> None:
@@ -167,23 +173,23 @@ def test_odometry_by_a_clone_is_a_filter_of_both_poses() -> None:
     belief = predict(at_speed(0.1, 0.05, 0.3)._replace(asked=(2.0, 1.0, 0.1)), HULL, DRIFT, t_ns)
     x, P, force, u = np.array(belief.x), np.array(belief.P), np.array(belief.force), np.array([2.0, 1.0, 0.1])
     belief = keep_key(keep_key(belief))
-    both = np.r_[np.eye(9), np.eye(3, 9)]
+    both = np.r_[np.eye(BIAS), np.eye(3, BIAS)]
     x, P = both @ x, both @ P @ both.T  # now, and the key frame's
     for k in range(12):
         belief = predict(belief, HULL, DRIFT, t_ns + 40_000_000 * (k + 1))
         for _ in range(2):
             x, force, F = oracle_step(x, force, u, 0.02)
-            Q = np.zeros((12, 12))
-            Q[:9, :9] = noise(0.02)
+            Q = np.zeros((14, 14))
+            Q[:BIAS, :BIAS] = noise(0.02)
             P = F @ P @ F.T + Q
 
         def moved(x):
-            c, s = np.cos(x[11]), np.sin(x[11])
-            return np.r_[np.array([[c, s], [-s, c]]) @ (x[:2] - x[9:11]), x[2] - x[11]]
+            c, s = np.cos(x[13]), np.sin(x[13])
+            return np.r_[np.array([[c, s], [-s, c]]) @ (x[:2] - x[11:13]), x[2] - x[13]]
 
         if k % 2:
             z = moved(x) + rng.normal(0, 0.002, 3)
-            H = np.stack([moved(x + d).imag / 1e-30 for d in 1e-30j * np.eye(12)], axis=1)  # exact
+            H = np.stack([moved(x + d).imag / 1e-30 for d in 1e-30j * np.eye(14)], axis=1)  # exact
             V = np.diag([0.003**2, 0.003**2, 0.002**2])
             gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
             x, P = x + gain @ (z - moved(x)), P - gain @ H @ P
@@ -198,7 +204,7 @@ def test_thrusters_that_begin_to_turn_push_as_nobody_knows() -> None:
     turning = ask(still, HULL, (0.0, 0.0, 0.1))
     grown = np.subtract(turning.P, still.P)
     d2 = [(ZERO_N / HULL.mass_kg) ** 2] * 2 + [(ZERO_NM / HULL.inertia_kgm2) ** 2]
-    np.testing.assert_allclose(grown, np.diag([0.0] * 6 + d2), atol=1e-15)
+    np.testing.assert_allclose(grown, np.diag([0.0] * 6 + d2 + [0.0] * 2), atol=1e-15)
     assert ask(turning, HULL, (2.0, 0.0, 0.0)).P == turning.P  # they have turned all the time
     assert ask(turning, HULL, (0.0, 0.0, 0.0)).P[8][8] > turning.P[8][8]
 
@@ -219,73 +225,20 @@ def test_a_stray_fix_is_refused_and_five_of_them_are_right() -> None:
     assert belief.restarts == 1 and belief.pose == far and belief.covariance == R and belief.refused == 0
 
 
+def test_what_was_learnt_of_a_body_is_kept_when_all_starts_again() -> None:
+    belief = at_speed(0.15, 0.1)._replace(asked=(3.0, 2.0, 0.2))
+    for k in range(1, 20):
+        belief = predict(belief, HULL, DRIFT, k * 100_000_000)
+        belief = add_fix(belief, (*belief.x[:2], belief.x[2] + 0.004), R, NOTHING)
+    before = belief
+    for _ in range(REFUSALS):
+        belief = add_fix(belief, (2.0, 1.0, 0.0), R, NOTHING)
+    learnt = [np.array(b.P)[9:11, 9:11] for b in (before, belief)]
+    assert belief.restarts == 1 and belief.x[9:11] == before.x[9:11] and before.x[9] != 0.0
+    assert (learnt[0] == learnt[1]).all() and learnt[0][0, 0] < FIRST_LEARNT[0]
+
+
 def test_yaw_goes_round() -> None:
     belief = begin(0, (1.0, 1.0, 3.14), R)
     corrected = add_fix(belief, (1.0, 1.0, -3.14), R, NOTHING)
     assert abs(abs(corrected.x[2]) - np.pi) < 0.002 and corrected.refused == 0
-
-
-# --- events in any order ----------------------------------------------------------------------------------------
-
-
-def story(rng):
-    """0.75 s of events of all kinds."""
-    events, first_ns = [], 10 * S
-    for k in range(15):
-        events.append(asked(first_ns + 50_000_000 * k, tuple(rng.uniform(-1, 1, 3) * [3.0, 3.0, 0.4])))
-    for k in range(7):
-        events.append(fix(first_ns + 7_000_000 + 100_000_000 * k, tuple(START + rng.normal(0, 0.003, 3)), R, R))
-    for k in range(14):
-        events.append(rate(first_ns + 3_000_000 + 50_000_000 * k, float(rng.normal(0, 0.01))))
-    for key, nows in ((107, (207, 307, 407)), (407, (507, 607))):
-        for now in nows:
-            moved = tuple(rng.normal(0, 0.003, 3))
-            events.append(flow(first_ns + now * 1_000_000, first_ns + key * 1_000_000, moved, FLOW))
-    return events
-
-
-def ring():
-    return EventRing(begin(10 * S - 100_000_000, START, R, gyro=True), HULL, DRIFT)
-
-
-def test_any_order_of_arrival_gives_the_same_bytes() -> None:
-    events = story(np.random.default_rng(8))
-    ends = set()
-    for seed in range(3):
-        here = ring()
-        for event in sorted(events) if seed == 0 else random.Random(seed).sample(events, len(events)):
-            here.add(event)
-        assert here.dropped == 0 and here.newest.restarts == 0 and here.newest.key_ns == 10 * S + 407_000_000
-        ends.add(repr([here.newest, here.at(10 * S + 350_000_000), here.at(11 * S)]))
-    assert len(ends) == 1
-    in_step = ring()
-    for event in sorted(events):  # as they would come in time, with the ring moving on
-        in_step.advance(event.t_ns)
-        in_step.add(event)
-    assert repr([in_step.newest, in_step.at(10 * S + 350_000_000), in_step.at(11 * S)]) in ends
-
-
-def test_what_comes_too_late_is_counted_and_changes_nothing() -> None:
-    here, late = ring(), story(np.random.default_rng(8))[17]
-    for k in range(100):
-        now_ns = 10 * S + k * 50_000_000
-        here.add(asked(now_ns, (1.0, 0.0, 0.0)))
-        here.advance(now_ns)
-    before = here.newest
-    here.add(late)
-    assert here.dropped == 1 and here.newest == before
-    here.add(fix(now_ns - RING_NS + 60_000_000, before.pose, R, R))
-    assert here.dropped == 1 and here.newest != before
-
-
-def test_beliefs_are_kept_for_a_sweep() -> None:
-    here, beliefs = ring(), {}
-    for k in range(200):
-        now_ns = 10 * S + k * 50_000_000
-        here.add(asked(now_ns, (1.0, 0.5, 0.1)))
-        here.advance(now_ns)
-        beliefs[now_ns] = here.newest
-    assert here.at(now_ns - KEEP_NS) == beliefs[now_ns - KEEP_NS]
-    between = here.at(now_ns - KEEP_NS + 20_000_000)
-    assert between.t_ns == now_ns - KEEP_NS + 20_000_000 and between.x[0] != beliefs[now_ns - KEEP_NS].x[0]
-    assert here.at(now_ns - KEEP_NS - 60_000_000) is None
