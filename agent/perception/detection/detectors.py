@@ -25,9 +25,8 @@ from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.perception.tracking.follow import Follower
 from hw.picture_files import read_picture
 
-
-# Least score of a ball in a dark tank: lit from aside it has a shadow on it and an edge of two kinds, and scored 0.26 to
-# 0.73 in pictures of the twin. There is little else in the dark that is taken for one.
+# Least score of a ball in a dark tank: lit from aside it has a shadow on it and an edge of two kinds, and scored from
+# 0.26 on in pictures of the twin. There is little else in the dark that is taken for one.
 BY_LAMPS = 0.22
 
 
