@@ -12,8 +12,10 @@ from typing import Protocol, Self
 
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
-from agent.kernel.messages import Estimate, Image, LogLine, State, fault_kind
+from agent.kernel.lighting.words import Light
+from agent.kernel.messages import Estimate, Image, LogLine, State
 from agent.kernel.presence import Presence
+from agent.kernel.status import fault_kind
 from agent.kernel.step_io import DroppedPayloads, Heard
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
@@ -25,7 +27,7 @@ LAST_S = 0.5  # how long the end waits for a terminal
 
 class Network(Protocol):
     def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]: ...
-    def say(self, message: Estimate | Presence | Claim | Keyframe) -> None: ...
+    def say(self, message: Estimate | Presence | Claim | Keyframe | Light) -> None: ...
     def show(self, message: State | LogLine | Image) -> None: ...
 
 

@@ -140,6 +140,8 @@ class Runtime:
             self._network.say(claim)
         for keyframe in outputs.keyframes or ():
             self._network.say(keyframe)
+        for light in outputs.light or ():
+            self._network.say(light)
         for message in (*(() if outputs.state is None else (outputs.state,)), *outputs.log):
             self._network.show(message)
 

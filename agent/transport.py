@@ -18,6 +18,7 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
 from agent.kernel.presence import Presence
 from agent.kernel.step_io import DroppedPayloads, Heard
@@ -27,7 +28,7 @@ from agent.links.tokens import Tokens
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 
-Told = Presence | Claim | Keyframe
+Told = Presence | Claim | Keyframe | Light
 OBSERVED = 4096  # messages an observer keeps between two drains, oldest dropped first: a minute of three robots
 
 
@@ -81,7 +82,8 @@ class Transport:
         return self._inboxes.drain(self._clock())
 
     def _tells(self, session: Session, row: Topic) -> None:
-        """What neighbours tell each other beside estimates: where one that swims is, what a survey saw."""
+        """What neighbours tell each other beside estimates: where one that swims is, what a survey saw,
+        whose lamps burn."""
         for name in self._fleet.robot[self._robot].neighbours:
             key = topics.key(row, fleet=self._fleet.fleet, src=self._robot, dst=name)
             self._tell[name, row.message] = session.publisher(row, key)

@@ -11,7 +11,8 @@ from agent.demo.coverage import SurveyWatch
 from agent.demo.history import Histories
 from agent.kernel.coverage.rays import place_m, rotation
 from agent.kernel.keyframes.claim import Claim, View, count_of
-from agent.kernel.messages import State, fault_kind
+from agent.kernel.messages import State
+from agent.kernel.status import fault_kind
 
 
 def survey_table(histories: Histories, survey: SurveyWatch, title: str) -> Table:

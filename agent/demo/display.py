@@ -18,7 +18,8 @@ from agent.demo import following
 from agent.demo.history import Histories
 from agent.demo.summary import PASS_PERCENT, SIGMAS
 from agent.kernel.config import Fleet
-from agent.kernel.messages import State, fault_kind
+from agent.kernel.messages import LampState, State
+from agent.kernel.status import fault_kind
 from agent.kernel.topics import EVERY_FLEET
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
@@ -69,7 +70,9 @@ def progress_table(histories: Histories, title: str) -> Table:
         padding=(0, 1, 0, 0),
         show_edge=False,
     )
-    for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", "faults"):
+    lights = any(h.newest is not None and h.newest.lamp for of in histories.values() for h in of.values())
+    also = ("light",) if lights else ()
+    for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", *also, "faults"):
         least = FAULT_WIDTH if column == "faults" else len(column)
         table.add_column(column, no_wrap=column not in ("hears", "faults"), min_width=least)
     for target, of_target in histories.items():
@@ -89,8 +92,18 @@ def progress_row(state: State | None) -> tuple[str, ...]:
         " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) if state.posterior_m else "-",
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
         " ".join(hears(state)) or "-",
+        *((whose_light(state.robot, state.lamp),) if state.lamp else ()),
         ", ".join(map(fault_kind, state.faults)) or ("motors off" if state.armed is False else ""),
     )
+
+
+def whose_light(robot: str, lamp: LampState) -> str:
+    """Of the lamp of a robot, in a few characters: for whom it burns; of one that has the light, who gives it."""
+    if lamp.phase == "holds" and lamp.holder == robot:
+        return "by " + " ".join(lamp.lamps)
+    if lamp.phase == "obeys":
+        return f"for {lamp.holder}" if lamp.power else f"({lamp.holder})"
+    return "own" if lamp.power else "dark"
 
 
 BALL_SAYS = "rms: of its own measurements, in x y z. error: of its last estimate, in x y z and in all."

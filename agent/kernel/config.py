@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from agent.kernel.lighting.settings import Lighting
+
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
@@ -195,6 +197,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     depth_m: Positive = 0.40  # hover set-point
     look: Look = Look()
     calibration: str
+    lamp: bool = False  # it has one, on the second gimbal; for fleets with [lighting]
     behaviour: Behaviour | None = None  # of a robot that swims; none: it goes to its pose and stays there
 
 
@@ -266,4 +269,5 @@ class Fleet(Struct, frozen=True, kw_only=True):
     landmarks: Landmarks | None = None
     navigation: Navigation | None = None  # none: every robot is moored where `pose` says
     coverage: Coverage | None = None  # none: no keyframes, nobody says what it has seen
+    lighting: Lighting | None = None  # none: no lamp burns
     twin: Twin = Twin()

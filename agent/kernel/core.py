@@ -20,12 +20,12 @@ from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
+from agent.kernel.lamps.conduct import Lights
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
 from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.navigation.pursuit import Pursuit
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
-from agent.kernel.presence import Presence
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye
 from agent.kernel.ranging.cues import NoRange
@@ -34,10 +34,9 @@ from agent.kernel.ranging.own_pose import EXACT, OwnPose
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
-from agent.kernel.topics import NEAR, next_due_ns
+from agent.kernel.topics import next_due_ns
 
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
-NEAR_NS = round(1e9 / NEAR.hz)
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -63,13 +62,14 @@ class Agent:
         self.survey = Conduct(fleet, name, calibration, incarnation, self.swimmer)
         self.attitude = AttitudeLog()
         neighbours = self.swimmer.company.neighbours if self.swimmer else None
-        self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours, self.survey)
         self.status = Status(fleet.fleet, name, incarnation)
+        self.lights = Lights(fleet, name, calibration, incarnation, self.swimmer, self.status.log)
+        self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours, self.survey, self.lights)
         self.net = Net()
         self._signed = False
 
-        self._iterated_ns = self._say_due_ns = self._near_due_ns = self._show_due_ns = 0
-        self._said = self._told = self._shown = 0
+        self._iterated_ns = self._say_due_ns = self._show_due_ns = 0
+        self._said = self._shown = 0
 
     @property
     def current(self) -> TargetState:
@@ -105,10 +105,12 @@ class Agent:
             self.swimmer.feel(inputs.telemetry)
             self.swimmer.see(inputs.landmarks or (), inputs.flow or (), self.attitude, self.seek, now_ns)
         self.survey.see(inputs.blocks or (), self.attitude, self.seek, self.status, now_ns)
-        self.status.devices(self._with_faults(inputs, now_ns), self.attitude, now_ns)
-        outcome = self._measure(now_ns)
+        self.status.devices(inputs, self._faults(now_ns), self.attitude, now_ns)
+        outcome = self.lights.marked(self._measure(now_ns))
         self._iterate(now_ns)
+        self.lights.tick(self.attitude, now_ns)
         sweep = self._act(now_ns)
+        self.lights.burn(self.seek, self.current, self.attitude, now_ns)
         claims, keyframes = self.survey.say(now_ns)
         return Outputs(
             sweep=sweep,
@@ -116,10 +118,11 @@ class Agent:
             state=self._state(now_ns),
             log=self.status.log.fetch(now_ns),
             set_point=self._set_point(now_ns),
-            near=self._near(now_ns) or UNSET,
+            near=UNSET if self.swimmer is None else self.swimmer.say(self.attitude, now_ns) or UNSET,
             claims=claims,
             keyframes=keyframes,
-            lens=self.pursuit.lens(),
+            light=self.lights.say(now_ns),
+            lens=self.lights.lens(self.pursuit.lens()),
             outcome=outcome,
         )
 
@@ -127,7 +130,7 @@ class Agent:
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
         if self.swimmer is not None and (late := self.swimmer.localizer.settled(now_ns)) is not None:
             self.targets[late[0]].measure(late[1])
-        result = self.seek.finish(now_ns)
+        result = self.lights.judged(self.seek.finish(now_ns), self.seek, now_ns)
         if (remark := self.seek.remark()) is not None:
             self._note("warning", remark, now_ns)
         if result is None:
@@ -161,8 +164,9 @@ class Agent:
         return fix
 
     def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
-        ball, cues = self.current.ball, self._fleet.ranging.cues
-        return locate(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, cues, own)
+        ball = self.current.ball
+        outline, cues = self.lights.seen(peak, eye, ball, self._fleet.ranging.cues)
+        return locate(self._calibration, eye, outline, peak.lens_position, peak.sigma, ball, cues, own)
 
     def _sight(self, peak: Measurement, known: tuple[Belief, OwnPose], prior: Prior, now_ns: int) -> bool:
         """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also
@@ -177,7 +181,8 @@ class Agent:
 
     @property
     def _settling(self) -> bool:
-        return self.swimmer is not None and self.swimmer.localizer.settling
+        """A sweep has ended, and what it is worth is still to be known."""
+        return self.lights.judging or (self.swimmer is not None and self.swimmer.localizer.settling)
 
     def _iterate(self, now_ns: int) -> None:
         """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
@@ -196,7 +201,8 @@ class Agent:
     def _act(self, now_ns: int) -> SweepPlan | None:
         """Whose turn it is, gimbal and lens."""
         before = self.scheduler.target
-        if not self.seek.measuring and not self._settling and self.current.prior is None:
+        busy = self.seek.measuring or self._settling or self.lights.claims
+        if not busy and self.current.prior is None:
             self.scheduler.next({name: each.estimator.t for name, each in self.targets.items()}, self.pursuit.target)
         newest = self.attitude.newest
         level = None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
@@ -218,7 +224,10 @@ class Agent:
             return plan
         calm = self.swimmer is None or (self.swimmer.calm(now_ns) and self.current.name != self.pursuit.target)
         wanted = self.current.prior is None and not self._settling and calm
+        wanted = self.lights.may_sweep(self.seek, self.current, level, wanted, now_ns)
         plan = self.seek.act(now_ns, self.scheduler.target, level, self.current.believed_m, wanted)
+        if plan is not None:
+            self.lights.began(now_ns)
         if self.scheduler.target != before:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(now_ns, self.seek.pointing.steady_from_ns)
         return plan
@@ -235,15 +244,6 @@ class Agent:
             for neighbour in self._robot.neighbours
         )
 
-    def _near(self, now_ns: int) -> tuple[Presence, ...]:
-        """Tell each neighbour where a robot that swims is and where it goes."""
-        newest = self.attitude.newest
-        if self.swimmer is None or newest is None or now_ns < self._near_due_ns:
-            return ()
-        self._near_due_ns = next_due_ns(self._near_due_ns, NEAR_NS, now_ns)
-        self._told += 1
-        return self.swimmer.say(newest.depth_m, self._told, now_ns)
-
     def _state(self, now_ns: int) -> State | None:
         """One target after the other, so that each is shown at the same rate, however many there are."""
         if now_ns < self._show_due_ns:
@@ -257,7 +257,7 @@ class Agent:
         where = UNSET if self.swimmer is None else self.swimmer.localizer.shown(now_ns)
         does = UNSET if self.swimmer is None else self.swimmer.does
         target.last_state = msgspec.structs.replace(
-            state, mode=mode, signed=self._signed, whereabouts=where, behaviour=does
+            state, mode=mode, signed=self._signed, whereabouts=where, behaviour=does, lamp=self.lights.shown()
         )
         return target.last_state
 
@@ -272,13 +272,11 @@ class Agent:
         )
         return self.current.last_state
 
-    def _with_faults(self, inputs: Inputs, now_ns: int) -> Inputs:
-        """What is wrong by the kernel's own account, beside what the host says."""
-        told = () if inputs.faults is UNSET else inputs.faults
+    def _faults(self, now_ns: int) -> tuple[str, ...]:
+        """What is wrong by the kernel's own account."""
         ours = self.net.fault(now_ns)
         felt = () if self.swimmer is None else self.swimmer.faults(now_ns)
-        faults = (*told, *self.inbox.faults(now_ns), *felt, *(() if ours is None else (ours,)))
-        return msgspec.structs.replace(inputs, faults=faults) if faults else inputs
+        return (*self.inbox.faults(now_ns), *felt, *(() if ours is None else (ours,)))
 
     def _note(self, level: Level, text: str, now_ns: int) -> None:
         """A line of the log about the target that the camera is at; its name is needless where it is the only one."""
@@ -286,15 +284,16 @@ class Agent:
         self.status.log.note(level, about + text, now_ns)
 
     def _set_point(self, now_ns: int) -> SetPoint:
-        pan_us, tilt_us = self.seek.pointing.servos_us(now_ns)
         centre_us = round(self._fleet.body.servo_centre_us)
-        servos_us = pan_us, tilt_us, centre_us, centre_us
+        light, lamp_us = self.lights.command or (0.0, (centre_us, centre_us))
+        servos_us = (*self.seek.pointing.servos_us(now_ns), *lamp_us)
         if self.swimmer is None:
-            return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us)
+            return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us, light=light)
         ahead_n, left_n, moment_nm = self.swimmer.thrust(self.attitude.obeys(now_ns), self.current.believed_m, now_ns)
         return SetPoint(
             depth_m=self.swimmer.depth_m(now_ns),
             force_n=(ahead_n, left_n),
             yaw_moment_nm=moment_nm,
             servos_us=servos_us,
+            light=light,
         )

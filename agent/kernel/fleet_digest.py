@@ -31,6 +31,9 @@ def common(fleet: Fleet) -> str:
         shared["landmarks"] = _landmarks(fleet.landmarks)
     if fleet.coverage is not None:
         shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
+    if fleet.lighting is not None:  # who has which lamp, and when it is lent
+        shared["lighting"] = msgspec.to_builtins(fleet.lighting)
+        shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
     text = msgspec.json.encode(_plain(shared), order="sorted")
     return hashlib.sha256(text).hexdigest()[:16]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from agent.kernel.lamps.light_rules import broken_light_rules
 from agent.kernel.navigation.swim_rules import broken_swim_rules
 from agent.kernel.navigation.tags.landmark_rules import broken_landmark_rules
 
@@ -42,6 +43,7 @@ def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     if fleet.landmarks is not None:
         yield from broken_landmark_rules(fleet.landmarks, fleet.tank)
     yield from broken_swim_rules(fleet)
+    yield from broken_light_rules(fleet)
     yield from _device_rules(fleet)
 
 

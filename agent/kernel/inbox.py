@@ -10,13 +10,14 @@ from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Tank
 from agent.kernel.coverage.conduct import Conduct
 from agent.kernel.estimation.evidence_checks import inside, is_covariance
+from agent.kernel.lamps.conduct import Lights
 from agent.kernel.messages import Estimate
 from agent.kernel.navigation.neighbours import Neighbours
 from agent.kernel.presence import Presence
 from agent.kernel.status import Status
 from agent.kernel.step_io import DroppedPayloads, Heard
 from agent.kernel.target_state import TargetState
-from agent.kernel.topics import NEAR
+from agent.kernel.topics import LIGHT, NEAR
 
 FOR_PEOPLE = ("clock", "fleet file", "schema")  # refusals that somebody has to put right
 FAULT_NS = 10_000_000_000  # how long such a thing is told after it was last seen
@@ -33,11 +34,13 @@ class Inbox:
         schema: int,
         neighbours: Neighbours | None = None,
         survey: Conduct | None = None,
+        lights: Lights | None = None,
     ) -> None:
         """common: digest of what all fleet files share. schema: of the messages that are taken in. neighbours: where
-        they are, of a robot that swims. survey: what is told of what was seen."""
+        they are, of a robot that swims. survey: what is told of what was seen.
+        lights: what is told of lamps."""
         self._targets, self._tank, self._common, self._neighbours = targets, tank, common, neighbours
-        self._survey = survey
+        self._survey, self._lights = survey, lights
         self._accepted = frozenset({schema})
         self.refused: dict[str, int] = {}
         self._faults: dict[tuple[str, str], tuple[str, int]] = {}  # neighbour and kind: what is wrong, and when last
@@ -71,6 +74,9 @@ class Inbox:
                 raise Refusal("fleet file", "it swims, and our file has no [navigation]; give all robots the same file")
             presence = decode(item.payload, Presence, NEAR.limit, self._accepted)
             self._neighbours.hear(item.src, presence, item.arrived_ns)
+            return
+        if item.topic == LIGHT.name and self._lights is not None:
+            self._lights.hear(item, self._accepted)
             return
         if item.topic is not UNSET and self._survey is not None:
             self._survey.hear(item, self._accepted)

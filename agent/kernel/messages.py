@@ -198,6 +198,20 @@ class Whereabouts(Message, frozen=True, kw_only=True):
     yaw_sigma_deg: Annotated[float, means("degrees")]
 
 
+class LampState(Message, frozen=True, kw_only=True):
+    """A robot's lamp, and whose light it is. Obeys: it burns, or is dark, as a neighbour's lease says."""
+
+    power: Annotated[float, Meta(ge=0, le=1), means("share of its full power, as commanded")]
+    pan_deg: Annotated[float, means("degrees, as its gimbal is told; positive to the left")]
+    tilt_deg: Annotated[float, means("degrees, likewise; positive upwards")]
+    phase: Annotated[Literal["free", "asks", "holds", "obeys"], means("free: nobody's lease is known")]
+    lease: Annotated[Count, means("number of the lease; 0: none")] = 0
+    holder: Annotated[Id | None, means("the robot that asks for it or holds it; null: none")] = None
+    lamps: Annotated[tuple[Id, ...], means("whose lamps burn by it, as its holder knows")] = ()
+    load: Annotated[float, means("how warm it is, or how empty the battery: 1 is at its limit")] = 0.0
+    spoiled: Annotated[Count, means("own sweeps discarded so far because a lamp changed in them")] = 0
+
+
 class State(Message, frozen=True, kw_only=True):
     """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
 
@@ -238,6 +252,7 @@ class State(Message, frozen=True, kw_only=True):
     behaviour: Annotated[
         str | UnsetType, means("what a robot that swims does now: the kind in the fleet file; left out: it is moored")
     ] = UNSET
+    lamp: Annotated[LampState | UnsetType, means("left out: its fleet has no [lighting]")] = UNSET
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
     faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()
@@ -267,11 +282,6 @@ class Image(Message, frozen=True, kw_only=True):
     enhanced: Annotated[bool, means("false: as the camera gave it")]
     focus: Annotated[int | None, means("lens position, once at rest, in the camera's own steps")] = None
     jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG), means("the whole file, JPEG")]
-
-
-def fault_kind(fault: str) -> str:
-    """Which of State.faults this is, whatever its words."""
-    return fault.partition(":")[0]
 
 
 def _finite(value: Any) -> bool:

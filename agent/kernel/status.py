@@ -10,7 +10,7 @@ from agent.kernel.control.attitude import AttitudeLog
 from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.logbook import Logbook
-from agent.kernel.messages import MAX_TEXT, NeighbourState, State, Symmetric, fault_kind
+from agent.kernel.messages import MAX_TEXT, NeighbourState, State, Symmetric
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix
 from agent.kernel.step_io import Inputs, SweepOutcome
@@ -34,8 +34,9 @@ class Status:
     def start(self, now_ns: int) -> None:
         self._started_ns = now_ns
 
-    def devices(self, inputs: Inputs, attitude: AttitudeLog, now_ns: int) -> None:
-        """Notice devices that fell silent, devices that came back, and what else is said to be wrong."""
+    def devices(self, inputs: Inputs, ours: tuple[str, ...], attitude: AttitudeLog, now_ns: int) -> None:
+        """Notice devices that fell silent, devices that came back, and what else is said to be wrong; ours: by the
+        kernel itself, beside what the host says."""
         for sighting in inputs.sightings:
             self._frame_ns = now_ns
             self._lens_position = sighting.focus if sighting.focus is not None else self._lens_position
@@ -48,7 +49,7 @@ class Status:
         elif attitude.newest is not None and attitude.newest.ladder > 0:
             faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
         told = () if inputs.faults is UNSET else inputs.faults
-        self._show_faults((*faults, *(text[:MAX_TEXT] for text in told)), now_ns)
+        self._show_faults((*faults, *(text[:MAX_TEXT] for text in (*told, *ours))), now_ns)
 
     def _show_faults(self, faults: tuple[str, ...], now_ns: int) -> None:
         """Log what has changed since the last step. Of a fault whose words change, now and then the newest."""
@@ -140,3 +141,8 @@ def sweep_outcome(target: str, result: Measurement | Rejected, fix: Fix | NoRang
 def sigma_m(covariance_m2: Symmetric) -> float:
     """Root of the trace: the expected 3-D error."""
     return math.sqrt(covariance_m2[0] + covariance_m2[3] + covariance_m2[5])
+
+
+def fault_kind(fault: str) -> str:
+    """Which of State.faults this is, whatever its words."""
+    return fault.partition(":")[0]

@@ -12,6 +12,7 @@ from msgspec import UNSET, Meta, UnsetType
 
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
 from agent.kernel.presence import Presence
 
@@ -104,7 +105,7 @@ class Heard(Message, frozen=True, kw_only=True):
     arrived_ns: int
     src: Id  # from the key it came on
     payload: bytes
-    topic: Literal["near", "claim", "keyframe"] | UnsetType = (
+    topic: Literal["near", "claim", "keyframe", "light"] | UnsetType = (
         UNSET  # the row of topics.py that its key is of; unset: link
     )
 
@@ -168,6 +169,8 @@ class SweepOutcome(Message, frozen=True, kw_only=True):
     quality: float | None = None  # correlation of curve and model, 0 to 1
     x_m: Vector | None = None  # where that puts the target: the prior
     rejected: str = ""  # why there is no prior
+    lamps: tuple[Id, ...] | UnsetType = UNSET  # that it took to burn meanwhile; unset: no light was asked for
+    lit: tuple[Id, ...] | UnsetType = UNSET  # and that burned, as their robots said
 
 
 class Outputs(Message, frozen=True, kw_only=True):
@@ -179,5 +182,6 @@ class Outputs(Message, frozen=True, kw_only=True):
     near: tuple[Presence, ...] | UnsetType = UNSET  # where a robot that swims is, to its neighbours; unset: not now
     claims: tuple[Claim, ...] | UnsetType = UNSET  # where it looks next and what it holds; unset: not now
     keyframes: tuple[Keyframe, ...] | UnsetType = UNSET  # what was seen, to neighbours that lack it; unset: nothing
+    light: tuple[Light, ...] | UnsetType = UNSET  # whose lamps burn, to neighbours; unset: not now
     lens: int | UnsetType | None = UNSET  # position between sweeps from now on; none: for landmarks; unset: as before
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.lighting.words import Light
 from agent.kernel.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
 from agent.kernel.presence import Presence
 
@@ -45,6 +46,10 @@ CLAIM = Topic(
 KEYFRAME = Topic(
     "keyframe", "aucamp/{fleet}/keyframe/{src}/{dst}", Keyframe, 0.0, QoS("DATA", "RELIABLE", 2), "src", limit=2048
 )
+# Of a fleet with [lighting]: whose lamps burn. The newest stands for those before it. Twice as often about a sweep.
+LIGHT = Topic(
+    "light", "aucamp/{fleet}/light/{src}/{dst}", Light, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src", limit=1024
+)
 STATE = Topic(
     "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
 )
@@ -61,7 +66,7 @@ IMAGE = Topic(
     limit=MAX_JPEG + 1024,
 )
 
-TOPICS = (LINK, NEAR, CLAIM, KEYFRAME, STATE, LOG, IMAGE)
+TOPICS = (LINK, NEAR, CLAIM, KEYFRAME, LIGHT, STATE, LOG, IMAGE)
 
 # Liveliness tokens: who is listed, never whose word counts. Two agents of one name differ in their sessions.
 ALIVE = "aucamp/{fleet}/alive/{robot}/{session}"

@@ -18,14 +18,19 @@ from msgspec import UNSET
 from agent.kernel import topics
 from agent.kernel.config import Fleet
 from agent.kernel.step_io import DroppedPayloads, Heard
-from agent.kernel.topics import CLAIM, KEYFRAME, LINK, NEAR, Topic
+from agent.kernel.topics import CLAIM, KEYFRAME, LIGHT, LINK, NEAR, Topic
 from router_config.door import Sample, unusable
 
 KEPT = LINK.qos.buffer
 FASTEST_HZ = 40.0  # twice what a fleet file may ask for: who speaks more often for long floods
 BURST = 64.0  # messages that may come at once after a cable was out: links are given up after two seconds of silence
 
-NAMES: Mapping[Topic, Literal["near", "claim", "keyframe"]] = {NEAR: "near", CLAIM: "claim", KEYFRAME: "keyframe"}
+NAMES: Mapping[Topic, Literal["near", "claim", "keyframe", "light"]] = {
+    NEAR: "near",
+    CLAIM: "claim",
+    KEYFRAME: "keyframe",
+    LIGHT: "light",
+}
 
 STRANGER = "unknown sender"
 FLOOD = "flood"
@@ -34,7 +39,8 @@ FLOOD = "flood"
 def rows_of(fleet: Fleet) -> tuple[Topic, ...]:
     """What neighbours of this fleet tell each other beside estimates."""
     swims = () if fleet.navigation is None else (NEAR,)
-    return swims if fleet.coverage is None else (*swims, CLAIM, KEYFRAME)
+    lights = () if fleet.lighting is None else (LIGHT,)
+    return (*swims, *lights) if fleet.coverage is None else (*swims, *lights, CLAIM, KEYFRAME)
 
 
 class _Inbox:

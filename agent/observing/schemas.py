@@ -14,6 +14,7 @@ import msgspec
 from agent.kernel import messages, topics
 from agent.kernel.codec import encoding
 from agent.kernel.keyframes import claim, keyframe
+from agent.kernel.lighting import words
 from agent.kernel.messages import SCHEMA, Message
 from agent.kernel.topics import TOPICS
 
@@ -45,7 +46,7 @@ def schema(kind: type[Message]) -> dict[str, Any]:
 
 def _struct(name: str) -> Any:
     """A part of a message, by its name."""
-    return next(getattr(home, name) for home in (messages, claim, keyframe) if hasattr(home, name))
+    return next(getattr(home, name) for home in (messages, claim, keyframe, words) if hasattr(home, name))
 
 
 def index() -> dict[str, Any]:

@@ -75,6 +75,7 @@ class Vision:
         self._out: deque[Sighting] = deque(maxlen=QUEUE)
         self._views: deque[BlockPeaks] = deque(maxlen=2)
         self._thread = Thread(target=self._run, name="vision", daemon=True)
+        self._rest: int | None = None
         self._last: dict[str, Sighting] = {}  # of each target, in the last frame in which it was looked for
         self._lens_position: int | None = None  # as the device reported it
         self._frozen_watch = FrozenWatch()
@@ -109,6 +110,7 @@ class Vision:
 
     def rest(self, lens_position: int | None) -> None:
         """Where the lens shall be between sweeps, as near to it as landmarks allow; None: where they are sharpest."""
+        self._rest = lens_position
         if self._landmarks is not None:
             self._landmarks.rest_at(lens_position)
 
@@ -177,6 +179,8 @@ class Vision:
         if plan is None:
             if self._landmarks is not None and (sharp := self._landmarks.due(self._lens_position)) is not None:
                 self._rest_lens(camera, self._landmarks, sharp)
+            elif self._rest not in (None, self._lens_position) and camera.focus_range() is not None:
+                self._lens_position = camera.set_focus(self._rest)
             self._look(camera, tuple(self._detectors))
             idle_s = self._landmarks.wait_s(self._clock.now_ns()) if self._landmarks else IDLE_PERIOD_S
             self._wait(part, idle_s, until_plan=True)
@@ -260,10 +264,7 @@ class Vision:
     def sight(
         self, frame: Frame, target: str, lens_position: int | None, sweep: int, index: int, first: Sighting | None
     ) -> Sighting:
-        """What one frame taken at a lens position shows of a target; `first`: the sweep's first that found it.
-
-        Replay calls it as well.
-        """
+        """What one frame at a lens position shows of a target; `first`: of its sweep that found it. Replay calls it."""
         detector = self._detectors[target]
         find = partial(detector.find, offset_px=(frame.roi.x, frame.roi.y), lens_position=lens_position)
         enhance = self._settings.enhance and not detector.remembers

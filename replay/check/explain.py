@@ -11,7 +11,7 @@ from msgspec import UNSET
 
 from agent.kernel.codec import decode
 from agent.kernel.config import ConfigError
-from agent.kernel.messages import Explain, LogLine, State
+from agent.kernel.messages import Explain, LampState, LogLine, State
 from agent.kernel.step_io import Outputs, SweepOutcome
 from replay.check.black_box import STEP_BYTES, open_box
 from replay.files.suspect import suspecting
@@ -173,6 +173,8 @@ def sentences(moment: Moment) -> list[str]:
         lines.append(f"Epoch {why.epoch.counter}, opened by {why.epoch.proposer}: the target is {what}.")
     if state.behaviour is not UNSET:
         lines.append(f"What it does: {state.behaviour}.")
+    if state.lamp is not UNSET:
+        lines.append(f"{_lamp(state.robot, state.lamp)}.")
     lines += [f"Fault: {fault}." for fault in state.faults]
     lines += [f"Refused so far: {count} x {kind}." for kind, count in state.refused.items()]
     lines += [f"log, {line.level}: {line.text}" for line in moment.log]
@@ -189,7 +191,23 @@ def _sweep(outcome: SweepOutcome) -> str:
         said.append(f"which puts the target at {_place(outcome.x_m, None)}")
     if outcome.rejected:
         said.append(f"rejected: {outcome.rejected}")
+    if outcome.lamps is not UNSET and outcome.lit is not UNSET:
+        said.append(f"by the light of {' and '.join(outcome.lamps) or 'nobody'}")
+        if outcome.lamps != outcome.lit:
+            said.append(f"while that of {' and '.join(outcome.lit) or 'nobody'} burned, as they say")
     return f"Sweep {outcome.sweep}: {', '.join(said)}."
+
+
+def _lamp(robot: str, lamp: LampState) -> str:
+    """Whose light there is, and what the own lamp does."""
+    own = f"Its lamp burns at {100 * lamp.power:.0f} %" if lamp.power else "Its lamp is dark"
+    if lamp.holder is None:
+        return f"{own}; nobody has asked for light"
+    lamps = " and ".join(lamp.lamps) or "nobody"
+    if lamp.holder != robot:
+        return f"{own}, by lease {lamp.lease} of {lamp.holder}, for which {lamps} light"
+    what = "asks" if lamp.phase == "asks" else "has the light"
+    return f"{own}; by its own lease {lamp.lease} it {what}, of {lamps}"
 
 
 def _knows(state: State) -> str:

@@ -96,7 +96,7 @@ def _heard(inputs: bytes) -> list[tuple[str, bytes]]:
 
 def _said(outputs: bytes) -> list[tuple[str, bytes]]:
     """What a step said to whom: its very bytes, which need not be of today's version."""
-    found = [*_list(outputs, "says"), *_list(outputs, "near"), *_list(outputs, "claims"), *_list(outputs, "keyframes")]
+    found = [each for field in ("says", "near", "claims", "keyframes", "light") for each in _list(outputs, field)]
     if not all(isinstance(each.get("dst"), str) for each in found):
         raise Refusal("content", "a message said to nobody")
     return [(each["dst"], bytes(msgpack.packb(each))) for each in found]

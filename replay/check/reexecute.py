@@ -12,15 +12,18 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from typing import Any, Literal, NamedTuple
 
+from msgspec import UNSET
+
 from agent.clock import machine
 from agent.kernel.codec import READABLE, Refusal, decode, encode
 from agent.kernel.core import Agent
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.lighting.words import Light
 from agent.kernel.messages import SCHEMA, Estimate
 from agent.kernel.presence import Presence
 from agent.kernel.step_io import Heard, Inputs
-from agent.kernel.topics import CLAIM, KEYFRAME, NEAR
+from agent.kernel.topics import CLAIM, KEYFRAME, LIGHT, NEAR
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences, written
 from replay.check.older import must_differ, note
@@ -241,6 +244,10 @@ def heard_words(heard: Heard) -> str:
     if heard.topic == KEYFRAME.name:
         k = decode(heard.payload, Keyframe, accepted=READABLE).frame
         return f"keyframe {k.number} of {k.origin}"
+    if heard.topic == LIGHT.name:
+        said = decode(heard.payload, Light, accepted=READABLE)
+        asks = "" if said.lease is UNSET else f", lease {said.lease.number}{'' if said.lease.granted else ' asked for'}"
+        return f"seq {said.seq}, its lamp at {100 * said.lamp.power:.0f} %{asks}"
     e = decode(heard.payload, Estimate, accepted=READABLE)
     return f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
 

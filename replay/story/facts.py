@@ -14,7 +14,8 @@ from typing import Any
 
 from agent.kernel import topics
 from agent.kernel.codec import READABLE, Refusal, decode
-from agent.kernel.messages import State, Vector, fault_kind
+from agent.kernel.messages import State, Vector
+from agent.kernel.status import fault_kind
 from agent.kernel.step_io import Outputs
 from replay.check.black_box import STEP_BYTES
 from replay.files.channels import STEP_OUT, network_topic

@@ -22,6 +22,7 @@ from agent.kernel.codec import decode, encode
 from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet
+from agent.kernel.lighting.settings import Lighting, WaterOptics
 from agent.kernel.messages import Estimate, Vector
 from agent.kernel.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
 from agent.keys.key_files import public_bytes
@@ -51,10 +52,14 @@ class Case(NamedTuple):
     wrong_m: float = 0.0  # by which r3 was surveyed wrongly along x: it is convinced of another place
     signed: bool = False  # robots have keys
     forged: tuple[float, float] = (0.0, 0.0)  # r2 tells r1 what r3 never said
+    lit: bool = False  # robots have lamps, and light for each other
     fleet: str = "tank"
     targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
 
 
+HARBOUR = Lighting(
+    water=WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82, 1.82, 1.82)),
+)
 KEY = {name: Ed25519PrivateKey.from_private_bytes(name.encode() * 16) for name in ("r1", "r2", "r3")}  # no secrets
 TWO_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}  # as hw/twin/scenes/two_balls.toml has them
 
@@ -66,6 +71,7 @@ CASES = {
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
     "push": Case("evidence", 18.0, pushed=(11.0, 12.5)),
     "signed": Case("evidence", 16.0, signed=True, forged=(11.0, 13.0)),
+    "lit": Case("evidence", 16.0, lit=True),
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
 }
 TORN = "torn"  # r1 of `three`, cut
@@ -163,7 +169,11 @@ class Robot:
         outputs = self.agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
         self.box.add(now_ns, inputs, encode(outputs))
         self.act(outputs.set_point, outputs.sweep)
-        return [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(self.sign(e)))) for e in outputs.says]
+        words = [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(self.sign(e)))) for e in outputs.says]
+        for light in outputs.light or ():
+            heard = Heard(arrived_ns=now_ns, src=self.name, payload=encode(light), topic="light")
+            words.append((light.dst, heard))
+        return words
 
     def act(self, set_point: SetPoint, sweep: SweepPlan | None) -> None:
         self.motors.send(set_point, self.clock.now_ns)
@@ -231,6 +241,9 @@ def fleet_of(case: Case) -> Fleet:
         name: replace(fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names))
         for name in names
     }
+    if case.lit:
+        robots = {name: replace(robot, lamp=True) for name, robot in robots.items()}
+        fleet = replace(fleet, lighting=HARBOUR)
     return replace(fleet, robot=robots, estimation=replace(fleet.estimation, protocol=case.protocol))
 
 

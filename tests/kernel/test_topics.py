@@ -10,6 +10,7 @@ from agent.kernel.topics import (
     ALL,
     CLAIM,
     KEYFRAME,
+    LIGHT,
     LINK,
     LOG,
     NEAR,
@@ -80,7 +81,7 @@ def test_every_row_has_a_message_and_room_for_two_seconds_of_it_unless_the_newes
     row: Topic,
 ) -> None:
     assert issubclass(row.message, Message)
-    assert row.qos.buffer == 2 if row in (LINK, NEAR, CLAIM, KEYFRAME) else row.qos.buffer >= 2 * row.hz
+    assert row.qos.buffer == 2 if row in (LINK, NEAR, CLAIM, KEYFRAME, LIGHT) else row.qos.buffer >= 2 * row.hz
 
 
 def test_a_token_leads_back_to_its_chunks() -> None:

@@ -12,6 +12,7 @@ from agent.kernel.ranging.calibration import FocusFit
 
 TRACK_STEPS = 7
 TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
+EXPECTED_SPAN = 1.5  # half span of a first sweep around where others say that a target is, likewise
 HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
 FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
 PAST_INFINITY = 0.5  # and infinity by so many peak half-widths: a far target's peak has two flanks, too
@@ -32,6 +33,12 @@ def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
 def track_positions(lens_position: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
     """A few around that of the last peak, `span` half-widths to either side: wide enough to see both flanks."""
     return spread(lens_position - span * width, lens_position + span * width, TRACK_STEPS)
+
+
+def expected_positions(lens_position: float, width: float, full_steps: int) -> tuple[int, ...]:
+    """Half as many as of a full sweep, around where a target is believed to be: both flanks, and room for a doubt."""
+    half_span = EXPECTED_SPAN * width
+    return spread(lens_position - half_span, lens_position + half_span, max(full_steps // 2, 2 * TRACK_STEPS))
 
 
 def home_position(lens_positions: Sequence[int], fit: FocusFit) -> int:

@@ -8,7 +8,7 @@ from agent.kernel.config import Fleet, Pose, Robot
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import Pointing, Search, off_centre_px, reachable
 from agent.kernel.control.roam import Roam
-from agent.kernel.control.sweep import Measurement, Rejected, Sweep
+from agent.kernel.control.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
@@ -42,6 +42,10 @@ class Seek:
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
+        self.lit_from_ns: int | None = (
+            0  # since when there is light where it looks; None: it is dark, and shows nothing
+        )
+        self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
         self.surveys = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
 
@@ -67,6 +71,8 @@ class Seek:
             self.roam is not None
             and sighting.target == self.roam.target
             and sighting.t_ns >= self.pointing.nearly_from_ns
+            and self.lit_from_ns is not None
+            and sighting.t_ns >= self.lit_from_ns
         ):
             self.roam.add_frame(sighting.found)
 
@@ -77,6 +83,19 @@ class Seek:
     def finish(self, now_ns: int) -> Measurement | Rejected | None:
         """The result of the sweep that ended since the last call, if one did; it is about the target of `act`."""
         return self._memory[self._target].sweep.finish(now_ns)
+
+    def take_back(self) -> None:
+        """The sweep that ended last does not count: the next one goes by what was known before it."""
+        self._memory[self._target].sweep.take_back()
+
+    def ready(self, target: str, now_ns: int) -> bool:
+        """Whether a sweep of that target could begin, were it in the middle of the picture."""
+        here = target == self._target and not self._elsewhere
+        return here and not self.measuring and self._memory[target].sweep.ready(now_ns)
+
+    def most_ns(self) -> int:
+        """How long a sweep of the target can take."""
+        return self._memory[self._target].sweep.most_ns
 
     def remark(self) -> str | None:
         """What is to be known about the lens, once."""
@@ -107,7 +126,7 @@ class Seek:
             if off_px <= CENTRED * self._camera.width_px:
                 if not wanted or attitude is None or not memory.sweep.ready(now_ns):
                     return None
-                plan = memory.sweep.start(now_ns)
+                plan = memory.sweep.start(now_ns, self.by_light)
                 return replace(plan, target=target) if len(self._memory) > 1 else plan
             self._turn_to_pixel(memory.seen.centre_px, attitude, now_ns)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds
@@ -118,7 +137,9 @@ class Seek:
         return None
 
     def _lost(self, memory: TargetMemory, now_ns: int) -> bool:
-        since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns)
+        if self.lit_from_ns is None:
+            return False
+        since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns, self.lit_from_ns)
         return now_ns - since_ns > LOST_NS
 
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int, swift: bool = False) -> None:

@@ -14,8 +14,11 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from agent.kernel.control.lens_positions import (
     TRACK_SPAN,
+    expected_positions,
     full_positions,
     home_position,
     short_of_infinity,
@@ -35,6 +38,7 @@ BOX_LIMIT = 0.12  # of a box's diagonal, if that is more: NanoTrack's box of a r
 # less than 4 px, and the worst full one saw 97.
 DRIFT_LIMIT_PX = 120.0
 TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
+ALIKE = 0.07  # of a ball's radius: three times what blur does to it in one sweep
 FOUND_SHARE = 0.7  # of a sweep's frames must show the target
 SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should, and has no more frames, is given up
 STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
@@ -66,6 +70,13 @@ class Rejected(NamedTuple):
     held_width: float | None = None  # as of a measurement, where a fit was made
 
 
+class ByLight(NamedTuple):
+    """What lamps change of a sweep in the dark."""
+
+    around: float | None  # lens position at which the target is expected: what is far from sharp does not show; or none
+    aside: bool  # others' lamps burn: some frames show the lit part of a ball as a ball of its own
+
+
 class Sweep:
     """Plans sweeps and collects their frames. The caller decides when the next may start."""
 
@@ -78,6 +89,8 @@ class Sweep:
         self._frames: list[Sighting] = []
         self._tilts: list[tuple[float, float]] = []  # roll and pitch since the sweep began, degrees
         self._last: Measurement | None = None  # the peak to track
+        self._by_light: ByLight | None = None
+        self._before: Measurement | None = None  # the one before it
         self._failures = 0  # in a row, of tracking sweeps while there is a peak to track, of full ones else
         self._halvings = 0  # of the full sweep's positions
         self._remark: str | None = None
@@ -91,11 +104,14 @@ class Sweep:
         """Whether the next sweep may start."""
         return not self.running and now_ns >= self._rest_until_ns
 
-    def start(self, now_ns: int) -> SweepPlan:
-        """Begin the next sweep: full when there is no peak to track."""
+    def start(self, now_ns: int, by_light: ByLight | None = None) -> SweepPlan:
+        """Begin the next sweep: full when there is no peak to track, and nothing is told of where one may be."""
+        self._by_light = by_light
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
             lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
+        elif by_light is not None and by_light.around is not None and self._failures % 2 == 0:
+            lens_positions = expected_positions(by_light.around, self._fit.width, self._full_steps)
         else:
             fewest = min(FEWEST_STEPS, self._full_steps)
             lens_positions = full_positions(self._fit, max(self._full_steps >> self._halvings, fewest))
@@ -127,10 +143,19 @@ class Sweep:
         result = self._result(number) if complete else Rejected(number, "not finished in time", too_long=True)
         self._plan = None
         if isinstance(result, Measurement):
-            self._last, self._failures, self._halvings = result, 0, 0
+            self._before, self._last, self._failures, self._halvings = self._last, result, 0, 0
         else:
             self._failed(result.too_long, now_ns)
         return result
+
+    def take_back(self) -> None:
+        """What was measured last is to be forgotten: the light changed in it, and its peak may be none."""
+        self._last = self._before
+
+    @property
+    def most_ns(self) -> int:
+        """How long a full sweep may take, if its frames come in time."""
+        return SLACK_NS + self._full_steps * STEP_NS
 
     def remark(self) -> str | None:
         """What a full sweep showed about the lens, once."""
@@ -152,7 +177,8 @@ class Sweep:
             self._last, self._failures, self._halvings = None, 0, int(too_long)
 
     def _result(self, number: int) -> Measurement | Rejected:
-        good = usable(number, self._frames, self._tilts)
+        aside = self._by_light is not None and self._by_light.aside
+        good = usable(number, alike(self._frames) if aside else self._frames, self._tilts)
         if isinstance(good, Rejected):
             return good
         if self._last is None and not self._remarked:
@@ -209,6 +235,19 @@ def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float
     if span(tilts_deg) > TILT_LIMIT_DEG:
         return f"tilted by {span(tilts_deg):.1f} degrees during the sweep"
     return None
+
+
+def alike(frames: Sequence[Sighting]) -> list[Sighting]:
+    """The frames of a sweep by light from aside, in which most show the disc of a ball and some its lit part alone, or
+    the other way round: those that are in the minority show nothing."""
+    radii = sorted(f.radius_px for f in frames if f.found and f.radius_px is not None)
+    if not radii:
+        return list(frames)
+    middle = radii[len(radii) // 2]
+    return [
+        f if f.radius_px is None or abs(f.radius_px - middle) <= ALIKE * middle else replace(f, found=False)
+        for f in frames
+    ]
 
 
 def step_limit_px(sighting: Sighting) -> float:

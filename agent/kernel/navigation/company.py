@@ -16,7 +16,9 @@ from agent.kernel.navigation.neighbours import Neighbours, content_fault
 from agent.kernel.navigation.pilot import Reference
 from agent.kernel.navigation.pose_filter import Belief
 from agent.kernel.presence import Presence
+from agent.kernel.topics import NEAR, next_due_ns
 
+NEAR_NS = round(1e9 / NEAR.hz)
 CLAIM_NS = 500_000_000  # of looking at landmarks, said anew ten times a second
 WAIT_WITHIN = 2.0  # times as unsure as where a look is due: until then one that finds another looking waits
 YIELD_NS = 500_000_000  # two that began at once have heard of it by now; the one whose name comes first goes on
@@ -31,6 +33,7 @@ class Company:
         self._at_once = max(1, (1 + len(self.neighbours.letters.senders)) // 3)  # so many look for landmarks
         self._looks_since_ns: int | None = None  # at landmarks
         self._goal: Reference | None = None  # where it was told to be last
+        self._due_ns = self._told = 0  # when it says so next, and how often it was due
 
     def velocity(
         self, wanted: Planar, here: Belief, to: Reference, things: Iterable[Disc], now_ns: int
@@ -54,8 +57,15 @@ class Company:
         first = sum(name < self._name for name in others)
         return now_ns - since_ns < YIELD_NS and first >= self._at_once
 
+    def due(self, now_ns: int) -> bool:
+        """Whether it is time to say where it is; asked once a step."""
+        if now_ns < self._due_ns:
+            return False
+        self._due_ns, self._told = next_due_ns(self._due_ns, NEAR_NS, now_ns), self._told + 1
+        return True
+
     def say(
-        self, here: Belief, behaviour: str, about: str | None, looks: bool, depth_m: float, seq: int, now_ns: int
+        self, here: Belief, behaviour: str, about: str | None, looks: bool, depth_m: float, now_ns: int
     ) -> tuple[Presence, ...]:
         """Where it is and where it goes, to each neighbour; about: the target of its behaviour; looks: its camera is at
         landmarks."""
@@ -65,7 +75,7 @@ class Company:
             src=self._name,
             dst=self._name,
             incarnation=self._incarnation,
-            seq=seq,
+            seq=self._told,
             sent_ns=now_ns,
             t_ns=now_ns,
             x_m=here.pose[0],

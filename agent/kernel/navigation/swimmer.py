@@ -275,12 +275,13 @@ class Swimmer:
         velocity = self.company.velocity(wanted_velocity(by, to), by, to, things, now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
 
-    def say(self, depth_m: float, seq: int, now_ns: int) -> tuple[Presence, ...]:
+    def say(self, attitude: AttitudeLog, now_ns: int) -> tuple[Presence, ...]:
         """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""
-        here = self.localizer.at(now_ns)
-        if here is None:
+        if (newest := attitude.newest) is None or not self.company.due(now_ns):
             return ()
-        return self.company.say(here, self.does, self.about, self._glancing, depth_m, seq, now_ns)
+        if (here := self.localizer.at(now_ns)) is None:
+            return ()
+        return self.company.say(here, self.does, self.about, self._glancing, newest.depth_m, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""

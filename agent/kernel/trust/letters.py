@@ -9,13 +9,9 @@ remembered, so that one wrong number does not silence a neighbour; one that insi
 
 from __future__ import annotations
 
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from agent.kernel.codec import Refusal
-from agent.kernel.keyframes.claim import Claim
-from agent.kernel.keyframes.keyframe import Keyframe
-from agent.kernel.messages import Estimate
-from agent.kernel.presence import Presence
 from agent.kernel.trust.transit import CLOCKS_NS, Transit
 
 SAID_HZ = 100  # messages of a neighbour on one key, at most: five times what a fleet file can ask for
@@ -23,7 +19,25 @@ AHEAD_S = 10  # of such messages that may be missing at any time
 INSISTS = 3  # messages in a row whose numbers fell back: a neighbour that had told a wrong one
 TWIN_NS = 10_000_000_000  # two starts of one robot that take turns within this time are two robots
 
-M = TypeVar("M", Estimate, Presence, Claim, Keyframe)
+
+class Addressed(Protocol):
+    """The head that all messages between robots have in common."""
+
+    @property
+    def fleet(self) -> str: ...
+    @property
+    def src(self) -> str: ...
+    @property
+    def dst(self) -> str: ...
+    @property
+    def incarnation(self) -> int: ...
+    @property
+    def seq(self) -> int: ...
+    @property
+    def sent_ns(self) -> int: ...
+
+
+M = TypeVar("M", bound=Addressed)
 
 
 class Letter(NamedTuple, Generic[M]):

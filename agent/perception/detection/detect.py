@@ -65,13 +65,14 @@ def find_ball(
     camera: CameraFit,
     origin_px: tuple[int, int] = (0, 0),
     colour: Colour | ColourModel = "red",
+    limit: float = LIMIT,
 ) -> Ball | None:
     """The most convincing ball of an image (height, width, 3) blue green red; None if there is none.
 
     `origin_px` is where the image's upper left pixel lies in the full frame. A ball that overflows the frame is
-    found while the frame shows 120 deg of its outline.
+    found while the frame shows 120 deg of its outline. limit: least score.
     """
-    balls = find_balls(image, camera, origin_px, colour)
+    balls = find_balls(image, camera, origin_px, colour, limit)
     return balls[0] if balls else None
 
 
@@ -80,13 +81,14 @@ def find_balls(
     camera: CameraFit,
     origin_px: tuple[int, int] = (0, 0),
     colour: Colour | ColourModel = "red",
+    limit: float = LIMIT,
 ) -> list[Ball]:
     """All balls of that colour, the most convincing first; of two that overlap only that one."""
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
     candidates = (_ball(picture, spot, camera, origin, model) for spot in spots(picture, model.hue_rad))
-    sure = [ball for ball in candidates if ball is not None and ball.score >= LIMIT]
+    sure = [ball for ball in candidates if ball is not None and ball.score >= limit]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
         if not any(math.dist(ball.centre_px, o.centre_px) < max(ball.radius_px, o.radius_px) for o in balls):

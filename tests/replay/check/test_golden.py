@@ -20,7 +20,7 @@ from replay.check.check import check, text
 from replay.check.vision_check import check_vision
 from tests.places import GOLDEN, ROOT
 
-CASES = ("three", "three_evidence", "outage", "liar", "empty", "push", "signed", "two", "torn", "seen", "survey")
+CASES = ("three", "three_evidence", "outage", "liar", "empty", "push", "signed", "lit", "two", "torn", "seen", "survey")
 TARGET_M = (0.76, 0.56, 0.07)  # of tests/network/scripted_agent.py
 
 

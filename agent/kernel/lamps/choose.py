@@ -1,0 +1,67 @@
+"""Which lamps to ask for: the rule of allocate.py, and what it costs those who lend.
+
+A lamp that is warm, or whose robot's battery runs low, is asked for only if the sweep gains as much by it as by
+borrowed light at all: the rule is asked twice, without and with the loaded ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from agent.kernel.config import Target
+from agent.kernel.lamps.lamp import LENDS_BELOW
+from agent.kernel.lighting.allocate import Choice, Lamp, Scene, allocate
+from agent.kernel.lighting.settings import Lighting
+from agent.kernel.lighting.words import LampNow
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.ranging.focus import lens_position
+
+LOADED = 0.5  # of what it may be, or empty: from there on a lamp costs
+THING_M = 0.05  # half of what a target is whose size nobody knows
+NEAREST_M = 0.05  # of a target, before the camera
+
+
+def scene_of(calibration: Calibration, eye: Eye, target: Target, target_m: Vector) -> Scene | None:
+    """What is about to be measured; None: too near to be."""
+    away = tuple(to - at for to, at in zip(target_m, eye.position_m, strict=True))
+    distance_m = math.sqrt(sum(x * x for x in away))
+    radius_m = target.radius_m or (0.5 * target.length_m if target.length_m else THING_M)
+    skin_m = distance_m - radius_m
+    if skin_m <= max(calibration.focus.u_inf_m, 0.0) + NEAREST_M:
+        return None
+    x, y, z = (part / distance_m for part in away)
+    fit = calibration.focus
+    travel = lens_position(fit, skin_m) - fit.rho0  # dh / drho = -b / travel^2
+    slope_mm = 1000.0 * abs(fit.b_m) / (travel * travel)
+    return Scene(eye.position_m, (x, y, z), target_m, radius_m, calibration.camera.f_px, slope_mm)
+
+
+def choose(
+    own: str | None, scene: Scene, places_m: Mapping[str, Vector], lamps: Mapping[str, LampNow], lighting: Lighting
+) -> Choice | None:
+    """Whose lamps shall burn. own: who sweeps, or None if it has no lamp; places_m: of all lamps that are known; lamps:
+    as their robots say. None: nobody has one."""
+    free = {name for name, lamp in lamps.items() if not lamp.cannot and lamp.load < LENDS_BELOW and name != own}
+    fresh = {name for name in free if lamps[name].load < LOADED}
+    first = _best(own, scene, places_m, fresh, lighting)
+    if fresh == free:
+        return first
+    second = _best(own, scene, places_m, free, lighting)
+    if first is None or second is None:
+        return first or second
+    return second if second.log_j > first.log_j + math.log1p(lighting.gain) else first
+
+
+def _best(
+    own: str | None, scene: Scene, places_m: Mapping[str, Vector], free: set[str], lighting: Lighting
+) -> Choice | None:
+    """By the rule. Of a robot without a lamp it starts from each of the others in turn."""
+    starts = [own] if own is not None else sorted(free)
+    choices = []
+    for start in starts:
+        lamps = {name: Lamp(place_m, name in free or name == start) for name, place_m in places_m.items()}
+        choices.append(allocate(start, scene, lamps, lighting))
+    return max(choices, key=lambda choice: round(choice.log_j, 6), default=None)

@@ -1,0 +1,300 @@
+"""Light as part of a robot's step: when it asks for a sweep, and which sweeps count.
+
+Of a fleet without [lighting] it does nothing. Else there is no sweep without a lease: the robot asks as soon as it
+knows where to look, looks and sweeps by the light that it got, and gives it back when all neighbours have said that
+nothing changed meanwhile. While nobody has a lease each lamp goes with its own camera.
+"""
+
+from __future__ import annotations
+
+import math
+
+from msgspec import UNSET, UnsetType
+from msgspec.structs import replace
+
+from agent.kernel.codec import Refusal, decode
+from agent.kernel.config import Cues, Fleet, Target
+from agent.kernel.control.attitude import Attitude, AttitudeLog
+from agent.kernel.control.seek import Seek
+from agent.kernel.control.sweep import ByLight, Measurement, Rejected
+from agent.kernel.lamps.aim import others
+from agent.kernel.lamps.aside import cues_by, whole
+from agent.kernel.lamps.choose import choose, scene_of
+from agent.kernel.lamps.own_lamp import OwnLamp
+from agent.kernel.lamps.talk import Talk
+from agent.kernel.lighting.allocate import Choice
+from agent.kernel.lighting.lease import lit_by
+from agent.kernel.lighting.proof import Spoiled
+from agent.kernel.lighting.words import MOST_HOLDS_S, MOST_WAITED, Lease, Light
+from agent.kernel.logbook import Logbook
+from agent.kernel.messages import LampState, Vector
+from agent.kernel.navigation.swimmer import Swimmer
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.ranging.cues import Outline
+from agent.kernel.ranging.focus import lens_position
+from agent.kernel.step_io import Heard, SweepOutcome
+from agent.kernel.target_state import TargetState
+from agent.kernel.topics import LIGHT
+
+LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
+MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed
+AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that gave nothing, the next time twice as long
+RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
+LENS_STEP = 0.25  # of the peak's half width: a blur by less is not worth moving the lens
+
+
+class Lights:
+    """Of one robot, between steps."""
+
+    def __init__(
+        self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, swimmer: Swimmer | None, log: Logbook
+    ) -> None:
+        self._fleet, self._name, self._calibration, self._swimmer, self._log = fleet, name, calibration, swimmer, log
+        lighting = self._lighting = fleet.lighting
+        self._talk = None if lighting is None else Talk(fleet, name, incarnation)
+        self._own = None if lighting is None else OwnLamp(fleet, name, lighting, swimmer)
+        self._granted_ns = self._served_ns = self._retry_ns = 0
+        self._swept = False  # a sweep began by the lease
+        self._fruitless = 0  # leases in a row without one
+        self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
+        self._assumed, self._burned = tuple[str, ...](), tuple[str, ...]()  # whose lamps it took to, and that did
+        self._lamps_m: tuple[Vector, ...] = ()  # where those are
+        self._spoiled = 0
+        self._lens: int | None = None  # where it rests between sweeps, as told
+        self._wanted_lens: float | None = None
+
+    def hear(self, item: Heard, accepted: frozenset[int]) -> None:
+        """A payload on a key of ours. Raises Refusal where it is not believed."""
+        if self._talk is None:
+            raise Refusal("fleet file", "it lights, and our file has no [lighting]; give all robots the same file")
+        said = decode(item.payload, Light, LIGHT.limit, accepted)
+        self._talk.hear(item.src, said, item.arrived_ns)
+
+    # --- sweeps -----------------------------------------------------------------------------------------------
+
+    @property
+    def claims(self) -> bool:
+        """Light is asked for or held, for the target that the camera is at."""
+        return self._talk is not None and self._talk.party.mine is not None
+
+    @property
+    def judging(self) -> bool:
+        """A sweep has ended whose light is not known to have stayed as it was."""
+        return self._pending is not None
+
+    def judged(self, result: Measurement | Rejected | None, seek: Seek, now_ns: int) -> Measurement | Rejected | None:
+        """What became of sweeps: one that ended now waits until all lamps are known not to have changed in it."""
+        if self._talk is None or self._own is None:
+            return result
+        if isinstance(result, Measurement):
+            self._pending = result
+            self._talk.end(now_ns)
+        elif result is not None:
+            self._fail(now_ns)
+            return result
+        if (pending := self._pending) is None:
+            return None
+        found = self._talk.verdict(self._own.now, now_ns)
+        if found is None:
+            return None
+        self._pending = None
+        self._over(now_ns)
+        if not isinstance(found, Spoiled):
+            self._fruitless = 0
+            return pending
+        self._spoiled += 1
+        seek.take_back()
+        return Rejected(pending.sweep, f"spoiled: {found.reason}", held_width=pending.held_width)
+
+    def seen(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, Cues]:
+        """The outline of a ball and the cues to its range, as the light leaves them in which it was swept."""
+        if self._talk is None or set(self._burned) <= {self._name}:
+            return peak.outline, cues
+        outline = whole(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, self._lamps_m)
+        return outline, cues_by(cues)
+
+    def lens(self, told: int | UnsetType | None) -> int | UnsetType | None:
+        """Where the lens shall be between sweeps: where the target is believed to be sharp, which out of focus does not
+        show in the dark. told: by whoever else moves it; of robots that swim landmarks have it."""
+        return told if self._talk is None or self._swimmer is not None or told is not UNSET else self._rest()
+
+    def marked(self, outcome: SweepOutcome | UnsetType) -> SweepOutcome | UnsetType:
+        """What came of a sweep, with the lamps that it was made by."""
+        if self._talk is None or outcome is UNSET:
+            return outcome
+        return replace(outcome, lamps=self._assumed, lit=self._burned)
+
+    # --- the step ---------------------------------------------------------------------------------------------
+
+    def tick(self, attitude: AttitudeLog, now_ns: int) -> None:
+        """Leases end and are granted."""
+        if (talk := self._talk) is None or self._own is None:
+            return
+        self._served_ns = self._served_ns or now_ns
+        before = talk.party.phase
+        talk.tick(now_ns)
+        phase = talk.party.phase
+        if phase == "holds" != before:
+            self._granted_ns, self._swept = now_ns, False
+        elif phase == "free" and before == "asks":
+            self._retry_ns = now_ns + RETRY_NS
+        if phase == "holds" and not self._swept and now_ns - self._granted_ns > LOOK_NS:
+            self._fail(now_ns)
+        self._own.tick(talk.party, attitude, now_ns)
+
+    def may_sweep(self, seek: Seek, target: TargetState, level: Attitude | None, wanted: bool, now_ns: int) -> bool:
+        """Whether a sweep may begin now, by light that is at rest; if not, light is asked for where one is wanted."""
+        if (talk := self._talk) is None or self._own is None or not wanted:
+            return wanted
+        phase = talk.party.phase
+        if phase == "holds":
+            lent = any(name != self._name for name in lit_by(talk.party))
+            seek.by_light = ByLight(self._expected(seek, target, level), lent)
+            return not self.judging and self._rests(now_ns)
+        knows_where = target.believed_m is not None or seek.sees(target.name, now_ns)
+        idle = phase == "free" and now_ns >= self._retry_ns and talk.acquainted(now_ns) and not self.judging
+        if idle and knows_where and level is not None and seek.ready(target.name, now_ns):
+            talk.ask(self._wish(seek, target, level, now_ns), now_ns)
+        return False
+
+    def began(self, now_ns: int) -> None:
+        """A sweep of the target begins with this step."""
+        if (talk := self._talk) is None or self._own is None:
+            return
+        talk.begin(self._own.now, now_ns)
+        self._swept = True
+        self._assumed, self._burned = lit_by(talk.party), talk.burned(self._own.now)
+        there = others(self._fleet, self._name, self._swimmer)
+        self._lamps_m = tuple(self._own.aim.place_m(*there[name]) for name in self._burned if name in there)
+        if self._name in self._burned:  # from beside the camera: nothing of the disc is dark
+            self._lamps_m = ()
+
+    def burn(self, seek: Seek, target: TargetState, attitude: AttitudeLog, now_ns: int) -> None:
+        """The own lamp as it shall burn from now on, and whether the camera sees by it."""
+        if self._talk is None or self._own is None:
+            return
+        keeps = seek.measuring or self.judging
+        self._own.burn(self._talk.party, seek, target.believed_m, keeps, attitude, now_ns)
+        seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
+        newest = attitude.newest
+        level = None if newest is None else attitude.at(newest.t_ns)
+        self._wanted_lens = self._expected(seek, target, level)
+
+    def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
+        """What is told to neighbours in this step."""
+        if self._talk is None or self._own is None:
+            return UNSET
+        return self._talk.say(self._own.now, self._own.dark, now_ns) or UNSET
+
+    @property
+    def command(self) -> tuple[float, tuple[int, int]] | None:
+        """Power of the own lamp, 0 to 1, and pulses of its gimbal, us; None: no lamps in this fleet."""
+        return None if self._own is None else (self._own.lamp.power, self._own.lamp.us)
+
+    def shown(self) -> LampState | UnsetType:
+        """For whoever looks."""
+        if self._talk is None or self._own is None:
+            return UNSET
+        party, own = self._talk.party, self._own.now
+        holder: str | None = None
+        lease, lamps = 0, tuple[str, ...]()
+        if party.bound is not None:
+            holder, lease = party.bound.holder, party.bound.lease.number
+            lamps = tuple(name for name, power in party.bound.lease.lamps if power > 0.0)
+        elif party.mine is not None:
+            holder, lease, lamps = self._name, party.mine.lease.number, lit_by(party)
+        return LampState(
+            power=own.power,
+            pan_deg=own.pan_deg,
+            tilt_deg=own.tilt_deg,
+            phase=party.phase,
+            holder=holder,
+            lease=lease,
+            lamps=lamps,
+            load=own.load,
+            spoiled=self._spoiled,
+        )
+
+    # --- what it comes from -----------------------------------------------------------------------------------
+
+    def _over(self, now_ns: int) -> None:
+        """The own lease is at its end."""
+        assert self._talk is not None
+        if self._talk.party.mine is not None:
+            self._served_ns = now_ns
+            self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
+        self._talk.release()
+        self._swept = False
+
+    def _fail(self, now_ns: int) -> None:
+        """The own lease showed nothing: the next one has more time to come, for others are waiting."""
+        self._fruitless += 1
+        self._over(now_ns)
+        self._retry_ns = now_ns + min(AGAIN_NS << min(self._fruitless, 9), LONGEST_AGAIN_NS)
+
+    def _rests(self, now_ns: int) -> bool:
+        """All lamps that this robot knows of are at rest, its own by the own lease."""
+        assert self._talk is not None and self._own is not None
+        return self._own.by_own_lease and self._talk.rests(self._own.now, now_ns)
+
+    def _lit_from(self, before: int | None, now_ns: int) -> int | None:
+        """Since when the camera sees by light that is meant for it."""
+        assert self._talk is not None and self._own is not None
+        phase = self._talk.party.phase
+        if phase == "holds":
+            if not self._rests(now_ns):
+                return None
+            return before if before is not None and before >= self._granted_ns else now_ns
+        return self._own.lamp.steady_ns if phase != "obeys" and self._own.now.power else None
+
+    def _expected(self, seek: Seek, target: TargetState, level: Attitude | None) -> float | None:
+        """Lens position at which the target would be sharp where it is believed to be; None: nobody knows."""
+        if target.believed_m is None or level is None:
+            return None
+        scene = scene_of(self._calibration, seek.eye(level), target.ball, target.believed_m)
+        if scene is None:
+            return None
+        return lens_position(self._calibration.focus, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
+
+    def _rest(self) -> int | UnsetType:
+        """Where the lens shall rest, when that has changed by enough."""
+        wanted, fit = self._wanted_lens, self._calibration.focus
+        if wanted is None or (self._lens is not None and abs(wanted - self._lens) < LENS_STEP * fit.width):
+            return UNSET
+        self._lens = round(max(wanted, 0.0))
+        return self._lens
+
+    def _wish(self, seek: Seek, target: TargetState, level: Attitude, now_ns: int) -> Lease:
+        """The lease to ask for."""
+        assert self._own is not None
+        waited = min((now_ns - self._served_ns) // 100_000_000, MOST_WAITED)
+        holds_ns = LOOK_NS + seek.most_ns() + MARGIN_NS
+        at_m = target.believed_m
+        lamps: tuple[tuple[str, float], ...] = ((self._name, 1.0),) if self._own.has else ()
+        choice = None if at_m is None else self._choice(seek, target, at_m, level)
+        if choice is not None:
+            lamps = tuple((name, 1.0) for name in choice.lamps)
+            self._tell(target.name, choice, now_ns)
+        return Lease(0, waited, min(holds_ns * 1e-9, MOST_HOLDS_S), False, at_m, lamps)
+
+    def _choice(self, seek: Seek, target: TargetState, at_m: Vector, level: Attitude) -> Choice | None:
+        """By the rule; None: the target is too near, or nobody has a lamp."""
+        assert self._talk is not None and self._own is not None and self._lighting is not None
+        scene = scene_of(self._calibration, seek.eye(level), target.ball, at_m)
+        if scene is None:
+            return None
+        aim, words = self._own.aim, dict(self._talk.party.words)
+        there = others(self._fleet, self._name, self._swimmer)
+        places_m = {name: aim.place_m(*at) for name, at in there.items() if name in words}
+        lamps = {name: words[name].said.lamp for name in places_m}
+        if self._own.has:
+            places_m[self._name], lamps[self._name] = aim.place_m(seek.pose, level), self._own.now
+        return choose(self._name if self._own.has else None, scene, places_m, lamps, self._lighting)
+
+    def _tell(self, target: str, choice: Choice, now_ns: int) -> None:
+        """Whose light it asks for, in the log; alone it is no news."""
+        if choice.lamps == (self._name,):
+            return
+        text = f"asks for light of {' and '.join(choice.lamps)} on '{target}': {choice.sigma_mm:.1f} mm expected"
+        self._log.note_seldom("info", f"light {target}", text, now_ns)

@@ -1,0 +1,127 @@
+"""A robot's own lamp in its step: how it burns, by whoever's light it is, and what is said of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from agent.kernel.config import Fleet
+from agent.kernel.control.attitude import Attitude, AttitudeLog
+from agent.kernel.control.seek import Seek
+from agent.kernel.lamps.aim import aim_of, looked_at
+from agent.kernel.lamps.lamp import LENDS_BELOW, Lamp, cannot, command, load, warmed
+from agent.kernel.lighting.lease import Bound, Party, lit_by
+from agent.kernel.lighting.settings import Lighting
+from agent.kernel.lighting.words import LampNow, Why
+from agent.kernel.messages import Vector
+from agent.kernel.navigation.swimmer import Swimmer
+
+AWAKE_NS = 1_000_000_000  # after a start nobody knows how the module's lamp burned before
+NEAR_US = 22  # of a lamp that goes with its camera: it stays where it is for less, 2 degrees
+STILL_M_S = 0.03  # a robot that swims faster does not lend: its lamp would move
+
+
+class Obeyed(NamedTuple):
+    """How the lamp burns by a neighbour's lease, from its beginning to its end."""
+
+    lease: tuple[str, int, int]  # holder, its incarnation, number
+    power: float
+    us: tuple[int, int]
+    dark: Why  # why it does not, though it is named
+
+
+class OwnLamp:
+    """Of one robot, between steps; of one without a lamp it stays dark."""
+
+    def __init__(self, fleet: Fleet, name: str, lighting: Lighting, swimmer: Swimmer | None) -> None:
+        self.has, self._name, self._swimmer = fleet.robot[name].lamp, name, swimmer
+        self.aim = aim_of(fleet, lighting)
+        centre_us = round(fleet.body.servo_centre_us)
+        self.lamp = Lamp((centre_us, centre_us))
+        self._obeyed: Obeyed | None = None
+        self._us: tuple[int, int] | None = None  # by the own lease
+        self._woke = False
+        self.now = LampNow()
+
+    @property
+    def by_own_lease(self) -> bool:
+        """It burns, or is dark, as the lease says that its robot holds."""
+        return self._us is not None
+
+    @property
+    def dark(self) -> Why:
+        """Why it does not burn for the lease that it obeys."""
+        return "" if self._obeyed is None else self._obeyed.dark
+
+    def tick(self, party: Party, attitude: AttitudeLog, now_ns: int) -> None:
+        """Some time has passed."""
+        if not self._woke:
+            self._woke, self.lamp = True, self.lamp._replace(steady_ns=now_ns + AWAKE_NS)
+        self.lamp = warmed(self.lamp, now_ns)
+        self._show(party, attitude, now_ns)
+
+    def burn(
+        self, party: Party, seek: Seek, believed_m: Vector | None, keeps: bool, attitude: AttitudeLog, now_ns: int
+    ) -> None:
+        """As it shall from now on. keeps: a sweep of its robot's is under way, and light must not change.
+
+        It goes dark at once, whatever is under way, where the control module is silent, disarmed or surfacing, the
+        battery is empty or the lamp too warm.
+        """
+        telemetry = attitude.newest
+        level = None if telemetry is None else attitude.at(telemetry.t_ns)
+        power, us = self.lamp.power, self.lamp.us
+        if level is None or cannot(self.has, self.lamp, telemetry, attitude.silent(now_ns, 0)):
+            power = 0.0
+        elif not keeps:
+            power, us = self._wanted(party, seek, believed_m, level, now_ns)
+        self.lamp = command(self.lamp, power, us, now_ns)
+        self._show(party, attitude, now_ns)
+
+    def _wanted(
+        self, party: Party, seek: Seek, believed_m: Vector | None, level: Attitude, now_ns: int
+    ) -> tuple[float, tuple[int, int]]:
+        """Power and pulses."""
+        if party.bound is None:
+            self._obeyed = None
+        else:
+            self._us = None
+            obeyed = self._obeyed = self._obey(party.bound, seek, level)
+            moves = self._speed_m_s(now_ns) > 2.0 * STILL_M_S
+            return (0.0, self.lamp.us) if moves else (obeyed.power, obeyed.us)
+        if party.mine is not None and party.mine.granted:
+            if self._us is None:
+                at_m = party.mine.lease.at_m or looked_at(seek, level, believed_m)
+                self._us = self.aim.at(at_m, seek.pose, level)[0]
+            return (1.0 if self._name in lit_by(party) else 0.0), self._us
+        self._us = None
+        us, _ = self.aim.at(looked_at(seek, level, believed_m), seek.pose, level)
+        near = max(abs(to - at) for to, at in zip(us, self.lamp.us, strict=True)) <= NEAR_US
+        return 1.0, self.lamp.us if near and self.lamp.power else us
+
+    def _obey(self, bound: Bound, seek: Seek, level: Attitude) -> Obeyed:
+        """By a neighbour's lease: decided once."""
+        lease = bound.holder, bound.incarnation, bound.lease.number
+        if self._obeyed is not None and self._obeyed.lease == lease:
+            return self._obeyed
+        power, us, dark = dict(bound.lease.lamps).get(self._name, 0.0), self.lamp.us, self.now.cannot
+        if power and not dark and bound.lease.at_m is not None:
+            us, there = self.aim.at(bound.lease.at_m, seek.pose, level)
+            dark = "" if there else "limit"
+        return Obeyed(lease, 0.0, self.lamp.us, dark) if dark else Obeyed(lease, power, us, dark)
+
+    def _show(self, party: Party, attitude: AttitudeLog, now_ns: int) -> None:
+        """As it is told."""
+        lamp, telemetry = self.lamp, attitude.newest
+        used = load(lamp, telemetry)
+        why = cannot(self.has, lamp, telemetry, attitude.silent(now_ns, 0))
+        if not why and used >= LENDS_BELOW:
+            why = "heat" if lamp.warm >= LENDS_BELOW else "battery"
+        if not why and self._speed_m_s(now_ns) > STILL_M_S:
+            why = "moves"
+        pan, tilt = self.aim.deg(lamp.us)
+        whose = None if party.bound is None else party.bound.holder
+        self.now = LampNow(lamp.power, pan, tilt, lamp.changes, lamp.steady(now_ns), used, why, whose)
+
+    def _speed_m_s(self, now_ns: int) -> float:
+        here = None if self._swimmer is None else self._swimmer.localizer.at(now_ns)
+        return 0.0 if here is None else max(abs(here.x[3]), abs(here.x[4]))
