@@ -7,7 +7,7 @@ are decoded sweep by sweep.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -66,30 +66,53 @@ class Motion(NamedTuple):
         return None if values is None else Whereabouts(**dict(zip(Whereabouts.__struct_fields__, values, strict=True)))
 
 
-def motion(box: BlackBox) -> Motion:
+class WholeView(NamedTuple):
+    """A survey's sweep, over whole frames: vision does not number these, for they are of no target."""
+
+    number: int
+    steps: int  # frames
+
+
+class Told(NamedTuple):
+    """What the kernel's inputs and outputs say."""
+
+    motion: Motion
+    views: dict[int, WholeView]  # by the exposure of the last frame, ns
+
+
+def told(box: BlackBox) -> Told:
     """Read it from a recording. Raises ConfigError where that is damaged."""
     levels: list[tuple[int, tuple[float, ...]]] = []
     places: list[tuple[int, tuple[float, ...]]] = []
+    steps: dict[int, int] = {}
+    views: dict[int, WholeView] = {}
     with suspecting(box.path):
         for record in read(box.path):
             if record.channel == STEP_IN.name:
-                for one in decode(record.data, Inputs, STEP_BYTES).telemetry:
+                inputs = decode(record.data, Inputs, STEP_BYTES)
+                for one in inputs.telemetry:
                     pan, tilt = one.servos_us[:2]
                     levels.append((one.t_ns, (one.depth_m, one.roll_deg, one.pitch_deg, pan, tilt)))
+                for peaks in inputs.blocks or ():
+                    if peaks.sweep in steps:
+                        views[peaks.t_ns] = WholeView(peaks.sweep, steps[peaks.sweep])
             elif record.channel == STEP_OUT.name:
-                state = decode(record.data, Outputs, STEP_BYTES).state
+                outputs = decode(record.data, Outputs, STEP_BYTES)
+                state, plan = outputs.state, outputs.sweep
                 if state is not None and isinstance(state.whereabouts, Whereabouts):
                     places.append((state.sent_ns, msgspec.structs.astuple(state.whereabouts)))
+                if plan is not None and plan.block_px:
+                    steps[plan.sweep] = len(plan.focus) - 1  # the lens comes from the first, where no frame is taken
     known, known_ns = _table(places)
     known[:, 2] = np.degrees(np.unwrap(np.radians(known[:, 2])))
     table, table_ns = _table(levels)
-    return Motion(table, table_ns, known, known_ns)
+    return Told(Motion(table, table_ns, known, known_ns), views)
 
 
-def taken_sweeps(box: BlackBox) -> Iterator[TakenSweep]:
-    """Every sweep whose frames are all there, of a target or of a survey. Raises ConfigError for a frame that does not
-    decode."""
-    views, steps = _views(box), box.fleet.camera.sweep_steps
+def taken_sweeps(box: BlackBox, views: Mapping[int, WholeView]) -> Iterator[TakenSweep]:
+    """Every sweep whose frames are all there, of a target or of a survey, whose views `told` has. Raises ConfigError
+    for a frame that does not decode."""
+    steps = box.fleet.camera.sweep_steps
     frames, gathered = Frames(), SweepAssembler(steps)
     recent: deque[tuple[Picture, Sighting]] = deque(maxlen=max((view.steps for view in views.values()), default=1))
     with suspecting(box.path):
@@ -107,30 +130,6 @@ def taken_sweeps(box: BlackBox) -> Iterator[TakenSweep]:
             view = views.get(sighting.t_ns)
             if view is not None and (found := rising(recent, view.steps)):
                 yield TakenSweep(view.number, [SweepFrame(pixels(image), image.roi, seen) for image, seen in found])
-
-
-class _View(NamedTuple):
-    """A survey's sweep, by the exposure of its last frame."""
-
-    number: int
-    steps: int  # frames
-
-
-def _views(box: BlackBox) -> dict[int, _View]:
-    """What vision told of whole frames, which it does not number: they are of no target."""
-    steps: dict[int, int] = {}
-    views: dict[int, _View] = {}
-    with suspecting(box.path):
-        for record in read(box.path):
-            if record.channel == STEP_IN.name:
-                for peaks in decode(record.data, Inputs, STEP_BYTES).blocks or ():
-                    if peaks.sweep in steps:
-                        views[peaks.t_ns] = _View(peaks.sweep, steps[peaks.sweep])
-            elif record.channel == STEP_OUT.name:
-                plan = decode(record.data, Outputs, STEP_BYTES).sweep
-                if plan is not None and plan.block_px:
-                    steps[plan.sweep] = len(plan.focus) - 1  # the lens comes from the first, where no frame is taken
-    return views
 
 
 def rising(recent: Sequence[tuple[Picture, Sighting]], steps: int) -> list[tuple[Picture, Sighting]]:

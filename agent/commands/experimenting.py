@@ -168,12 +168,16 @@ def experiment_reconstruction(
     ] = False,
     only: Annotated[
         ScenePart | None,
-        typer.Option("--only", help="Scenes, the sweeps that robots need for one, or how it grows; else all."),
+        typer.Option(
+            "--only",
+            help="Scenes; sweeps that moored robots need; what swimmers learn; how it grows. Else all.",
+        ),
     ] = None,
     out: OutFolder = None,
 ) -> None:
     """Scenes from focus sweeps: surfaces, poses and pictures against the twin's truth, in tap and coastal water; how
-    many sweeps robots need that share what they saw; and time and memory of a survey of 500 keyframes."""
+    many sweeps robots need that share what they saw; what robots that swim know after five minutes; and time and memory
+    of a survey of 500 keyframes."""
     from agent.experiments.perform import perform
     from agent.experiments.reconstruction import run, tables
     from agent.reconstruction.field.settings import FieldSettings

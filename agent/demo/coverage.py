@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,13 +14,22 @@ class SurveyWatch:
     """The newest claim of each robot; of a fleet without [coverage] there is none."""
 
     def __init__(self, fleet: Fleet) -> None:
-        self._robots, self._settings = tuple(fleet.robot), fleet.coverage
+        self.robots, self._settings = tuple(fleet.robot), fleet.coverage
         self._newest: dict[str, Claim] = {}
 
     def add(self, claim: Claim) -> None:
         before = self._newest.get(claim.src)
-        if claim.src in self._robots and (before is None or claim.sent_ns >= before.sent_ns):
+        if claim.src in self.robots and (before is None or claim.sent_ns >= before.sent_ns):
             self._newest[claim.src] = claim
+
+    def newest(self) -> dict[str, Claim]:
+        """Of each robot that was heard."""
+        return self._newest
+
+    def usual_digest(self) -> str:
+        """That of most maps; of as many that which was heard first."""
+        counts = Counter(claim.digest for claim in self._newest.values()).most_common(1)
+        return counts[0][0] if counts else ""
 
     @property
     def over(self) -> bool:
@@ -28,11 +38,11 @@ class SurveyWatch:
 
     def shares(self) -> dict[str, float | None]:
         """Of the wanted cells that each robot's map knows well enough; None: never heard."""
-        return {name: None if name not in self._newest else self._newest[name].share for name in self._robots}
+        return {name: None if name not in self._newest else self._newest[name].share for name in self.robots}
 
     def equal(self) -> bool:
         """Whether all have said the same of their maps last."""
-        digests = {self._newest[name].digest if name in self._newest else None for name in self._robots}
+        digests = {self._newest[name].digest if name in self._newest else None for name in self.robots}
         return len(digests) == 1 and None not in digests
 
     def reasons(self) -> Iterator[str]:
@@ -50,7 +60,7 @@ class SurveyWatch:
         """`coverage` of summary.json. keyframes: how many of each robot's everybody holds."""
         assert self._settings is not None
         held = {name: {has.origin: has.upto for has in claim.has} for name, claim in self._newest.items()}
-        keyframes = {name: min((each.get(name, 0) for each in held.values()), default=0) for name in self._robots}
+        keyframes = {name: min((each.get(name, 0) for each in held.values()), default=0) for name in self.robots}
         return {
             "wanted_share": self._settings.share,
             "goal_mm": self._settings.goal_mm,

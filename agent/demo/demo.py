@@ -22,7 +22,8 @@ from rich.live import Live
 
 from agent.clock import machine
 from agent.demo.coverage import SurveyWatch
-from agent.demo.display import how_to_look, progress_table, result_table
+from agent.demo.coverage_table import survey_table
+from agent.demo.display import how_to_look, progress_table, progress_title, result_table
 from agent.demo.endpoints import reserved
 from agent.demo.fleet import demo_fleet, listening
 from agent.demo.following import FOLLOW_S, followed_s, scored, swims
@@ -181,7 +182,10 @@ def dive(
                 except (Refusal, KeyError):
                     continue  # a stranger's sample: the recorder has it
             if live is not None:
-                live.update(progress_table(histories, (now_ns - start_ns) * 1e-9, duration_s, clock.rate()))
+                title = progress_title((now_ns - start_ns) * 1e-9, duration_s, clock.rate())
+                live.update(
+                    progress_table(histories, title) if survey is None else survey_table(histories, survey, title)
+                )
             settled_all = all(settled_on(fleet, target, of_target) for target, of_target in histories.items())
             if settled_all if survey is None else survey.over:
                 break

@@ -57,10 +57,14 @@ def program(name: str) -> str:
     return shlex.quote(str(ours.relative_to(Path.cwd()) if ours.is_relative_to(Path.cwd()) else ours))
 
 
-def progress_table(histories: Histories, dive_s: float, duration_s: float, rate: float) -> Table:
+def progress_title(dive_s: float, duration_s: float, rate: float) -> str:
+    return f"{dive_s:.0f} s into the dive, at {rate:.2f} times real time; at most {duration_s - dive_s:.0f} s to go"
+
+
+def progress_table(histories: Histories, title: str) -> Table:
     """What each robot says of itself and of each target now, in 80 columns."""
     table = Table(
-        title=f"{dive_s:.0f} s into the dive, at {rate:.2f} times real time; at most {duration_s - dive_s:.0f} s to go",
+        title=title,
         title_justify="left",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),

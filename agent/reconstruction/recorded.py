@@ -25,7 +25,7 @@ from agent.reconstruction.keyframe import Swept, keyframe
 from agent.reconstruction.poses.prior import Sigmas, covariance_of
 from agent.reconstruction.view import View
 from replay.check.black_box import BlackBox, open_boxes
-from replay.taken_sweeps import Motion, TakenSweep, motion, taken_sweeps
+from replay.taken_sweeps import Motion, TakenSweep, taken_sweeps, told
 from replay.viewers.whole_sweeps import SweepFrame
 
 MOORED = (3e-3, 0.5)  # of a survey by hand and tape: m in x and in y, degrees of yaw
@@ -60,9 +60,9 @@ def recorded_views(paths: Sequence[Path], progress: Progress) -> Recorded:
 
 
 def _views_of(box: BlackBox) -> Iterator[View | str]:
-    moved = motion(box)
-    for sweep in taken_sweeps(box):
-        yield view_of(box, moved, sweep)
+    steps = told(box)
+    for sweep in taken_sweeps(box, steps.views):
+        yield view_of(box, steps.motion, sweep)
 
 
 def view_of(box: BlackBox, moved: Motion, sweep: TakenSweep) -> View | str:

@@ -94,19 +94,33 @@ POINTS = _derived(
     "foxglove.PointCloud",
     AGENT,
 )
+KEYFRAME_POINTS = _derived(
+    "/{robot}/survey/keyframe", "what a sweep of a survey measured, in the world", "foxglove.PointCloud", BOTH
+)
+NEXT_VIEW = _derived("/{robot}/survey/next", "where it looks next, or now", "foxglove.PoseInFrame", BOTH)
+COVERAGE = _derived(
+    "/survey/map", "of each cell how much of what is asked for is known", "foxglove.PointCloud", RECORDER
+)
 PROTOCOL = _derived("/{robot}/plot/protocol[/{target}]", "prior, posterior and S in numbers", "aucamp.Protocol", BOTH)
 NEIGHBOUR = _derived(
     "/{robot}/plot/hears/{neighbour}[/{target}]", "age and weight of a neighbour's word", "aucamp.Neighbour", BOTH
 )
 ATTITUDE = _derived("/{robot}/plot/attitude", "depth, roll, pitch, battery", "aucamp.Attitude", AGENT)
 THRUSTERS = _derived("/{robot}/plot/thrusters", "pulses of thrusters and servos", "aucamp.Thrusters", AGENT)
+SURVEY = _derived(
+    "/{robot}/plot/survey",
+    "share of the wanted cells that it knows, keyframes that it made and holds",
+    "aucamp.Survey",
+    BOTH,
+)
 FOCUS = _derived("/{robot}/plot/focus[/{target}]", "lens position and clarity", "aucamp.Focus", AGENT)
 RATE = _derived("/plot/clock", "how fast the clock goes", "aucamp.Clock", BOTH)
 
 CHANNELS = (
     *(STEP_IN, STEP_OUT, CAMERA_IMAGE, SWEEP_IMAGE, FRAME, VISION, FROM_BOARD, TO_BOARD, CLOCK, DROPS, CUT),
     *(PRESENCE, NETWORK, TF, PRIOR, ESTIMATE, LOG, PREVIEW, CAMERA_MODEL, SWEEP_MODEL, POINTS),
-    *(PROTOCOL, NEIGHBOUR, ATTITUDE, THRUSTERS, FOCUS, RATE),
+    *(KEYFRAME_POINTS, NEXT_VIEW, COVERAGE),
+    *(PROTOCOL, NEIGHBOUR, ATTITUDE, THRUSTERS, SURVEY, FOCUS, RATE),
 )
 
 

@@ -1,4 +1,18 @@
-"""The page: one HTML file without script, and without anything from elsewhere; on a phone its figures form a column."""
+"""The page: one HTML file without script, and without anything from elsewhere; on a phone its figures form a column.
+And what it is made of: sections of tables and figures."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import NamedTuple
+
+import matplotlib
+from markupsafe import Markup
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from replay.report.tables import Table
 
 PAGE = """<!doctype html>
 <html lang="en">
@@ -45,3 +59,22 @@ td:first-child, th:first-child, #valid td:last-child, #valid th:last-child { tex
 </body>
 </html>
 """
+
+
+class Section(NamedTuple):
+    id: str
+    title: str
+    note: str
+    tables: list[Table]
+    figures: list[Markup]
+
+
+def svg(figure: Figure) -> Markup:
+    """The figure as an element of the page."""
+    text = io.StringIO()
+    with matplotlib.rc_context(
+        {"svg.fonttype": "none", "svg.hashsalt": "aucamp"}
+    ):  # text stays text; same ids each time
+        FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None})  # type: ignore[no-untyped-call]
+    svg = text.getvalue()[text.getvalue().index("<svg") :]
+    return Markup(re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2))  # its box decides how large it is

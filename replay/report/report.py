@@ -6,16 +6,10 @@ it, comes from summary.json. All of it is inline, so that the page can be mailed
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import jinja2
-import matplotlib
-from markupsafe import Markup
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from replay.files.clock_rate import pace
@@ -28,6 +22,7 @@ from replay.report import (
     figures_focus,
     figures_map,
     figures_posture,
+    figures_survey,
     figures_track,
     light,
     track_tables,
@@ -36,17 +31,10 @@ from replay.report import (
     tables as report_tables,
 )
 from replay.report.creature_track import creature_track
-from replay.report.page_template import PAGE
+from replay.report.page_template import PAGE, Section, svg
 from replay.report.run import Run, open_run
+from replay.report.surveyed import survey_table, surveyed
 from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
-
-
-class Section(NamedTuple):
-    id: str
-    title: str
-    note: str
-    tables: list[report_tables.Table]
-    figures: list[Markup]
 
 
 def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = None) -> Path:
@@ -129,7 +117,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "states. Green: its first own view of the target. The line should settle while the dots scatter, and "
             f"the truth should lie in the band.{against}",
             [],
-            [_svg(figures_belief.iterations(each, run.truths_m.get(each.target))) for each in run.timelines],
+            [svg(figures_belief.iterations(each, run.truths_m.get(each.target))) for each in run.timelines],
         ),
         Section(
             "valid",
@@ -141,9 +129,10 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             [table for table in (report_tables.events(run), report_tables.remarks(run)) if table]
             if run.timelines
             else [],
-            [_svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
+            [svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
         ),
         *_following(run),
+        *_surveying(run),
         *_light(run),
         Section(
             "agreement",
@@ -151,7 +140,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "Black: the largest distance between what two robots believe at a time; it should fall, on a scale where "
             f"each line is a tenth of the one above.{lower}",
             [],
-            [_svg(figures_belief.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
+            [svg(figures_belief.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
         ),
         Section(
             "above",
@@ -161,8 +150,8 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "measurements, an ellipse is where a robot believes the target to be, at twice its standard deviation.",
             [],
             [
-                _svg(figures_map.above(run.fleet, run.timelines, run.truths_m)),
-                *(_svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets),
+                svg(figures_map.above(run.fleet, run.timelines, run.truths_m)),
+                *(svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets),
             ],
         ),
         Section(
@@ -172,7 +161,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "and all their peaks (vertical lines, with their standard deviation) should lie together while the "
             "target rests.",
             [],
-            [_svg(figures_focus.clarity_curves(timeline)) for timeline in inside],
+            [svg(figures_focus.clarity_curves(timeline)) for timeline in inside],
         ),
         Section(
             "depth",
@@ -181,7 +170,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "sharpest frame, and how far each block is. The target should stand out as nearer. Hatched: no clear peak, "
             "so no range.",
             [],
-            [_svg(figure) for figure in _depth_maps(run, depth)] if depth else [],
+            [svg(figure) for figure in _depth_maps(run, depth)] if depth else [],
         ),
         Section(
             "calibration",
@@ -190,7 +179,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "the peaks of this run on that curve. Below: how well the curve is known. RMSE is the calibration's own "
             "error, once over the distances that it was fitted to and once over distances left out.",
             [],
-            [_svg(figures_focus.calibration_fit(timeline)) for timeline in inside],
+            [svg(figures_focus.calibration_fit(timeline)) for timeline in inside],
         ),
         Section(
             "posture",
@@ -201,7 +190,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             if inside
             else "Depth, roll and pitch, as the robots show them.",
             [report_tables.hover(run)] if inside else [],
-            [_svg(figures_posture.posture(timeline)) for timeline in robots],
+            [svg(figures_posture.posture(timeline)) for timeline in robots],
         ),
         Section(
             "links",
@@ -217,7 +206,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "as was asked for. Dashed: real time; below it the machine was slower than the world. That costs time, and "
             "no accuracy.",
             [],
-            [_svg(figures_clock.rate(run.clock, run.start_ns or run.clock[0].now_ns))] if run.clock else [],
+            [svg(figures_clock.rate(run.clock, run.start_ns or run.clock[0].now_ns))] if run.clock else [],
         ),
     ]
     return [section for section in sections if section.tables or section.figures]
@@ -232,7 +221,7 @@ def _light(run: Run) -> Iterator[Section]:
             "A lane for each robot's lamp: when it burned, in the colour of the robot for whose sweep, grey for itself "
             "while nobody had the light. The thin line: when that robot had it. No lamp should change within a sweep.",
             [table],
-            [_svg(light.lanes(run.timelines))],
+            [svg(light.lanes(run.timelines))],
         )
 
 
@@ -256,11 +245,30 @@ def _following(run: Run) -> Iterator[Section]:
             "of: while its own colour is missing it goes by the others' words.",
             tables,
             [
-                _svg(figures_track.track_above(run.fleet, track)),
-                _svg(figures_track.seen_when(run.fleet, track, start_ns)),
-                _svg(figures_track.made_of(run.fleet, track, start_ns)),
+                svg(figures_track.track_above(run.fleet, track)),
+                svg(figures_track.seen_when(run.fleet, track, start_ns)),
+                svg(figures_track.made_of(run.fleet, track, start_ns)),
             ],
         )
+
+
+def _surveying(run: Run) -> Iterator[Section]:
+    """Of a fleet with [coverage]."""
+    found = surveyed(run.fleet, run.boxes)
+    if found is None or not found.frames:
+        return
+    yield Section(
+        "survey",
+        "The survey",
+        "How much of what is wanted each robot's map knows (dotted: the share that ends the survey) and how many "
+        "keyframes it holds: lines should lie on each other, for all tell each other all. Then from above what all "
+        "keyframes together know, with the robots' ways and the places of their sweeps (crosses).",
+        [survey_table(found)],
+        [
+            svg(figures_survey.known_over_time(run.fleet, found, run.start_ns or 0)),
+            svg(figures_survey.floor_above(run.fleet, found)),
+        ],
+    )
 
 
 def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
@@ -276,14 +284,3 @@ def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
         found = next((each for each in maps if each is not None), None)
         if found is not None:
             yield figures_depth.depth_map(timeline.robot, (found.t_ns - start_ns) * 1e-9, found)
-
-
-def _svg(figure: Figure) -> Markup:
-    """The figure as an element of the page."""
-    text = io.StringIO()
-    with matplotlib.rc_context(
-        {"svg.fonttype": "none", "svg.hashsalt": "aucamp"}
-    ):  # text stays text; same ids each time
-        FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None})  # type: ignore[no-untyped-call]
-    svg = text.getvalue()[text.getvalue().index("<svg") :]
-    return Markup(re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2))  # its box decides how large it is

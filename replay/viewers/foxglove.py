@@ -43,7 +43,13 @@ GIMBAL_CAMERA: Turn = (-0.5, 0.5, -0.5, 0.5)
 
 def position(x_m: Vector, t_ns: int) -> Any:
     """foxglove.PoseInFrame: a point of the world. The quaternion is set, for one of zeros is no rotation at all."""
-    pose = Pose(position=_vector(x_m), orientation=Quaternion(w=1.0))
+    return world_pose(x_m, (0.0, 0.0, 0.0, 1.0), t_ns)
+
+
+def world_pose(x_m: Vector, turned: Turn, t_ns: int) -> Any:
+    """foxglove.PoseInFrame: a body, or what else is turned, in the world."""
+    x, y, z, w = turned
+    pose = Pose(position=_vector(x_m), orientation=Quaternion(x=x, y=y, z=z, w=w))
     return PoseInFrame(timestamp=stamp(t_ns), frame_id=WORLD, pose=pose)
 
 
@@ -137,6 +143,18 @@ def turn(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Turn:
         cx * sy * cz + sx * cy * sz,
         cx * cy * sz - sx * sy * cz,
         cx * cy * cz + sx * sy * sz,
+    )
+
+
+def gimbal_of(camera: Turn) -> Turn:
+    """The turn of the gimbal's axes to the world, of that of the camera's: x along the optical axis."""
+    x, y, z, w = camera
+    a, b, c, d = -GIMBAL_CAMERA[0], -GIMBAL_CAMERA[1], -GIMBAL_CAMERA[2], GIMBAL_CAMERA[3]
+    return (
+        w * a + x * d + y * c - z * b,
+        w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d,
+        w * d - x * a - y * b - z * c,
     )
 
 

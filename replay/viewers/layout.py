@@ -15,7 +15,7 @@ from typing import Any
 
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.topics import target_chunk
-from replay.files.channels import PREVIEW, match, name
+from replay.files.channels import COVERAGE, KEYFRAME_POINTS, NEXT_VIEW, PREVIEW, SURVEY, match, name
 
 FIRST = "r1"  # the robot whose channels are repeated
 COLOURS = ("#d62728", "#2ca02c", "#1f77b4", "#ff7f0e", "#9467bd", "#8c564b", "#e377c2", "#17becf")  # matplotlib's tab10
@@ -38,6 +38,8 @@ def write(fleet: Fleet, out: Path) -> None:
 def foxglove_layout(fleet: Fleet) -> dict[str, Any]:
     """What Foxglove imports, as JSON types."""
     layout: dict[str, Any] = json.loads(shipped("foxglove.json").read_text(encoding="utf-8"))
+    if fleet.coverage is not None:
+        layout = _surveyed(layout)
     panels = layout["configById"]
     template = panels["Image!r1_preview"]
     previews = {f"Image!{robot}_preview": name(PREVIEW, robot=robot) for robot in fleet.robot}
@@ -54,6 +56,30 @@ def foxglove_layout(fleet: Fleet) -> dict[str, Any]:
     _tank(panels["3D!world"], fleet)
     layout["layout"] = _arranged(layout["layout"], list(previews))
     return layout
+
+
+def _surveyed(layout: dict[str, Any]) -> dict[str, Any]:
+    """The shipped layout of r1 to r3 for a survey: the map and what each sweep measured in the tank, and how much is
+    known in place of what is known of a target, for nobody looks at one."""
+    panels = {**layout["configById"]}
+    knows, world = panels.pop("Plot!knows"), panels["3D!world"]
+    lines = [{**path, "value": f"{name(SURVEY, robot=path['label'])}.share"} for path in knows["paths"]]
+    panels["Plot!share"] = {**knows, "title": "share of the wanted cells that is known", "paths": lines}
+    cloud = {"visible": True, "colorMode": "rgba-fields"}
+    shown = {
+        name(COVERAGE): {**cloud, "pointSize": 10},
+        name(KEYFRAME_POINTS, robot=FIRST): {**cloud, "pointSize": 3},
+        name(NEXT_VIEW, robot=FIRST): {"visible": True, "type": "axis", "axisScale": 0.15},
+    }
+    panels["3D!world"] = {**world, "topics": {**world["topics"], **shown}}
+    return {**layout, "configById": panels, "layout": _renamed(layout["layout"], "Plot!knows", "Plot!share")}
+
+
+def _renamed(tree: Any, before: str, after: str) -> Any:
+    """The tree of panels with another one in the place of one."""
+    if isinstance(tree, str):
+        return after if tree == before else tree
+    return {**tree, **{half: _renamed(tree[half], before, after) for half in ("first", "second")}}
 
 
 def _channels(path: str, fleet: Fleet) -> Iterator[tuple[str, str]]:

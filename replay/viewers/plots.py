@@ -33,6 +33,7 @@ PLOTS: dict[str, tuple[str, ...]] = {
         *("nis", "pan_deg", "tilt_deg", "refused", "faults"),
     ),
     "Clock": ("rate", "dive_s", "wall_s"),  # wall_s: Unix time
+    "Survey": ("share", "own", "held", "looks"),  # own: keyframes; held: those and others'; looks: it claims a view
     "Neighbour": ("age_s", "valid", "used", "heard", "gaps", "weight"),
 }
 

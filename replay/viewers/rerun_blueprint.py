@@ -24,7 +24,11 @@ def shown_channels() -> dict[str, list[str]]:
         return [name(row, robot=robot) for robot in robots for row in rows]
 
     return {
-        "tank": of(ROBOTS, channels.TF, channels.PRIOR, channels.ESTIMATE, channels.POINTS),
+        "tank": [
+            *of(ROBOTS, channels.TF, channels.PRIOR, channels.ESTIMATE, channels.POINTS),
+            *of(ROBOTS, channels.KEYFRAME_POINTS, channels.NEXT_VIEW),  # of a survey
+            name(channels.COVERAGE),
+        ],
         **{robot: of([robot], channels.PREVIEW) for robot in ROBOTS},
         "camera": of(ROBOTS[:1], channels.CAMERA_IMAGE, channels.CAMERA_MODEL),
         "sweep": of(ROBOTS[:1], channels.SWEEP_IMAGE, channels.SWEEP_MODEL),

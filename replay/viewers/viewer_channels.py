@@ -8,9 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
+from msgspec import UNSET
+
 from agent.kernel import topics
 from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet
+from agent.kernel.config import Fleet, Pose
+from agent.kernel.keyframes.claim import Claim
+from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.messages import Image, LogLine, Message, State
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Inputs, Outputs, Sighting, Telemetry
@@ -23,6 +27,7 @@ from replay.files.images import image
 from replay.files.protobuf import schema
 from replay.viewers import foxglove
 from replay.viewers.plots import plot
+from replay.viewers.survey_channels import SurveyChannels
 from replay.viewers.whole_sweeps import MeasureDepth, SweepAssembler, points
 
 M = TypeVar("M", bound=Message)
@@ -47,6 +52,7 @@ class ViewerChannels:
         """
         self._fleet, self._robot, self._calibration, self._depth = fleet, robot, calibration, depth
         self._frames, self._sweeps = Frames(), SweepAssembler(fleet.camera.sweep_steps)
+        self._survey = SurveyChannels(fleet)
         self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
             channels.STEP_IN.name: self._inputs,
             channels.STEP_OUT.name: self._outputs,
@@ -88,6 +94,10 @@ class ViewerChannels:
         outputs = _own(entry, Outputs)
         if outputs.state is not None:
             yield from self._state(outputs.state)
+        for claim in outputs.claims or ():
+            yield from self._survey.claim(claim)
+        for said in outputs.keyframes or ():
+            yield from self._survey.measured(said)
         for line in outputs.log:
             yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
 
@@ -130,6 +140,10 @@ class ViewerChannels:
         topic, chunks = row
         if topic is topics.STATE and (state := decode(entry.data, State)).robot == chunks["robot"]:
             yield from self._state(state)
+        elif topic is topics.CLAIM and (claim := decode(entry.data, Claim, topic.limit)).src == chunks["src"]:
+            yield from self._survey.claim(claim)
+        elif topic is topics.KEYFRAME and (said := decode(entry.data, Keyframe, topic.limit)).src == chunks["src"]:
+            yield from self._survey.heard(said)
         elif topic is topics.LOG and (line := decode(entry.data, LogLine)).robot == chunks["robot"]:
             yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
         elif topic is topics.IMAGE and (seen := decode(entry.data, Image, topic.limit)).robot == chunks["robot"]:
@@ -142,8 +156,9 @@ class ViewerChannels:
         robot, t_ns = state.robot, state.sent_ns
         chunks = {"robot": robot, **topics.target_chunk(self._fleet.target, state.target)}
         own = self._fleet.robot.get(robot)
-        if own is not None:
-            tree = foxglove.transforms(state, own.pose, self._fleet.body, self._fleet.tank.surface_m)
+        place = _place(state, own.pose) if own is not None else None
+        if place is not None:
+            tree = foxglove.transforms(state, place, self._fleet.body, self._fleet.tank.surface_m)
             if tree is not None:
                 yield name(channels.TF, robot=robot), t_ns, tree
         if state.prior_m is not None:
@@ -231,6 +246,14 @@ def protocol(state: State) -> Any:
         refused=sum(state.refused.values()),
         faults=len(state.faults),
     )
+
+
+def _place(state: State, moored: Pose) -> Pose | None:
+    """Where the body is; None: it swims, and does not know."""
+    at = state.whereabouts
+    if at is UNSET:
+        return moored
+    return None if at is None else Pose(x_m=at.x_m, y_m=at.y_m, yaw_deg=at.yaw_deg)
 
 
 def _own(entry: Entry, kind: type[M]) -> M:

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from agent.demo.display import progress_table, result_table, verdict
+from agent.demo.display import progress_table, progress_title, result_table, verdict
 from agent.demo.following import score
 from agent.demo.history import History
 from agent.fleet_files import fleet_file
@@ -37,7 +37,7 @@ def shown(table) -> str:
 
 
 def test_progress_of_five_robots_shows_estimate_neighbours_and_faults() -> None:
-    text = shown(progress_table({"ball": {"r1": History([STATE]), "r2": History([])}}, 23.0, 73.0, 1.5))
+    text = shown(progress_table({"ball": {"r1": History([STATE]), "r2": History([])}}, progress_title(23.0, 73.0, 1.5)))
     assert max(map(len, text.splitlines())) <= 80
     for word in ("sees", "146", "1059.6 559.0 70.0", "1.9", *["r2", "r3", "r4", "r5"], "frames", "telemetry"):
         assert word in text, word

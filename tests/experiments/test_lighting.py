@@ -77,7 +77,7 @@ def test_an_outlier_is_smoothed_away_and_what_is_known_well_stays() -> None:
 
 
 def test_correlation_needs_sweeps_that_have_a_sigma() -> None:
-    rows = [{"sigma_mm": 2.0 * k, "log_j": -2.0 * math.log(k)} for k in range(1, 12)]
+    rows = [{"sigma_mm": 2.0 * k, "log_j": -2.0 * math.log(k), "facing": False} for k in range(1, 12)]
     assert correlation(rows) == pytest.approx(-1.0)
     assert correlation([{**row, "sigma_mm": None} for row in rows]) is None
 

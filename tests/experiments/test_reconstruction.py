@@ -1,10 +1,12 @@
 """The reconstruction experiment's world and its scores, on scenes in closed form instead of minutes of rendering."""
 
+import io
 import math
 from functools import partial
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from agent.experiments.reconstruction.coverage import missed_coverage
 from agent.experiments.reconstruction.intrinsics import camera_of
@@ -13,7 +15,8 @@ from agent.experiments.reconstruction.pictures import into_truth, missed_picture
 from agent.experiments.reconstruction.render import TRUTH_STEP, Rendered
 from agent.experiments.reconstruction.run import Settings, missed, run
 from agent.experiments.reconstruction.score import distances, nearest_m, score, seen_twice
-from agent.experiments.reconstruction.tables import table
+from agent.experiments.reconstruction.swum import swum
+from agent.experiments.reconstruction.tables import swimmers_table, table
 from agent.experiments.reconstruction.world import (
     CLEAR_M,
     MOORED,
@@ -142,3 +145,14 @@ def test_a_bar_that_is_missed_is_said() -> None:
     focus = {"median_mm": 2.6, "complete_10mm": 90.0}
     one = {"seed": 1, "water": "tap", "poses": "exact", "focus": focus, "sweep": {"objects_mean_mm": 0.7}, "f5": 90.0}
     assert missed([one, {**one, "poses": "noisy"}]) == ["seed 1, tap: median by focus 2.60 mm"]
+
+
+def test_swimmers_begin_to_know_the_floor_and_wrong_blocks_are_among_what_they_see() -> None:
+    row = swum(9, seconds=14.0, every_s=7.0)
+    first, second = row["known"]
+    assert 0.0 < first < second < 0.3
+    assert all(made >= 1 for made in row["keyframes"])
+    assert row["things"] >= row["empty"] >= 0
+    console = Console(width=120, file=io.StringIO())
+    console.print(swimmers_table([row]))
+    assert f"{100 * second:.1f} %" in console.file.getvalue()

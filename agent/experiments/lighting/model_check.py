@@ -137,8 +137,8 @@ def ms_per_lamp(water: str, seed: int) -> float:
 
 
 def correlation(rows: Sequence[Row]) -> float | None:
-    """Of log J with the logarithm of the measured sigma; None: too few."""
-    good = [row for row in rows if row["sigma_mm"]]
+    """Of log J with the logarithm of the measured sigma, where no lamp shines towards the camera; None: too few."""
+    good = [row for row in rows if row["sigma_mm"] and not row["facing"]]
     if len(good) < 8:
         return None
     measured = [math.log(row["sigma_mm"]) for row in good]

@@ -13,10 +13,11 @@ import msgspec
 import numpy as np
 
 from agent.experiments.lighting.bars import missed
-from agent.experiments.lighting.dark_water import WATERS, DarkWater, Stand, Swept, stand
+from agent.experiments.lighting.dark_water import WATERS, DarkWater, Stand, Swept, lamp_place, stand
 from agent.experiments.lighting.model_check import model_check
 from agent.experiments.lighting.policies import POLICIES, Names, after_loss, scored, sets_for
 from agent.experiments.result import ExperimentResult, Row
+from agent.kernel.lighting.allocate import dazzles
 from agent.kernel.lighting.information import WORST_MM
 from agent.progress import Progress, step_by_step
 
@@ -72,11 +73,14 @@ class Bench:
         found = []
         for (name, burning), swept in self._known.items():
             expected = self.score.of(name, burning)
+            scene = self.sea.scene_of(self.stands[name])
+            facing = any(dazzles(scene, lamp_place(self.stands[robot])) for robot in burning)
             found.append(
                 {
                     "distance_m": round(self.stands[name].distance_m, 4),
                     "own": name in burning,
                     "lamps": len(burning),
+                    "facing": facing,  # one of them shines towards the camera: the rule does not look at such sets
                     "log_j": expected.log_j,
                     "expected_mm": expected.sigma_mm,
                     "expected_contrast": expected.contrast,

@@ -22,7 +22,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
 from agent.kernel.messages import Message, Vector
 from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
+from agent.kernel.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
 
 FRAME_STEPS, LATE_STEPS = 2, 2
 
@@ -34,6 +34,7 @@ class Frame(NamedTuple):
     tags: SeenTags | None = None
     flow: Flow | None = None
     sighting: Sighting | None = None
+    blocks: BlockPeaks | None = None  # of a survey's sweep
 
 
 class Eyes:
@@ -117,6 +118,7 @@ class Swimmers:
                 heard=tuple(post[name]),
                 landmarks=tuple(frame.tags for frame in frames if frame.tags is not None) or UNSET,
                 flow=tuple(frame.flow for frame in frames if frame.flow is not None) or UNSET,
+                blocks=tuple(frame.blocks for frame in frames if frame.blocks is not None) or UNSET,
             )
             outputs = self.outputs[name] = agent.step(inputs, now_ns)
             self._wanted[name] = outputs.set_point

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from agent.reconstruction.camera import Floats
-from agent.reconstruction.view import View, diagonal_prior, moved, rotation_of
+from agent.reconstruction.poses.twist import moved_about
+from agent.reconstruction.view import View, diagonal_prior, moved
 from hw.twin.scene import generator
 
 SHARED = (3e-3, math.radians(0.5))  # of a robot: m and rad, standard deviations along and about each axis
@@ -21,7 +22,7 @@ def noisy(views: Sequence[View], seed: int) -> list[View]:
     found = []
     for robot in sorted({view.robot for view in views}):
         rng = generator(seed, "reconstruction", "poses", robot)
-        turn, shift = rotation_of(rng.normal(0.0, SHARED[1], 3)), rng.normal(0.0, SHARED[0], 3)
+        turn, shift = rng.normal(0.0, SHARED[1], 3), rng.normal(0.0, SHARED[0], 3)
         middle = np.mean([view.position_m for view in views if view.robot == robot], axis=0)
         found += [_off(view, turn, shift, middle, rng) for view in views if view.robot == robot]
     order = {view.key: n for n, view in enumerate(views)}
@@ -29,8 +30,7 @@ def noisy(views: Sequence[View], seed: int) -> list[View]:
 
 
 def _off(view: View, turn: Floats, shift: Floats, middle: Floats, rng: np.random.Generator) -> View:
-    position = middle + shift + turn @ (view.position_m - middle)
-    there = replace(view, rotation=turn @ view.rotation, position_m=position)
+    there = moved_about(view, middle, turn, shift)
     w, t = rng.normal(0.0, OWN[1], 3), rng.normal(0.0, OWN[0], 3)
     both = math.hypot(SHARED[1], OWN[1]), math.hypot(SHARED[0], OWN[0])
     return replace(moved(there, w, t), pose_covariance=diagonal_prior(*both))

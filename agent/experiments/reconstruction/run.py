@@ -21,6 +21,7 @@ from agent.experiments.reconstruction.pictures import into_truth, missed_picture
 from agent.experiments.reconstruction.render import Rendered, render, sweeps_of_a_world
 from agent.experiments.reconstruction.score import Score, score, seen_twice
 from agent.experiments.reconstruction.size.size import missed_size, size, size_parts, verdict
+from agent.experiments.reconstruction.swum import swum
 from agent.experiments.result import ExperimentResult, Row
 from agent.failure import Failed
 from agent.kernel.config import WaterKind
@@ -64,6 +65,7 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
     coverage: dict[str, Any]  # keyframes until 90 % is known to 4 mm: shared, alone, loss30; means over the seeds
     coverage_runs: dict[str, list[int]]  # of each seed
     coverage_equal: dict[str, bool]  # whether all robots' maps were the same bytes in the end
+    swimmers: list[Row]  # of each seed, what three robots that swim know after each minute
     size: list[Row]  # surveys of 125, 250, 500 keyframes: seconds, memory, how true
     size_verdict: dict[str, float]  # largest memory; powers of keyframes and of compared pairs that time grows as
     missed: list[str]
@@ -91,9 +93,10 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
     """Progress counts sweeps, surfaces and surveys."""
     waters = settings.waters if settings.only in (None, "scenes") else ()
     surveyed = settings.seeds if settings.only in (None, "coverage") else ()
+    swimming = settings.seeds if settings.only in (None, "swimmers") else ()
     large = settings.seeds[:1] if settings.only in (None, "size") else ()
     each = sweeps_of_a_world() + len(settings.poses)
-    total = len(settings.seeds) * len(waters) * each + RUNS * len(surveyed) + size_parts() * len(large)
+    total = len(settings.seeds) * len(waters) * each + RUNS * len(surveyed) + len(swimming) + size_parts() * len(large)
     step = step_by_step(progress, total)
     cases = []
     for seed in settings.seeds:
@@ -104,9 +107,13 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
                 cases.append(case(rendered, truth, poses, settings.image))
                 step()
     told = coverage(surveyed, step) if surveyed else dict[str, Any](coverage={}, coverage_runs={}, coverage_equal={})
+    swum_rows = []
+    for seed in swimming:
+        swum_rows.append(swum(seed))
+        step()
     rows = [row for seed in large for row in size(seed, step)]
     absent = missed(cases) + missed_pictures(cases) + missed_coverage(told) + missed_size(rows)
-    return Result(cases=cases, size=rows, size_verdict=verdict(rows), missed=absent, **told)
+    return Result(cases=cases, swimmers=swum_rows, size=rows, size_verdict=verdict(rows), missed=absent, **told)
 
 
 def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSettings | None = None) -> Row:

@@ -13,8 +13,9 @@ def table(result: Result) -> Group:
     """The surfaces, pictures and surveys that were asked for, and a line for each bar that was missed."""
     scenes = (surfaces_table(result.cases), pictures_table(result.cases)) if result.cases else ()
     surveys = (coverage_table(result),) if result.coverage else ()
+    swimmers = (swimmers_table(result.swimmers),) if result.swimmers else ()
     sizes = (size_table(result),) if result.size else ()
-    return Group(*scenes, *surveys, *sizes, *(f"missed: {text}" for text in result.missed))
+    return Group(*scenes, *surveys, *swimmers, *sizes, *(f"missed: {text}" for text in result.missed))
 
 
 def coverage_table(result: Result) -> Table:
@@ -27,6 +28,25 @@ def coverage_table(result: Result) -> Table:
         each = " ".join(map(str, result.coverage_runs[kind]))
         maps = "" if equal is None else "equal" if equal else "differ"
         shown.add_row(kind, f"{mean:.1f}", f"{mean / result.coverage['alone']:.2f}", each, maps)
+    return shown
+
+
+def swimmers_table(rows: list[Row]) -> Table:
+    """What is known of the floor after each minute, and how much of what is mapped is not there."""
+    shown = Table(title="three robots that swim; share of the floor known to 10 mm, depths drawn")
+    minutes = len(rows[0]["known"])
+    for column in (
+        "seed",
+        *(f"{k} min" for k in range(1, minutes + 1)),
+        "keyframes",
+        "cells of things",
+        "of these empty",
+    ):
+        shown.add_column(column, justify="right")
+    for row in rows:
+        known = (f"{100 * share:.1f} %" for share in row["known"])
+        made = " ".join(map(str, row["keyframes"]))
+        shown.add_row(str(row["seed"]), *known, made, str(row["things"]), str(row["empty"]))
     return shown
 
 

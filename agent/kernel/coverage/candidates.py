@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from agent.kernel.config import Body, Pose
-from agent.kernel.coverage.cast import Beam, beam, expected, gain, solid
+from agent.kernel.coverage.cast import Beam, beam, expected, gain
 from agent.kernel.coverage.grid import Grid
 from agent.kernel.coverage.rays import quaternion
 from agent.kernel.keyframes.claim import View
@@ -86,10 +86,10 @@ def view_of(station: Station, where: Where) -> View:
     return View(place_of(eye.position_m), quaternion(eye.rotation), where.lens, where.rows, where.sigma)
 
 
-def with_claims(cells: Mapping[int, int], views: Iterable[View], grid: Grid) -> dict[int, int]:
+def with_claims(cells: Mapping[int, int], stops: frozenset[int], views: Iterable[View], grid: Grid) -> dict[int, int]:
     """The map as it will be when others have seen what they are about to see. What each adds goes by the map as it
     is, so that the order of the claims does not count."""
-    found, stops = dict(cells), solid(grid, cells)
+    found = dict(cells)
     for view in views:
         for number, weight in expected(view, beam(view.lens, view.rows), grid, stops).items():
             found[number] = found.get(number, 0) + weight
@@ -105,8 +105,8 @@ class Ahead(NamedTuple):
     beam: Beam
 
 
-def ahead(where: Where, grid: Grid, cells: Mapping[int, int], claims: Iterable[View]) -> Ahead:
-    return Ahead(grid, with_claims(cells, claims, grid), solid(grid, cells), beam(where.lens, where.rows))
+def ahead(where: Where, grid: Grid, cells: Mapping[int, int], stops: frozenset[int], claims: Iterable[View]) -> Ahead:
+    return Ahead(grid, with_claims(cells, stops, claims, grid), stops, beam(where.lens, where.rows))
 
 
 class Best(NamedTuple):

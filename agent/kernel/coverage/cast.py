@@ -33,11 +33,6 @@ def beam(lens: Lens, rows: int) -> Beam:
     return Beam(slopes, max(round(100 * lens.cols * rows / (ACROSS * DOWN)), 1))
 
 
-def solid(grid: Grid, cells: Mapping[int, int]) -> frozenset[int]:
-    """Cells away from floor and walls in which something is known to be."""
-    return frozenset(n for n, have in cells.items() if 4 * have >= grid.goal and is_inner(n, grid))
-
-
 def expected(view: View, beam: Beam, grid: Grid, stops: Collection[int]) -> dict[int, int]:
     """Which cells a view would add how much to; what of them counts is for `gain` to say. stops: cells that no ray
     passes."""

@@ -9,19 +9,28 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import msgspec
 
+from agent.kernel.coverage.free_space import is_free, passed
 from agent.kernel.coverage.grid import FARTHEST_M, FLOOR_MM, NEAREST_M, Grid, information, is_inner
 from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
 from agent.kernel.keyframes.keyframe import UNIT_M, Frame, measured
 from agent.kernel.messages import Vector
 
 STARTS = 4
+ALONE_COS = 0.7  # of a block without neighbours that tell how its surface lies
 Key = tuple[str, int, int]  # origin, incarnation, number
 Dose = tuple[tuple[int, int], ...]  # cells and what is added to them
-ALONE_COS = 0.7  # of a block without neighbours that tell how its surface lies
+
+
+class Landed(NamedTuple):
+    """A block whose depth counts."""
+
+    number: int  # of the cell
+    weight: int  # information
 
 
 class Held(NamedTuple):
@@ -36,10 +45,13 @@ class CoverageMap:
         self.grid = grid
         self.held: dict[Key, Held] = {}
         self.cells: dict[int, int] = {}  # information, grid.ONE per mm^2
+        self.hits: dict[int, int] = {}  # blocks that end in each cell
+        self.passes: dict[int, int] = {}  # and that look through it
         self.starts: dict[str, tuple[int, ...]] = {}  # incarnations of each origin, newest first
         self.version = 0  # counts changes
         self._share: tuple[int, float] | None = None  # of which version, and what it is
         self._digest: tuple[int, str] | None = None
+        self._solid: tuple[int, frozenset[int]] | None = None
 
     def add(self, frame: Frame) -> bool:
         """Take a keyframe in whose content was found to be possible; returns whether it changes anything."""
@@ -63,17 +75,24 @@ class CoverageMap:
         """Of the wanted cells, and of things within the tank that were found, how many are known well enough."""
         if self._share is None or self._share[0] != self.version:
             goal, wanted = self.grid.goal, self.grid.wanted
-            inside = [n for n in self.cells if n not in wanted and self.occupied(n) and is_inner(n, self.grid)]
+            inside = self.solid() - wanted
             seen = sum(self.cells.get(n, 0) >= goal for n in wanted) + sum(self.cells[n] >= goal for n in inside)
             self._share = self.version, seen / max(len(wanted) + len(inside), 1)
         return self._share[1]
 
     def occupied(self, number: int) -> bool:
-        """Whether something is known to be there."""
-        return 4 * self.cells.get(number, 0) >= self.grid.goal
+        """Whether something is known to be there: measured, and not looked through."""
+        return 4 * self.cells.get(number, 0) >= self.grid.goal and not is_free(number, self.hits, self.passes)
+
+    def solid(self) -> frozenset[int]:
+        """Cells away from floor and walls in which something is known to be."""
+        if self._solid is None or self._solid[0] != self.version:
+            self._solid = self.version, frozenset(n for n in self.cells if is_inner(n, self.grid) and self.occupied(n))
+        return self._solid[1]
 
     def as_bytes(self) -> bytes:
-        """The whole map, the same on every robot that holds the same keyframes."""
+        """What is known of each cell, the same on every robot that holds the same keyframes. So are `hits` and
+        `passes`; they are left out so that robots of other versions can compare."""
         return b"".join(
             number.to_bytes(4, "little") + total.to_bytes(8, "little") for number, total in sorted(self.cells.items())
         )
@@ -98,12 +117,19 @@ class CoverageMap:
         return incarnation not in gone
 
     def _sum(self, frame: Frame, sign: int) -> None:
-        for number, weight in dose(frame, self.grid):
-            total = self.cells.get(number, 0) + sign * weight
-            if total:
-                self.cells[number] = total
-            else:
-                self.cells.pop(number, None)
+        blocks = landed(frame, self.grid)
+        _add(self.cells, blocks, sign)
+        _add(self.hits, ((block.number, 1) for block in blocks), sign)
+        _add(self.passes, passed(frame, self.grid).items(), sign)
+
+
+def _add(sums: dict[int, int], more: Iterable[tuple[int, int]], sign: int) -> None:
+    for number, weight in more:
+        total = sums.get(number, 0) + sign * weight
+        if total:
+            sums[number] = total
+        else:
+            sums.pop(number, None)
 
 
 def as_bytes(frame: Frame) -> bytes:
@@ -112,6 +138,13 @@ def as_bytes(frame: Frame) -> bytes:
 
 def dose(frame: Frame, grid: Grid) -> Dose:
     """What a keyframe adds to which cells: cos(incidence) / sigma^2 of each block whose depth counts."""
+    found: dict[int, int] = {}
+    _add(found, landed(frame, grid), 1)
+    return tuple(found.items())
+
+
+def landed(frame: Frame, grid: Grid) -> list[Landed]:
+    """Each block whose depth counts, in its order."""
     r, at = rotation(frame.turn), place_m(frame.place)
     slopes, ahead_m, cols = block_slopes(frame.lens, len(frame.sigmas)), frame.lens.ahead * UNIT_M, frame.lens.cols
     points: dict[int, Vector] = {}
@@ -119,7 +152,7 @@ def dose(frame: Frame, grid: Grid) -> Dose:
     for k, z_m, _ in known:
         x, y = slopes[k]
         points[k] = (x * (z_m - ahead_m), y * (z_m - ahead_m), z_m)
-    found: dict[int, int] = {}
+    found = []
     for k, z_m, sigma_m in known:
         if not NEAREST_M < z_m < FARTHEST_M:
             continue
@@ -128,8 +161,8 @@ def dose(frame: Frame, grid: Grid) -> Dose:
         px, py, pz = along(r, (p[0] / z_m, p[1] / z_m))
         number = grid.number(at[0] + px * z_m, at[1] + py * z_m, at[2] + pz * z_m)
         if weight and number is not None:
-            found[number] = found.get(number, 0) + weight
-    return tuple(found.items())
+            found.append(Landed(number, weight))
+    return found
 
 
 def _cosine(points: dict[int, Vector], k: int, cols: int) -> float:

@@ -98,7 +98,8 @@ class Surveyor:
         if self.phase != "choose" or now_ns < self._since_ns:
             return
         if self._k == 0:
-            self._ahead = ahead(self._where(pose), self.known.grid, self.known.cells, claims)
+            known = self.known
+            self._ahead = ahead(self._where(pose), known.grid, known.cells, known.solid(), claims)
             claimed = ((view.place[0] * UNIT_M, view.place[1] * UNIT_M) for view in claims)
             self._apart, self._best = (*claimed, *others_m), None
         where, by = self._where(pose), self._ahead

@@ -52,6 +52,11 @@ class Claim(Message, frozen=True, kw_only=True):
     digest: Annotated[str, Meta(max_length=16), means("of its map; those of equal maps are equal")] = ""
 
 
+def count_of(has: Has) -> int:
+    """How many keyframes that is."""
+    return has.upto + has.beyond.bit_count()
+
+
 def claim_fault(claim: Claim, tank_m: Vector) -> str | None:
     """Why nobody can be about to look like that; None where somebody can."""
     view = claim.view

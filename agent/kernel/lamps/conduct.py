@@ -58,8 +58,7 @@ class Lights:
         self._swept = False  # a sweep began by the lease
         self._fruitless = 0  # leases in a row without one
         self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
-        self._assumed: tuple[str, ...] = ()  # whose lamps it took to burn
-        self._burned: tuple[str, ...] = ()  # and that did, as was said
+        self._assumed, self._burned = tuple[str, ...](), tuple[str, ...]()  # whose lamps it took to, and that did
         self._lamps_m: tuple[Vector, ...] = ()  # where those are
         self._spoiled = 0
         self._lens: int | None = None  # where it rests between sweeps, as told

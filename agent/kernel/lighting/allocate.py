@@ -64,7 +64,7 @@ def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighti
     pairs = {
         name: pair(scene.camera_m, scene.target_m, scene.radius_m, lamp.place_m, lighting)
         for name, lamp in sorted(lamps.items())
-        if name == own or (lamp.free and not _dazzles(scene, lamp.place_m))
+        if name == own or (lamp.free and not dazzles(scene, lamp.place_m))
     }
 
     def of(names: frozenset[str]) -> Worth:
@@ -83,7 +83,7 @@ def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighti
     return Choice(tuple(sorted(chosen)), best.log_j, alone.log_j, best.sigma_mm, best.usable)
 
 
-def _dazzles(scene: Scene, lamp_m: Vector) -> bool:
+def dazzles(scene: Scene, lamp_m: Vector) -> bool:
     """Whether a lamp is in the picture, or nearly: it faces the target, and the camera behind that or before it."""
     offset = [p - c for p, c in zip(lamp_m, scene.camera_m, strict=True)]
     range_m = math.sqrt(sum(o * o for o in offset))

@@ -18,10 +18,9 @@ READ_NOISE = 16.0  # electrons, at gain 1
 MAX_GAIN = 8.0
 LEVEL = 0.8  # of full scale: what the exposure gives to the brightest 2 % of the disc
 BRIGHTEST = 0.98
-SIGMA = 1350.0  # lens positions at J = 1
-LEAST_CONTRAST = (
-    0.05  # direct light in all light, of a grey target, below which half of the sweeps and more show no peak
-)
+SIGMA = 1000.0  # lens positions at J = 1: of the twin's sweeps in harbour and bay water, world 0
+# Direct light in all light, of a grey target, below which half of the sweeps and more show no peak; world 0, too.
+LEAST_CONTRAST = 0.05
 WORST_MM = 60.0
 LEAST_J = 1e-9
 

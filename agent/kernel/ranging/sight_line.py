@@ -21,8 +21,7 @@ from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
 BENDING = 0.03  # of a box's longer side, by which a body that bends moves the middle of its box
-# A creature in lengths: as high as a fish. It swims the way it heads: so which side it shows is known where its speed is.
-HIGH = 0.3
+HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: which side it shows is known where that is
 SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard

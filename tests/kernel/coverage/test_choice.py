@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.experiments.reconstruction.coverage import CAMERA, PLACES, SIZE_M, SURFACE_M, fleet_of, sigma_m
 from agent.experiments.reconstruction.drawn_scene import draw_scene, look
 from agent.kernel.config import Body, Navigation, Pose
-from agent.kernel.coverage.candidates import TILTS_DEG, Candidate, Where, ahead, better, drawn
+from agent.kernel.coverage.candidates import TILTS_DEG, Ahead, Candidate, Where, ahead, better, drawn
 from agent.kernel.coverage.cast import gain
 from agent.kernel.coverage.evidence import CoverageMap, dose
 from agent.kernel.coverage.rays import place_m, rotation
@@ -38,8 +38,12 @@ def seen(scene, candidate: Candidate, number: int, rng) -> Frame:
     return Frame("r1", 1, number, view.place, view.turn, LENS, *packed)
 
 
+def by_map(known: CoverageMap, claims=(), k: int = 0) -> Ahead:
+    return ahead(where(k), GRID, known.cells, known.solid(), claims)
+
+
 def chosen(known: CoverageMap, robot: str, number: int, k: int, count: int = 12):
-    by, best = ahead(where(k), GRID, known.cells, ()), None
+    by, best = by_map(known, (), k), None
     for n in range(count):
         best = better(best, drawn(where(k), robot, number, n), by)
     return best
@@ -80,11 +84,11 @@ def test_the_draw_is_of_name_and_number_and_within_the_gimbals_reach():
 
 def test_of_equals_the_first_is_taken_and_what_gains_nothing_never():
     known = CoverageMap(GRID)
-    by, one = ahead(where(), GRID, known.cells, ()), drawn(where(), "r1", 1, 3)
+    by, one = by_map(known), drawn(where(), "r1", 1, 3)
     first = better(None, one, by)
     assert first is not None and better(first, replace_seconds(one), by) is first
-    full = ahead(where(), GRID, dict.fromkeys(range(math.prod(GRID.shape)), GRID.goal), ())
-    assert better(None, one, full._replace(stops=frozenset())) is None
+    full = ahead(where(), GRID, dict.fromkeys(range(math.prod(GRID.shape)), GRID.goal), frozenset(), ())
+    assert better(None, one, full) is None
 
 
 def replace_seconds(one: Candidate) -> Candidate:
@@ -94,10 +98,10 @@ def replace_seconds(one: Candidate) -> Candidate:
 def test_what_another_claims_is_no_gain_any_more():
     known = CoverageMap(GRID)
     one = drawn(where(), "r1", 1, 3)
-    alone, claimed = (better(None, one, ahead(where(), GRID, known.cells, views)) for views in ((), (one.view,) * 3))
+    alone, claimed = (better(None, one, by_map(known, views)) for views in ((), (one.view,) * 3))
     assert alone is not None and (claimed is None or claimed.gain < 0.2 * alone.gain)
     views = [drawn(where(k), "r2", 1, 5 + k).view for k in range(3)]
-    assert ahead(where(), GRID, known.cells, views) == ahead(where(), GRID, known.cells, views[::-1])
+    assert by_map(known, views) == ahead(where(), GRID, known.cells, known.solid(), views[::-1])
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.experiments.reconstruction.coverage import CAMERA, eye_of
 from agent.experiments.reconstruction.drawn_scene import look
 from agent.kernel.codec import encode
-from agent.kernel.coverage.cast import beam, cast, expected, gain, solid
+from agent.kernel.coverage.cast import beam, cast, expected, gain
 from agent.kernel.coverage.evidence import STARTS, CoverageMap, dose
 from agent.kernel.coverage.grid import Grid, information
 from agent.kernel.coverage.rays import along, block_slopes, quaternion, rotation
@@ -115,7 +115,7 @@ def test_rays_of_a_guess_meet_what_brute_force_meets():
     """Small steps along each ray, against the walk from cell to cell."""
     rng = np.random.default_rng(4)
     known = map_of(FRAMES)
-    stops = solid(GRID, known.cells)
+    stops = known.solid()
     assert stops
     for _ in range(150):
         at = tuple(float(v) for v in rng.uniform(0.05, np.array(GRID.size_m) - 0.05))
@@ -138,7 +138,7 @@ def test_gain_is_what_brute_force_says():
     known = map_of(FRAMES)
     eye = eye_of(FLEET, "r4", (1450.0, 1280.0))
     view = View(place_of(eye.position_m), quaternion(eye.rotation), LENS, ROWS, SIGMA)
-    adds = expected(view, beam(LENS, ROWS), GRID, solid(GRID, known.cells))
+    adds = expected(view, beam(LENS, ROWS), GRID, known.solid())
     goal = GRID.goal
     floats = sum(
         min((known.cells.get(n, 0) + more) / goal, 1.0) - min(known.cells.get(n, 0) / goal, 1.0)

@@ -211,7 +211,8 @@ def test_the_layouts_show_channels_that_exist(box: Path) -> None:
     json.loads(text)
     named = set(re.findall(r"/r\d/[a-z/]*[a-z]", text))
     named |= {channel for view in rerun_blueprint.shown_channels().values() for channel in view}
-    exist = {*info(box).channels, "/r1/preview"}  # the last: of a fleet file
+    # The last: of a fleet file, and of a survey.
+    exist = {*info(box).channels, "/r1/preview", "/r1/survey/keyframe", "/r1/survey/next", "/survey/map"}
     assert len(named) > 12
     assert {re.sub(r"/r\d/", "/r1/", name) for name in named} <= exist
     assert {name for name in named if name.endswith("/preview")} == {f"/r{n}/preview" for n in (1, 2, 3)}

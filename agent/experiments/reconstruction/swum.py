@@ -1,0 +1,155 @@
+"""How much of a basin three robots that swim know after five minutes of a survey, in virtual time.
+
+Whole kernels, bodies in the plane that tethers pull, tags and points that are followed drawn as in the experiment on
+navigation; things on the floor that a draw put there. What a sweep's blocks measure is the truth of the drawn scene
+from where the camera truly was at its end, with noise; one block in OUTLIERS has a peak that is quite wrong, as in
+rendered dives. No frames are rendered, nothing is hidden but by things, and no robot is seen.
+"""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from agent.experiments.navigation import basin
+from agent.experiments.navigation.bodies import CAMERA, START_NS, Bodies, PlanarBodies
+from agent.experiments.navigation.drawn_ball import FOCUS
+from agent.experiments.navigation.swimmers import LATE_STEPS, Eyes, Frame, Swimmers
+from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, look
+from agent.experiments.result import Row
+from agent.kernel.config import Coverage, Fleet, Pose, Survey
+from agent.kernel.coverage.evidence import CoverageMap
+from agent.kernel.coverage.grid import STEEPEST, grid_of
+from agent.kernel.coverage.making import NOISIER
+from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.ranging.focus import lens_position, phase_sigma
+from agent.kernel.step_io import BlockPeaks, SweepPlan
+from hw.twin.devices.camera_device import look as eye_of
+from hw.twin.scene import generator
+
+WIDE = msgspec.structs.replace(CAMERA, f_px=867.0, bend=0.41)  # of the twin's camera binned_640
+THINGS = 8
+STARTS = ((0.5, 0.5, 45.0), (2.5, 0.5, 135.0), (1.5, 1.5, 270.0))  # x, y, yaw of each robot
+SECONDS, EVERY_S, STEPS_S = 300.0, 60.0, 20
+SHOWS = 0.85  # of the blocks have texture enough for a peak: 373 to 410 of 475 in a rendered dive
+OUTLIERS = 200  # one block in so many, by keyframes of a rendered dive
+WRONG_M = (0.2, 0.3)  # depths that such a one has: near the lens's nearest
+
+
+class WideBodies(PlanarBodies):
+    """Robots in the plane whose cameras see as much as those of the survey's twin."""
+
+    def camera(self, name: str) -> CameraFit:
+        return WIDE
+
+
+class SurveyEyes(Eyes):
+    """One robot's camera before drawn things; while the lens moves nothing else is seen."""
+
+    def __init__(self, fleet: Fleet, name: str, bodies: WideBodies, scene: Scene) -> None:
+        super().__init__(fleet, name, bodies, None)
+        self._camera_m, self._scene = fleet.body.camera_m, scene
+        self._rng = generator(fleet.twin.seed, name, "drawn blocks")
+
+    def expose(self, bodies: Bodies, name: str, step: int, sees_tags: bool) -> None:
+        plan = self._plan
+        if plan is None or not plan.block_px:
+            super().expose(bodies, name, step, sees_tags)
+            return
+        self._index += 1
+        if self._index == len(plan.focus) - 1:
+            self._plan = None
+            self.coming.append(Frame(step + LATE_STEPS, blocks=self._blocks(bodies, name, plan)))
+
+    def _blocks(self, bodies: Bodies, name: str, plan: SweepPlan) -> BlockPeaks:
+        eye, _ = eye_of(bodies.pose(name), self._camera_m)
+        side, camera, rng = plan.block_px, bodies.camera(name), self._rng
+        seen = look(self._scene, np.array(eye.position_m), np.array(eye.rotation), camera, side)
+        own = math.hypot(FOCUS.noise, phase_sigma(FOCUS.width, side * side))
+        peaks = []
+        for k, z_m in enumerate(seen.z_m):
+            shows = 0.12 < z_m < 1.6 and seen.cos[k] > STEEPEST and rng.random() < SHOWS
+            wrong = rng.random() < 1.0 / OUTLIERS
+            if shows:
+                true_m = float(rng.uniform(*WRONG_M)) if wrong else float(z_m)
+                off = NOISIER * own * float(rng.normal())
+                peaks.append((k, lens_position(FOCUS, true_m) + off, NOISIER * own))
+        cols, rows = camera.width_px // side, camera.height_px // side
+        return BlockPeaks(
+            t_ns=bodies.now_ns,
+            sweep=plan.sweep,
+            focus=plan.focus[-1],
+            block_px=side,
+            cols=cols,
+            rows=rows,
+            peaks=tuple(peaks),
+        )
+
+
+def fleet_of(seed: int) -> Fleet:
+    """Three robots that survey the floor of the basin of the experiment on navigation."""
+    names = [f"r{k + 1}" for k in range(len(STARTS))]
+    robots = {
+        name: basin.robot(
+            name,
+            Pose(x_m=x, y_m=y, yaw_deg=yaw),
+            Survey(),
+            neighbours=tuple(other for other in names if other != name),
+        )
+        for name, (x, y, yaw) in zip(names, STARTS, strict=True)
+    }
+    coverage = Coverage(goal_mm=10.0, cell_mm=50.0, share=1.0, faces=("floor",))
+    return msgspec.structs.replace(basin.fleet(robots, seed), coverage=coverage)
+
+
+def swum(seed: int, seconds: float = SECONDS, every_s: float = EVERY_S) -> Row:
+    """known: share of the floor's cells that all keyframes together know, after each every_s; keyframes of each robot;
+    things: cells away from floor and walls in which the map has something, and empty: of these, how many in which
+    nothing is, a cell's width around."""
+    fleet = fleet_of(seed)
+    bodies = WideBodies(fleet)
+    length, breadth, _ = basin.TANK.size_m
+    scene = draw_scene((length, breadth, basin.TANK.surface_m), seed, THINGS)
+    world = Swimmers(fleet, bodies)
+    world.eyes = {name: SurveyEyes(fleet, name, bodies, scene) for name in fleet.robot}
+    known = CoverageMap(grid_of(fleet))
+    made, shares = dict.fromkeys(fleet.robot, 0), list[float]()
+    for step in range(1, round(seconds * STEPS_S) + 1):
+        world.step()
+        for name, agent in world.agents.items():
+            own = agent.survey.surveyor
+            if own is not None and own.keyframes > made[name]:
+                made[name] = own.keyframes
+                known.add(own.known.held[name, START_NS, own.keyframes].frame)
+        if step % round(every_s * STEPS_S) == 0:
+            shares.append(floor_share(known))
+    wanted = known.solid()
+    return {
+        "seed": seed,
+        "known": shares,
+        "keyframes": list(made.values()),
+        "things": len(wanted),
+        "empty": sum(not near_a_thing(number, known, scene) for number in wanted),
+    }
+
+
+def floor_share(known: CoverageMap) -> float:
+    """Of the wanted cells."""
+    wanted = known.grid.wanted
+    return sum(known.cells.get(number, 0) >= known.grid.goal for number in wanted) / len(wanted)
+
+
+def near_a_thing(number: int, known: CoverageMap, scene: Scene) -> bool:
+    """Whether any of 13 x 13 x 13 places in a cell, and a cell's width around it, lies in one of the scene's bodies."""
+    (nx, ny, _), cell_m = known.grid.shape, known.grid.cell_m
+    index = np.array([number % nx, number // nx % ny, number // (nx * ny)], float)
+    steps = np.linspace(-1.0, 2.0, 13)
+    places = (index + np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)) * cell_m
+    for body in scene.bodies:
+        inner = ((places - body.centre_m) @ body.turn.T) / body.half_m
+        size = (inner * inner).sum(axis=1) if body.round else np.abs(inner).max(axis=1)
+        if (size < 1.0).any():
+            return True
+    return False

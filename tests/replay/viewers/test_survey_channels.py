@@ -1,0 +1,185 @@
+"""What viewers see of a survey: each keyframe once, where robots look, and the map of all of them."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from msgspec import UNSET
+
+from agent.kernel.codec import encode
+from agent.kernel.coverage.evidence import CoverageMap
+from agent.kernel.coverage.exchange import holdings
+from agent.kernel.coverage.grid import ONE
+from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
+from agent.kernel.keyframes.claim import Claim, View
+from agent.kernel.keyframes.keyframe import UNIT_M, Frame, Keyframe, measured
+from agent.kernel.messages import State, Whereabouts
+from agent.kernel.step_io import Outputs, SetPoint
+from replay.files.backlog import Entry
+from replay.viewers.layout import foxglove_layout
+from replay.viewers.plots import message_class
+from replay.viewers.viewer_channels import ViewerChannels
+from tests.kernel.coverage.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
+from tests.replay.small_box import state
+from tests.replay.viewers.test_viewer_channels import rotate
+
+KINDS = {
+    "map": PointCloud,
+    "keyframe": PointCloud,
+    "tf": FrameTransforms,
+    **{
+        kind: message_class(name)
+        for kind, name in {"survey": "Survey", "protocol": "Protocol", "r2": "Neighbour"}.items()
+    },
+}
+FRAMES = drawn_frames(10)  # two of each robot
+
+
+def keyframe(frame: Frame, dst: str = "r2", src: str | None = None) -> Keyframe:
+    head: dict[str, Any] = {"fleet": "survey", "incarnation": 1, "seq": 1, "sent_ns": 7}
+    return Keyframe(src=src or frame.origin, dst=dst, frame=frame, **head)
+
+
+def claim(known: CoverageMap, src: str = "r1", dst: str = "r2", view: View | None = None) -> Claim:
+    return Claim(
+        fleet="survey",
+        src=src,
+        dst=dst,
+        incarnation=1,
+        seq=1,
+        sent_ns=9,
+        view=UNSET if view is None else view,
+        has=holdings(known),
+        share=known.share(),
+    )
+
+
+def on_network(said: Claim | Keyframe) -> Entry:
+    kind = "claim" if isinstance(said, Claim) else "keyframe"
+    return Entry(f"/zenoh/aucamp/survey/{kind}/{said.src}/{said.dst}", 5, 5, 0, encode(said), "msgpack", {})
+
+
+def seen(*entries: Entry, robot: str = "") -> dict[str, list[Any]]:
+    derive, found = ViewerChannels(FLEET, robot), dict[str, list[Any]]()
+    for entry in entries:
+        for made in derive(entry):
+            assert made.schema is not None
+            message = kind_of(made).FromString(made.data)
+            found.setdefault(made.channel, []).append(message)
+    return found
+
+
+def kind_of(made: Entry) -> Any:
+    kind = made.channel.split("/")[2 if made.channel.startswith("/survey") else -1]
+    return KINDS.get(kind, PoseInFrame)
+
+
+def columns(cloud: Any) -> np.ndarray:
+    kinds = {7: "<f4", 1: "u1"}
+    kind = np.dtype([(field.name, kinds[field.type]) for field in cloud.fields])
+    assert cloud.point_stride == kind.itemsize
+    return np.frombuffer(cloud.data, kind)
+
+
+def test_a_keyframe_is_shown_once_whoever_says_it_and_the_map_is_that_of_all() -> None:
+    words = [keyframe(frame, dst) for frame in FRAMES for dst in ("r2", "r3")]
+    shown = seen(*map(on_network, [*words, keyframe(FRAMES[0], "r3", src="r2")]))
+    assert {channel: len(of) for channel, of in shown.items()} == {
+        **{f"/r{n}/survey/keyframe": 2 for n in range(1, 6)},
+        "/survey/map": len(FRAMES),
+    }
+    known = CoverageMap(GRID)
+    for frame in FRAMES:
+        known.add(frame)
+    last = columns(shown["/survey/map"][-1])
+    assert len(last) == len(GRID.wanted | {n for n in known.cells if known.occupied(n)})
+    numbers = [GRID.number(*map(float, row)) for row in zip(last["x"], last["y"], last["z"], strict=True)]
+    have = np.array([known.cells.get(n, 0) for n in numbers if n is not None])
+    assert last["known"] == pytest.approx(np.minimum(have / GRID.goal, 1.0))
+    assert last["sigma_mm"][have > 0] == pytest.approx(np.sqrt(ONE / have[have > 0]), rel=1e-6)
+    assert np.isnan(last["sigma_mm"][have == 0]).all()
+    assert set(last["red"][have == 0]) == {70}
+    assert (last["green"] > last["red"])[have >= GRID.goal].all()
+
+
+def test_points_of_a_keyframe_lie_where_its_blocks_put_them() -> None:
+    (cloud,) = seen(on_network(keyframe(FRAMES[0])))["/r1/survey/keyframe"]
+    rows, r, slopes = columns(cloud), rotation(FRAMES[0].turn), block_slopes(LENS, len(FRAMES[0].sigmas))
+    assert cloud.frame_id == "world"
+    assert len(rows) == len(measured(FRAMES[0])) > 100
+    for row, (k, z_m, sigma_m) in list(zip(rows, measured(FRAMES[0]), strict=True))[::29]:
+        x, y = (s * (z_m - LENS.ahead * UNIT_M) / z_m for s in slopes[k])
+        there = [a + z_m * way for a, way in zip(place_m(FRAMES[0].place), along(r, (x, y)), strict=True)]
+        assert (row["x"], row["y"], row["z"]) == pytest.approx(there, abs=1e-6)
+        assert row["sigma_m"] == pytest.approx(sigma_m)
+
+
+def test_a_claim_is_shown_once_and_its_view_along_the_optical_axis() -> None:
+    known = CoverageMap(GRID)
+    for frame in FRAMES[:6]:
+        known.add(frame)
+    view = View(FRAMES[3].place, FRAMES[3].turn, LENS, ROWS, SIGMA)
+    said = [claim(known, dst=dst, view=view) for dst in FLEET.robot["r1"].neighbours]
+    shown = seen(*map(on_network, said))
+    (plotted,) = shown["/r1/plot/survey"]
+    assert (plotted.share, plotted.own, plotted.held, plotted.looks) == (known.share(), 2, 6, 1)
+    (arrow,) = shown["/r1/survey/next"]
+    at, q = arrow.pose.position, arrow.pose.orientation
+    assert (at.x, at.y, at.z) == pytest.approx(place_m(view.place))
+    turned = (q.x, q.y, q.z, q.w)
+    r = np.array(rotation(view.turn))
+    assert rotate(turned, (1.0, 0.0, 0.0)) == pytest.approx(r[:, 2], abs=1e-8)
+    assert rotate(turned, (0.0, 0.0, 1.0)) == pytest.approx(-r[:, 1], abs=1e-8)
+    (nowhere,) = seen(on_network(claim(known)))["/r1/plot/survey"]
+    assert nowhere.looks == 0
+
+
+def test_a_black_box_shows_its_own() -> None:
+    words = tuple(keyframe(FRAMES[0], dst) for dst in ("r2", "r3"))
+    outputs = Outputs(
+        set_point=SetPoint(depth_m=0.2, roll_deg=0.0, pitch_deg=0.0, servos_us=(1500,) * 4),
+        claims=tuple(claim(CoverageMap(GRID), dst=dst) for dst in FLEET.robot["r1"].neighbours),
+        keyframes=words,
+    )
+    shown = seen(Entry("/raw/step_out", 5, 5, 0, encode(outputs), "msgpack", {}), robot="r1")
+    assert {channel: len(of) for channel, of in shown.items()} == {"/r1/plot/survey": 1, "/r1/survey/keyframe": 1}
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        keyframe(msgspec.structs.replace(FRAMES[0], origin="stranger")),
+        keyframe(msgspec.structs.replace(FRAMES[0], sigmas=b"")),
+        keyframe(msgspec.structs.replace(FRAMES[0], place=(10**6, 0, 0))),
+    ],
+)
+def test_what_cannot_be_is_not_shown(said: Keyframe) -> None:
+    assert seen(on_network(said)) == {}
+
+
+def test_a_body_that_swims_is_shown_where_it_says_it_is() -> None:
+    def tree(said: State) -> Any:
+        entry = Entry("/zenoh/aucamp/survey/robot/r1/state", 5, 5, 0, encode(said), "msgpack", {})
+        return seen(entry).get("/r1/tf")
+
+    there = Whereabouts(x_m=1.25, y_m=0.5, yaw_deg=90.0, place_sigma_m=0.01, yaw_sigma_deg=1.0)
+    (found,) = tree(msgspec.structs.replace(state(5, 0), whereabouts=there))
+    body = found.transforms[0]
+    assert (body.translation.x, body.translation.y) == (1.25, 0.5)
+    assert math.degrees(2.0 * math.asin(body.rotation.z)) == pytest.approx(90.0, abs=1.0)
+    assert tree(msgspec.structs.replace(state(5, 0), whereabouts=None)) is None
+    (moored,) = tree(state(5, 0))
+    assert moored.transforms[0].translation.x == FLEET.robot["r1"].pose.x_m
+
+
+def test_the_layout_of_a_survey_shows_the_map() -> None:
+    panels = foxglove_layout(FLEET)["configById"]
+    assert {"/survey/map", *(f"/r{n}/survey/keyframe" for n in range(1, 6))} <= panels["3D!world"]["topics"].keys()
+    lines = panels["Plot!share"]["paths"]
+    assert [line["value"] for line in lines] == [f"/r{n}/plot/survey.share" for n in range(1, 6)]
+    assert "Plot!knows" not in panels
