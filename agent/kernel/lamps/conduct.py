@@ -177,8 +177,7 @@ class Lights:
         keeps = seek.measuring or self.judging
         self._own.burn(self._talk.party, seek, target.believed_m, keeps, attitude, now_ns)
         seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
-        newest = attitude.newest
-        level = None if newest is None else attitude.at(newest.t_ns)
+        level = None if attitude.newest is None else attitude.at(attitude.newest.t_ns)
         self._wanted_lens = self._expected(seek, target, level)
 
     def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
