@@ -19,7 +19,7 @@ from hw.twin.faults import KINDS, AnyEvent
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
 
-BESIDE_M = 0.12  # camera to lamp
+BESIDE_M = 0.12  # camera to lamp, where the fleet file says nothing of lamps
 
 Coefficient = Annotated[float, Meta(gt=0, le=20)]
 Coefficients = tuple[Coefficient, Coefficient, Coefficient]
@@ -143,7 +143,7 @@ def lamp_place(fleet: Fleet, scene: Scene) -> Vector | None:
     if scene.water.absorption_per_m is None:
         return None
     x, y, z = fleet.body.camera_m
-    return x, y + BESIDE_M, z
+    return x, y + (BESIDE_M if fleet.lighting is None else fleet.lighting.beam.beside_m), z
 
 
 def put_off(sigma: StartSigma, said: tuple[float, float, float], seed: int, robot: str) -> tuple[float, float, float]:
