@@ -164,16 +164,22 @@ class World:
             if not (0.08 < z_m < 1.6) or self.rng.random() > SHOWS or seen.cos[k] < STEEPEST:
                 continue
             peaks.append((k, lens_position(FOCUS, float(z_m)) + float(self.rng.normal(0.0, SIGMA)), SIGMA))
-        cols, rows = CAMERA.width_px // side, CAMERA.height_px // side
-        return BlockPeaks(
-            t_ns=self.now_ns - STEP_NS,
-            sweep=plan.sweep,
-            focus=plan.focus[-1],
-            block_px=side,
-            cols=cols,
-            rows=rows,
-            peaks=tuple(peaks),
-        )
+        return found_in(plan, CAMERA, side, peaks, self.now_ns - STEP_NS)
+
+
+def found_in(
+    plan: SweepPlan, camera: CameraFit, side: int, peaks: Sequence[tuple[int, float, float]], t_ns: int
+) -> BlockPeaks:
+    """What a robot is told of a sweep over whole frames, in blocks of `side` px, by peaks that were drawn."""
+    return BlockPeaks(
+        t_ns=t_ns,
+        sweep=plan.sweep,
+        focus=plan.focus[-1],
+        block_px=side,
+        cols=camera.width_px // side,
+        rows=camera.height_px // side,
+        peaks=tuple(peaks),
+    )
 
 
 def sigma_m(z_m: float) -> float:

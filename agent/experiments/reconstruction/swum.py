@@ -17,6 +17,7 @@ from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import CAMERA, START_NS, Bodies, PlanarBodies
 from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.navigation.swimmers import LATE_STEPS, Eyes, Frame, Swimmers
+from agent.experiments.reconstruction.coverage import found_in
 from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, look
 from agent.experiments.result import Row
 from agent.kernel.config import Coverage, Fleet, Pose, Survey
@@ -76,16 +77,7 @@ class SurveyEyes(Eyes):
                 true_m = float(rng.uniform(*WRONG_M)) if wrong else float(z_m)
                 off = NOISIER * own * float(rng.normal())
                 peaks.append((k, lens_position(FOCUS, true_m) + off, NOISIER * own))
-        cols, rows = camera.width_px // side, camera.height_px // side
-        return BlockPeaks(
-            t_ns=bodies.now_ns,
-            sweep=plan.sweep,
-            focus=plan.focus[-1],
-            block_px=side,
-            cols=cols,
-            rows=rows,
-            peaks=tuple(peaks),
-        )
+        return found_in(plan, camera, side, peaks, bodies.now_ns)
 
 
 def fleet_of(seed: int) -> Fleet:

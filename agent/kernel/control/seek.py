@@ -42,9 +42,7 @@ class Seek:
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
-        self.lit_from_ns: int | None = (
-            0  # since when there is light where it looks; None: it is dark, and shows nothing
-        )
+        self.lit_from_ns: int | None = 0  # since when there is light where it looks; None: dark, and nothing shows
         self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
         self.surveys = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)

@@ -39,7 +39,6 @@ class Errand:
         self.around: Surroundings | None = None
         self.station: tuple[Planar, float] | None = None  # where a survey looks from; by whoever chooses views
         self._screens: deque[Screen] = deque(maxlen=MOST_SCREENS)
-        self._flees = False  # what it keeps clear of is an animal
         self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
 
     def heed(
@@ -53,7 +52,7 @@ class Errand:
         now_ns: int,
     ) -> None:
         """Once a step, before the camera is told where to look; depth_m: where the robot hovers."""
-        self.does, self._flees = what, about(what) in self._swims
+        self.does = what
         if isinstance(what, Survey):
             self.around = Surroundings(self._fleet.tank.size_m[:2], self._speed_m_s, station=self.station)
             return
@@ -64,7 +63,7 @@ class Errand:
             self._fleet.tank.size_m[:2],
             self._speed_m_s,
             target=target,
-            swims=self._flees,
+            swims=what.target in self._swims,
             sees=seek.sees(what.target, now_ns),
             robots_m=tuple(disc.at_m for disc in neighbours.discs(now_ns)),
             screens_m=tuple(screen.at_m for screen in self._screens_of(now_ns)),
@@ -101,7 +100,7 @@ class Errand:
         if self.around is None or (target := self.around.target) is None:
             return None
         at_m, velocity = target.x_m[:2], velocity_m_s(target, now_ns)
-        return Disc(at_m, TARGET_M, velocity, strays_m=SIGMAS * target.sigma_m, flees=self._flees)
+        return Disc(at_m, TARGET_M, velocity, strays_m=SIGMAS * target.sigma_m, flees=self.around.swims)
 
 
 def about(what: Behaviour) -> str | None:
