@@ -10,7 +10,7 @@ from agent.console_log import hears
 from agent.demo.coverage import SurveyWatch
 from agent.demo.history import Histories
 from agent.kernel.coverage.rays import place_m, rotation
-from agent.kernel.keyframes.claim import Claim, View, count_of
+from agent.kernel.keyframes.claim import Claim, View, holds
 from agent.kernel.messages import State
 from agent.kernel.status import fault_kind
 
@@ -33,8 +33,7 @@ def claimed(claim: Claim | None, usual: str) -> tuple[str, ...]:
     """What it knows, keyframes that it made and holds, and whose map it has."""
     if claim is None:
         return "…", "-", "-", "-"
-    own = sum(count_of(has) for has in claim.has if (has.origin, has.incarnation) == (claim.src, claim.incarnation))
-    held = sum(map(count_of, claim.has))
+    own, held = holds(claim)
     return f"{100 * claim.share:.1f} %", str(own), str(held), "same" if claim.digest == usual else "other"
 
 

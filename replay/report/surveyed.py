@@ -9,7 +9,7 @@ from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.coverage.evidence import CoverageMap
 from agent.kernel.coverage.grid import grid_of
-from agent.kernel.keyframes.claim import count_of
+from agent.kernel.keyframes.claim import holds
 from agent.kernel.keyframes.keyframe import Frame
 from agent.kernel.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox
@@ -47,7 +47,7 @@ def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
                 continue
             outputs = decode(record.data, Outputs, STEP_BYTES)
             for claim in (outputs.claims or ())[:1]:
-                held = sum(map(count_of, claim.has))
+                _, held = holds(claim)
                 known[box.robot].append(Known(claim.sent_ns, claim.share, held, claim.digest))
             for said in outputs.keyframes or ():
                 frame = said.frame

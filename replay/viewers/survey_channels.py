@@ -16,7 +16,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.coverage.evidence import CoverageMap, Key
 from agent.kernel.coverage.grid import ONE, grid_of
 from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
-from agent.kernel.keyframes.claim import Claim, View, claim_fault, count_of
+from agent.kernel.keyframes.claim import Claim, View, claim_fault, holds
 from agent.kernel.keyframes.keyframe import TURN_ONE, UNIT_M, Frame, Keyframe, frame_fault, measured
 from replay.files import channels
 from replay.files.channels import name
@@ -68,8 +68,7 @@ class SurveyChannels:
 
 def survey(claim: Claim) -> Any:
     """aucamp.Survey."""
-    own = sum(count_of(has) for has in claim.has if (has.origin, has.incarnation) == (claim.src, claim.incarnation))
-    held = sum(map(count_of, claim.has))
+    own, held = holds(claim)
     return plot("Survey", share=claim.share, own=own, held=held, looks=claim.view is not UNSET)
 
 

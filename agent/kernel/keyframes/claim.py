@@ -52,9 +52,11 @@ class Claim(Message, frozen=True, kw_only=True):
     digest: Annotated[str, Meta(max_length=16), means("of its map; those of equal maps are equal")] = ""
 
 
-def count_of(has: Has) -> int:
-    """How many keyframes that is."""
-    return has.upto + has.beyond.bit_count()
+def holds(claim: Claim) -> tuple[int, int]:
+    """How many keyframes whoever claims has made since its start, and how many it holds in all."""
+    counts = [(has, has.upto + has.beyond.bit_count()) for has in claim.has]
+    own = sum(n for has, n in counts if (has.origin, has.incarnation) == (claim.src, claim.incarnation))
+    return own, sum(n for _, n in counts)
 
 
 def claim_fault(claim: Claim, tank_m: Vector) -> str | None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-from agent.kernel.control.pointing import HIGHEST_US, LOWEST_US, SLEW_US_PER_S
-from agent.kernel.lighting.words import LampNow, Why
+from agent.kernel.control.pointing import SLEW_US_PER_S
+from agent.kernel.lighting.words import Why
 from agent.kernel.step_io import Telemetry
 
 DARK_NS = 150_000_000  # from a set-point to light or darkness: the line to the module, its loop, the lamp's driver
@@ -72,14 +71,3 @@ def cannot(has: bool, lamp: Lamp, telemetry: Telemetry | None, silent: bool) -> 
     if telemetry.battery_v < EMPTY_V:
         return "battery"
     return "heat" if lamp.warm >= TOO_WARM else ""
-
-
-def now(lamp: Lamp, deg: tuple[float, float], state: tuple[float, Why, str | None], now_ns: int) -> LampNow:
-    """As it is told. state: load, why it cannot burn, whom it burns for."""
-    pan, tilt = deg
-    return LampNow(lamp.power, pan, tilt, lamp.changes, lamp.steady(now_ns), *state)
-
-
-def reaches(pan_us: float, tilt_us: float) -> bool:
-    """Whether its gimbal gets there."""
-    return all(LOWEST_US <= us <= HIGHEST_US and math.isfinite(us) for us in (pan_us, tilt_us))

@@ -55,11 +55,6 @@ class Talk:
         self.party, self._before, self._after = release(self.party), None, None
         self._due_ns = 0
 
-    @property
-    def judging(self) -> bool:
-        """A sweep has ended, and is not known to count."""
-        return self._after is not None
-
     def rests(self, own: LampNow, now_ns: int) -> bool:
         """Whether all lamps are at rest that this robot knows of."""
         return not isinstance(baseline(self.party, own, now_ns), str)

@@ -24,7 +24,6 @@ LEAST_M = np.float32(0.015)  # the lamp's radius: no water is nearer to its midd
 PER_COSINE = np.float32((COSINES - 1) / (1 - math.cos(EDGE_RAD)))
 EDGE_COS = np.float32(math.cos(EDGE_RAD))
 PER_RANGE = np.float32(1 / RANGE_STEP_M)
-ALMOST = np.float32(1 - 1e-6)
 TINY = np.float32(1e-6)
 INV_SUB = np.float32(1 / SUB)
 
