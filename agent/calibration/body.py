@@ -12,8 +12,8 @@ from agent.calibration.body_fit import PASSES, PRIOR, Trial, fit_body
 from agent.calibration.calibration_file import check_file, put
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import Event
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.event_ring import Event
 from agent.kernel.ranging.calibration import BodyFit
 from agent.progress import Show, with_bar
 from replay.check.black_box import BlackBox, open_box

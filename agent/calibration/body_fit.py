@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from agent.calibration.fit import CalibrationRefused
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import Event
-from agent.kernel.navigation.pose_filter import BIAS, GAIN, RATE_RAD_S, Belief, Drift, add_rate, begin, predict
+from agent.kernel.navigation.pose.body_model import Hull, Wrench
+from agent.kernel.navigation.pose.corrections import RATE_RAD_S, add_rate
+from agent.kernel.navigation.pose.event_ring import Event
+from agent.kernel.navigation.pose.pose_filter import BIAS, GAIN, Belief, Drift, begin, predict
 from agent.kernel.ranging.calibration import BodyFit
 
 Array = NDArray[np.float64]

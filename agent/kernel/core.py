@@ -22,7 +22,7 @@ from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
 from agent.kernel.lamps.conduct import Lights
 from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
-from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.navigation.pursuit import Pursuit
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.net import Net
@@ -185,12 +185,12 @@ class Agent:
         return self.lights.judging or (self.swimmer is not None and self.swimmer.localizer.settling)
 
     def _iterate(self, now_ns: int) -> None:
-        """One iteration of the protocol each period; a sweep that is nearly done is waited for."""
+        """One each period; a sweep that is nearly done is waited for, a frame of what swims does not wait itself."""
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
         period_ns = self._iteration_ns[target.name]
-        coming = self.seek.measuring or self._settling
-        waiting = target.prior is None and coming and elapsed_ns < LATEST_ITERATION * period_ns
-        if elapsed_ns < period_ns or waiting:
+        due_ns = period_ns // 2 if self.pursuit.sees(target) else period_ns
+        comes = target.prior is None and (self.seek.measuring or self._settling)
+        if elapsed_ns < due_ns or (comes and elapsed_ns < LATEST_ITERATION * period_ns):
             return
         self._iterated_ns, target.bearing = now_ns, self.pursuit.bearing(target, self.attitude, now_ns)
         for each in self.targets.values():
@@ -233,10 +233,11 @@ class Agent:
         return plan
 
     def _say(self, now_ns: int) -> tuple[Estimate, ...]:
-        """Say to each neighbour what there is about each target."""
-        if now_ns < self._say_due_ns:
+        """Say to each neighbour what there is about each target; at once what was just concluded of one that swims."""
+        fresh = self.pursuit.target is not None and self._iterated_ns == now_ns
+        if now_ns < self._say_due_ns - fresh * self._say_ns // 2:
             return ()
-        self._say_due_ns = next_due_ns(self._say_due_ns, self._say_ns, now_ns)
+        self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), self._say_ns, now_ns)
         self._said += 1
         return tuple(
             target.say(neighbour, self._said, now_ns)

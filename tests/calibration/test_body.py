@@ -15,8 +15,8 @@ from agent.calibration.calibration_file import put
 from agent.calibration.fit import CalibrationRefused
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import asked, fix
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.event_ring import asked, fix
 from agent.kernel.ranging.calibration import BodyFit, load_calibration
 from agent.kernel.toml_files import dump
 from tests.kernel.navigation.planar_tank import Swimmer

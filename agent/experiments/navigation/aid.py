@@ -26,11 +26,12 @@ from agent.kernel.estimation.matrix import plus, times
 from agent.kernel.messages import Symmetric, Vector, upper
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, rate
 from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, within
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
-from agent.kernel.navigation.pose_filter import RATE_RAD_S, Belief, Drift, begin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.corrections import RATE_RAD_S
+from agent.kernel.navigation.pose.event_ring import Event, EventRing, asked, fix, rate
+from agent.kernel.navigation.pose.pose_filter import Belief, Drift, begin
 from agent.kernel.ranging.fix import Fix
 from agent.kernel.ranging.own_pose import carried, kappa, longest_gap_s
 from hw.twin.scene import generator

@@ -27,7 +27,7 @@ TAG_M, PITCH_M, ROWS_M = 0.08, 0.25, (0.15, 0.40)  # rows: heights on the walls
 DEPTH_M = 0.30
 FLOOR_LOOK = Look(tilt_deg=-40.0)  # at the floor half a metre ahead: a whole tag nearly always, and points to follow
 BALL = Target(radius_m=0.07)
-TURN_S = 2.0  # for which a swimming ball keeps a course, by its fleet file
+TURN_S = 3.0  # for which what swims keeps a course, by its fleet file
 
 
 def tags() -> tuple[Tag, ...]:

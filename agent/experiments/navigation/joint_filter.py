@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import STEP_NS, Hull, Wrench, motion
-from agent.kernel.navigation.pose_filter import FIRST, FIRST_LEARNT, Drift
+from agent.kernel.navigation.pose.body_model import STEP_NS, Hull, Wrench, motion
+from agent.kernel.navigation.pose.pose_filter import FIRST, FIRST_LEARNT, Drift
 from agent.kernel.ranging.fix import Fix
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.navigation.body_model import Wrench
+from agent.kernel.navigation.pose.body_model import Wrench
 from agent.kernel.ranging.camera_model import gimbal_deg
 from agent.kernel.step_io import Flow, SeenTags, Sighting, SweepOutcome
 

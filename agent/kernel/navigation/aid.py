@@ -25,11 +25,12 @@ from agent.kernel.estimation.interface import Posterior
 from agent.kernel.estimation.matrix import apply, inverse, plus, quadratic
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.basin import Basin
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.dense import dot
-from agent.kernel.navigation.event_ring import RING_NS, Event, EventRing, sighting
-from agent.kernel.navigation.pose_filter import GATE, Belief, Drift
+from agent.kernel.navigation.pose.basin import Basin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.corrections import GATE
+from agent.kernel.navigation.pose.dense import dot
+from agent.kernel.navigation.pose.event_ring import RING_NS, Event, EventRing, sighting
+from agent.kernel.navigation.pose.pose_filter import Belief, Drift
 from agent.kernel.ranging.own_pose import carried
 
 NEED_M = 0.02  # one sigma of place: a robot that sees tags between its sweeps knows better by itself

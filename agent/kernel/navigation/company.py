@@ -14,7 +14,7 @@ from agent.kernel.navigation.barrier import DELAY_S, Disc, Planar, Spread, keep_
 from agent.kernel.navigation.localizer import UNSURE_DEG, UNSURE_M, sigmas, within
 from agent.kernel.navigation.neighbours import Neighbours, content_fault
 from agent.kernel.navigation.pilot import Reference
-from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.presence import Presence
 from agent.kernel.topics import NEAR, next_due_ns
 

@@ -16,13 +16,13 @@ from agent.kernel.estimation.matrix import minus, plus, times
 from agent.kernel.messages import Whereabouts
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.barrier import STILL as AT_REST
-from agent.kernel.navigation.basin import basin
-from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.gyro import Rate
 from agent.kernel.navigation.planes import by_things, odometry
-from agent.kernel.navigation.pose_filter import Belief, Drift, begin, learnt
+from agent.kernel.navigation.pose.basin import basin
+from agent.kernel.navigation.pose.body_model import Hull, Wrench
+from agent.kernel.navigation.pose.event_ring import Event, EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.pose.pose_filter import Belief, Drift, begin, learnt
 from agent.kernel.navigation.tags.defocus import readable
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import markers

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import STILL, Planar
-from agent.kernel.navigation.body_model import Hull, Wrench, damping, turn_damping
-from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.pose.body_model import Hull, Wrench, damping, turn_damping
+from agent.kernel.navigation.pose.pose_filter import Belief
 
 # As stiff as is damped by 0.3 and more where thrusters lag by 0.08 to 0.15 s, mass and inertia are 0.75 to 1.3 times
 # what is believed and fixes are 0.2 s late. At 3.0 the lightest and fastest body with the latest fixes swings for ever;

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.dense import backward, cholesky, forward, inverse
+from agent.kernel.navigation.pose.dense import backward, cholesky, forward, inverse
 from agent.kernel.navigation.tags.projection import Theta, Upright, View, direction, upright
 
 FARTHEST_M = 3.0  # of a point from the camera
@@ -53,7 +53,7 @@ class Point(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """The robot now, in the upright frame that it had at the key frame: z of pose_filter.add_flow."""
+    """The robot now, in the upright frame that it had at the key frame: z of corrections.add_flow."""
 
     pose: Vector  # x ahead and y to the left, m; yaw, rad
     covariance: Symmetric

@@ -67,6 +67,10 @@ class Pursuit:
                 self._gaze.saw(sighting.t_ns)
                 self._newest = sighting
 
+    def sees(self, of: TargetState) -> bool:
+        """Whether a frame has shown that target since the last bearing."""
+        return self._newest is not None and self._newest.target == of.name
+
     def bearing(self, of: TargetState, attitude: AttitudeLog, now_ns: int) -> Bearing | None:
         """What the newest frame says of that target, once; None: none showed it, or nobody knows where from."""
         seen, self._newest = self._newest, None
@@ -82,7 +86,9 @@ class Pursuit:
         eye = camera_pose(pose_of(known[0]), self._fleet.body, *level, *gimbal.deg, surface_m)
         outline = Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
         believed, swims = of.estimator.posterior, self._swims[of.name]
-        sigma_deg = math.hypot(0.0 if gimbal.rests else TURNING_DEG, gimbal.lag_sigma_deg)
+        play_deg = 0.0 if gimbal.rests else TURNING_DEG
+        # Of a pan that goes with the target it is in the yaw already, which the same camera has from landmarks.
+        sigma_deg = math.hypot(0.0 if gimbal.tracks else play_deg, gimbal.lag_sigma_deg)
         return sight_line(
             self._calibration.camera,
             eye,
@@ -95,6 +101,7 @@ class Pursuit:
             0.5 * max(self._fleet.tank.size_m),
             sized=self._fleet.ranging.cues != "focus",
             velocity_m_s=None if believed is None else believed.v_m_s,
+            tilt_sigma_rad=math.radians(play_deg) if gimbal.tracks else 0.0,
         )
 
     def goes_with(self, of: TargetState, seek: Seek) -> bool:

@@ -14,7 +14,6 @@ from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
 from agent.kernel.navigation.behaviours.behaviour import Progress, reference, start
-from agent.kernel.navigation.body_model import Wrench
 from agent.kernel.navigation.company import Company, direly_unsure, pace
 from agent.kernel.navigation.errand import Errand, about, kind
 from agent.kernel.navigation.gimbal_log import GimbalLog
@@ -37,7 +36,8 @@ from agent.kernel.navigation.localizer import (
     within,
 )
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
-from agent.kernel.navigation.pose_filter import Belief
+from agent.kernel.navigation.pose.body_model import Wrench
+from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.navigation.tags.glance import Glance, Sure
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.net import SURFACE_M
@@ -50,7 +50,7 @@ SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
 BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilot's damping takes
 # Of a camera that rests where it is to stay: then there is a key frame, and flow. Who begins to swim as it turns back
-# from landmarks has no odometry, and is lost again.
+# from landmarks has no odometry, and is lost again. (What goes with a target never rests, and waits for nothing.)
 KEY_NS = 250_000_000
 # Shares of what is else too unsure: one that pursues looks later, for less, and what it sees meanwhile counts for less.
 PURSUES, BRIEF = 1.5, 0.75
@@ -152,8 +152,8 @@ class Swimmer:
             self._found = False
         elif foresees(here, SWIFTLY_S if self.about in self._swims else AWAY_S) and seek.pointing.steady(now_ns):
             self._found = True
-        rests = seek.roam is not None or seek.pointing.steady(now_ns - KEY_NS)  # the gaze of a search never does
-        ready = rests and not self._glancing
+        goes = seek.roam is not None or self.about in self._swims  # a gaze that never rests
+        ready = (goes or seek.pointing.steady(now_ns - KEY_NS)) and not self._glancing
         self._off = self._found and (self._off or ready)
         self._holds = not self.lost and (self._holds or now_ns - self.localizer.fixed_ns < ARRIVED_NS)
 

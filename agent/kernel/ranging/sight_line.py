@@ -46,12 +46,14 @@ def sight_line(
     unknown_m: float,
     sized: bool = True,
     velocity_m_s: Vector | None = None,
+    tilt_sigma_rad: float = 0.0,
 ) -> Bearing:
     """The bearing of what a frame exposed at t_ns shows.
 
     eye, own: of that moment. believed_m: where the target is believed to have been then, world frame; it gives the
     range unless a ball's size does. None: nobody knows. unknown_m: the range then. sized: whether its size may say
     anything of the range. velocity_m_s: of the target as it is believed to swim; None: nobody knows.
+    tilt_sigma_rad: what the gimbal may be off by up or down besides.
     """
     camera = at_lens_position(camera, outline.lens_position)
     axis = apply(eye.rotation, (0.0, 0.0, 1.0))
@@ -68,7 +70,9 @@ def sight_line(
     else:
         range_m = unknown_m if far_m is None else max(far_m, NEAREST_M)
     arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
+    up_m = range_m * tilt_sigma_rad
     pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
+    pose_m2 = plus(pose_m2, (0.0, 0.0, 0.0, 0.0, 0.0, up_m * up_m))
     px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, *_bent_px(outline, target, camera.f_px / range_m, side))
     sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)

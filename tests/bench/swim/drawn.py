@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Behaviour, Fleet, Navigation, Pose, Twin
 from agent.kernel.core import Agent
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.event_ring import Event
+from agent.kernel.navigation.pose.event_ring import Event
 from agent.kernel.ranging.calibration import BodyFit
 from agent.kernel.step_io import Inputs, SeenTags, SetPoint
 from hw.stm32.protocol import HostProtocol

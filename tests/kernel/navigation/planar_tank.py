@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.experiments.navigation.planar_body import PlanarBody
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import EventRing, asked, fix
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
-from agent.kernel.navigation.pose_filter import Drift, begin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.event_ring import EventRing, asked, fix
+from agent.kernel.navigation.pose.pose_filter import Drift, begin
 
 Swimmer = PlanarBody
 CYCLE_NS = 50_000_000

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet, Goto, Link, Pose
-from agent.kernel.navigation.body_model import Hull
+from agent.kernel.navigation.pose.body_model import Hull
 from agent.kernel.step_io import Heard
 from tests.kernel.navigation.swimming_agent import FLOOR_M, STEP_NS, WALLS_M, InTank, fleet, robot
 

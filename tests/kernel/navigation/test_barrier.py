@@ -27,9 +27,9 @@ from agent.kernel.navigation.barrier import (
     safe_velocity,
     walls,
 )
-from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
-from agent.kernel.navigation.pose_filter import begin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.pose_filter import begin
 from tests.kernel.navigation.planar_tank import Swimmer
 
 KNOWN = (0.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Navigation
 from agent.kernel.navigation.gyro import LATE_NS, SILENT_NS, Gyro, Rate
-from agent.kernel.navigation.pose_filter import BIAS
+from agent.kernel.navigation.pose.pose_filter import BIAS
 from tests.kernel.navigation.swimming_agent import InTank, fleet
 from tests.sample_messages import telemetry
 

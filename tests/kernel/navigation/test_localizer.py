@@ -8,10 +8,10 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Camera
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.gimbal_log import Gimbal
 from agent.kernel.navigation.localizer import UNSURE_DEG, UNSURE_M, Carriage, Localizer, foresees, within
-from agent.kernel.navigation.pose_filter import Drift, begin, predict
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.pose_filter import Drift, begin, predict
 from agent.kernel.step_io import SeenTags
 from tests.kernel.navigation.swimming_agent import CALIBRATION, fleet
 from tests.kernel.navigation.tank_with_tags import sight

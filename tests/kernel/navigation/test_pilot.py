@@ -11,7 +11,6 @@ from agent.kernel.config import Behaviour, Goto, Hold, Orbit, Turn
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.behaviours.behaviour import MOST_TURNED_RAD, reference, start
 from agent.kernel.navigation.behaviours.surroundings import walled_in
-from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.pilot import (
     FORCE_N,
     LEAD,
@@ -23,7 +22,8 @@ from agent.kernel.navigation.pilot import (
     wanted_velocity,
     wrench,
 )
-from agent.kernel.navigation.pose_filter import begin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.pose_filter import begin
 from tests.kernel.navigation.planar_tank import Fixes, Piloted, Swimmer
 
 S = 1_000_000_000

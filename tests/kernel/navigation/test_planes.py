@@ -5,9 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from agent.kernel.navigation.body_model import Hull
 from agent.kernel.navigation.planes import FEWEST, meets, odometry
-from agent.kernel.navigation.pose_filter import Drift, add_flow, begin, keep_key, predict
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.corrections import add_flow
+from agent.kernel.navigation.pose.pose_filter import Drift, begin, keep_key, predict
 from agent.kernel.navigation.tags.projection import upright
 from tests.kernel.navigation.tank_with_tags import HALF, TANK_M, VIEW, project
 

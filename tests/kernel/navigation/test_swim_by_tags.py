@@ -8,10 +8,10 @@ from agent.kernel.config import Goto
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.behaviours.behaviour import reference, start
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import EventRing, asked, fix
 from agent.kernel.navigation.pilot import wanted_velocity, wrench
-from agent.kernel.navigation.pose_filter import Drift, begin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.event_ring import EventRing, asked, fix
+from agent.kernel.navigation.pose.pose_filter import Drift, begin
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.tag_fix import TagFix, tag_fix
 from agent.kernel.navigation.tags.tag_priors import priors

@@ -8,8 +8,8 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Goto, Limits, Look, Navigation, Orbit, Turn
 from agent.kernel.core import Agent
 from agent.kernel.navigation.company import pace
-from agent.kernel.navigation.event_ring import RING_NS
 from agent.kernel.navigation.localizer import LOST_M, UNSURE_DEG, UNSURE_M, within
+from agent.kernel.navigation.pose.event_ring import RING_NS
 from agent.kernel.navigation.swimmer import ARRIVED_NS, BRAKES_NS
 from agent.kernel.net import SURFACE_M
 from agent.kernel.step_io import Heard

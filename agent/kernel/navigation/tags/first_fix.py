@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.dense import backward, cholesky, forward
+from agent.kernel.navigation.pose.dense import backward, cholesky, forward
 from agent.kernel.navigation.tags.facing import normal
 from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.navigation.tags.projection import Theta, View, direction, upright

@@ -13,7 +13,7 @@ import math
 from functools import lru_cache
 from typing import NamedTuple
 
-from agent.kernel.navigation.dense import cholesky
+from agent.kernel.navigation.pose.dense import cholesky
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.step_io import Slope
 

@@ -19,7 +19,16 @@ from agent.kernel.config import Landmarks
 from agent.kernel.estimation.matrix import ZERO, minus, plus
 from agent.kernel.messages import Symmetric
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.dense import backward, cholesky, dot, dot8, forward, forward_all, forward_nine, inverse
+from agent.kernel.navigation.pose.dense import (
+    backward,
+    cholesky,
+    dot,
+    dot8,
+    forward,
+    forward_all,
+    forward_nine,
+    inverse,
+)
 from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.navigation.tags.lens_errors import slope_error
 from agent.kernel.navigation.tags.projection import Gaze, Seen, Theta, View, gaze, seen

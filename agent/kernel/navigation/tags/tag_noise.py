@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from agent.kernel.config import Landmarks
-from agent.kernel.navigation.dense import cholesky
+from agent.kernel.navigation.pose.dense import cholesky
 from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.navigation.tags.projection import Seen, View, by_survey
 from agent.kernel.step_io import SeenTag

@@ -8,10 +8,11 @@ from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import upper
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import Hull, motion
-from agent.kernel.navigation.event_ring import EventRing, asked, fix, rate
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
-from agent.kernel.navigation.pose_filter import FIRST_BIAS_RAD_S, RATE_RAD_S, Drift, begin
+from agent.kernel.navigation.pose.body_model import Hull, motion
+from agent.kernel.navigation.pose.corrections import RATE_RAD_S
+from agent.kernel.navigation.pose.event_ring import EventRing, asked, fix, rate
+from agent.kernel.navigation.pose.pose_filter import FIRST_BIAS_RAD_S, Drift, begin
 
 S, H = 1_000_000_000, 0.02
 BALL = np.array([1.5, 1.0, 0.07])

@@ -16,11 +16,12 @@ from agent.kernel.config import Pose
 from agent.kernel.core import Agent
 from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import upper
-from agent.kernel.navigation import pose_filter
 from agent.kernel.navigation.aid import Aid, Seen, aided, offset_m
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import EventRing, asked, fix, flow, rate
-from agent.kernel.navigation.pose_filter import Drift, add_sighting, begin, keep_key
+from agent.kernel.navigation.pose import corrections
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.corrections import add_sighting
+from agent.kernel.navigation.pose.event_ring import EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.pose.pose_filter import Drift, begin, keep_key
 from agent.kernel.step_io import SeenTags
 from tests.kernel.navigation.aid.drifting import S, drifted
 
@@ -140,7 +141,7 @@ def test_it_is_as_good_as_it_says_and_better_than_nothing() -> None:
 
 
 def test_without_the_gate_of_yaw_it_boasts(monkeypatch) -> None:
-    monkeypatch.setattr(pose_filter, "YAW_KNOWN_RAD", math.pi)
+    monkeypatch.setattr(corrections, "YAW_KNOWN_RAD", math.pi)
     rows = [row for seed in range(5) for row in drifted(seed, 6.0, 60.0, yaw_sigma=math.radians(20.0))]
     assert np.mean([row[2] for row in rows if row[2] is not None]) > 4.0
     monkeypatch.undo()

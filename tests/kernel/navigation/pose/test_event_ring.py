@@ -4,9 +4,9 @@ import random
 
 import numpy as np
 
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import KEEP_NS, RING_NS, EventRing, asked, fix, flow, rate
-from agent.kernel.navigation.pose_filter import Drift, begin
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.event_ring import KEEP_NS, RING_NS, EventRing, asked, fix, flow, rate
+from agent.kernel.navigation.pose.pose_filter import Drift, begin
 
 HULL, DRIFT = Hull(), Drift(doubt_s=0.0)
 R = (1e-5, 1e-6, 2e-7, 2e-5, -1e-6, 4e-6)

@@ -6,21 +6,9 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag, solve_discrete_are
 
 from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.body_model import STEP_NS, ZERO_N, ZERO_NM, Hull
-from agent.kernel.navigation.pose_filter import (
-    BIAS,
-    FIRST_LEARNT,
-    RATE_RAD_S,
-    REFUSALS,
-    Drift,
-    add_fix,
-    add_flow,
-    add_rate,
-    ask,
-    begin,
-    keep_key,
-    predict,
-)
+from agent.kernel.navigation.pose.body_model import STEP_NS, TETHER_NM, ZERO_N, ZERO_NM, Hull
+from agent.kernel.navigation.pose.corrections import RATE_RAD_S, REFUSALS, add_fix, add_flow, add_rate
+from agent.kernel.navigation.pose.pose_filter import BIAS, FIRST_LEARNT, Drift, ask, begin, keep_key, predict
 
 HULL, DRIFT = Hull(), Drift(doubt_s=0.0)  # the oracles know the model
 STILL = Drift(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -206,7 +194,24 @@ def test_thrusters_that_begin_to_turn_push_as_nobody_knows() -> None:
     d2 = [(ZERO_N / HULL.mass_kg) ** 2] * 2 + [(ZERO_NM / HULL.inertia_kgm2) ** 2]
     np.testing.assert_allclose(grown, np.diag([0.0] * 6 + d2 + [0.0] * 2), atol=1e-15)
     assert ask(turning, HULL, (2.0, 0.0, 0.0)).P == turning.P  # they have turned all the time
-    assert ask(turning, HULL, (0.0, 0.0, 0.0)).P[8][8] > turning.P[8][8]
+
+
+def test_thrusters_that_stop_take_with_them_what_was_theirs_of_the_push() -> None:
+    """Against a filter that has the tether's push and the thrusters' apart, and is told of their sum."""
+    tether, zero = TETHER_NM / HULL.inertia_kgm2, ZERO_NM / HULL.inertia_kgm2
+    apart = np.diag([tether**2, zero**2])
+    noise, told = 0.01, 0.2
+    gain = apart.sum(axis=1) / (apart.sum() + noise)
+    mean, apart = gain * told, apart - np.outer(gain, apart.sum(axis=0))
+    turning = ask(begin(0, START, R), HULL, (0.0, 0.0, 0.1))
+    P = [list(row) for row in turning.P]
+    P[8][8] = apart.sum()
+    P[5][8] = P[8][5] = 0.01  # of the rate with their sum
+    turning = turning._replace(x=(*turning.x[:8], mean.sum(), *turning.x[9:]), P=tuple(map(tuple, P)))
+    still = ask(turning, HULL, (0.0, 0.0, 0.0))
+    assert still.x[8] == pytest.approx(mean[0], rel=1e-12) and still.P[8][8] == pytest.approx(apart[0, 0], rel=1e-12)
+    assert still.P[5][8] == still.P[8][5] == pytest.approx(0.01 * tether**2 / (tether**2 + zero**2), rel=1e-12)
+    assert still.P[5][5] == turning.P[5][5] and abs(still.x[8]) < 0.02 * told
 
 
 # --- what cannot be ---------------------------------------------------------------------------------------------

@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from agent.kernel.navigation.basin import HULL_M, Basin, basin, kept_in
-from agent.kernel.navigation.body_model import Hull
-from agent.kernel.navigation.event_ring import EventRing, asked, fix
-from agent.kernel.navigation.pose_filter import Drift, begin
+from agent.kernel.navigation.pose.basin import HULL_M, Basin, basin, kept_in
+from agent.kernel.navigation.pose.body_model import Hull
+from agent.kernel.navigation.pose.event_ring import EventRing, asked, fix
+from agent.kernel.navigation.pose.pose_filter import Drift, begin
 from tests.kernel.navigation.planar_tank import Swimmer
 
 S, MS = 1_000_000_000, 1_000_000

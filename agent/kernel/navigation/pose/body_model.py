@@ -17,6 +17,7 @@ ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are al
 # An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
 # four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
 ZERO_N, ZERO_NM = 0.12, 0.03
+TETHER_N, TETHER_NM = 0.15, 0.004  # what is left of one whose thrusters stand still: its tether pulls
 
 Wrench = tuple[float, float, float]  # N forward, N left, N m
 

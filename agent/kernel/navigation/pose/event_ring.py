@@ -14,19 +14,10 @@ from itertools import islice
 from typing import Literal, NamedTuple
 
 from agent.kernel.messages import Symmetric, Vector
-from agent.kernel.navigation.basin import Basin, kept_in
-from agent.kernel.navigation.body_model import Hull, Wrench
-from agent.kernel.navigation.pose_filter import (
-    Belief,
-    Drift,
-    add_fix,
-    add_flow,
-    add_rate,
-    add_sighting,
-    ask,
-    keep_key,
-    predict,
-)
+from agent.kernel.navigation.pose.basin import Basin, kept_in
+from agent.kernel.navigation.pose.body_model import Hull, Wrench
+from agent.kernel.navigation.pose.corrections import add_fix, add_flow, add_rate, add_sighting
+from agent.kernel.navigation.pose.pose_filter import Belief, Drift, ask, keep_key, predict
 
 RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
 KEEP_NS = 6_000_000_000  # as long as telemetry is kept (control/attitude.py)
@@ -64,7 +55,7 @@ def rate(t_ns: int, rate_rad_s: float) -> Event:
 
 
 def sighting(t_ns: int, offset_m: Vector, noise_m2: Symmetric) -> Event:
-    """A target at rest was seen there (pose_filter.add_sighting)."""
+    """A target at rest was seen there (corrections.add_sighting)."""
     return Event(t_ns, "6 sighting", 0, (*offset_m, *noise_m2))
 
 
