@@ -1,0 +1,116 @@
+"""A search by light: robots that their own lamps show nothing have places lit, and look where light is."""
+
+import math
+from unittest.mock import patch
+
+import pytest
+from msgspec.structs import replace
+
+from agent.kernel.control.attitude import Attitude
+from agent.kernel.control.pointing import SEARCH_DEG
+from agent.kernel.control.seek import Seek
+from agent.kernel.lamps.search import RANGES_M, SHOWS, LightSearch
+from agent.kernel.lighting.allocate import Choice
+from agent.kernel.step_io import Sighting
+from tests.kernel.lamps.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
+from tests.network.scripted_agent import CALIBRATION
+
+FLEET = lit_fleet(3)
+R1 = FLEET.robot["r1"]
+LEVEL = Attitude(R1.depth_m, 0.0, 0.0)
+FAR = Choice(("r2",), 12.0, 8.0, 20.0, True, 0.4, 0.05)
+NEAR = Choice(("r1",), 8.0, 8.0, 90.0, False, 0.05, 0.05)
+
+
+def seek() -> Seek:
+    return Seek(FLEET, R1, CALIBRATION)
+
+
+def test_places_are_ahead_and_beside_that_then_farther_out_and_none_outside_the_tank() -> None:
+    fleet = replace(FLEET, tank=replace(FLEET.tank, size_m=(1.7, 1.7, 1.0)))
+    search, here = LightSearch(fleet, "r1"), seek()
+    found = []
+    for _ in range(len(RANGES_M) * len(SEARCH_DEG)):
+        found.append(search.place(here, LEVEL))
+        search.advance()
+    assert search.place(here, LEVEL) == found[0]  # and from the beginning again
+    at_all = [at for at in found if at is not None]
+    assert len(at_all) > len(SEARCH_DEG)
+    walls_m = (1.7, 1.7, fleet.tank.surface_m)
+    assert all(-1e-9 < at < most_m + 1e-9 for place in at_all for at, most_m in zip(place, walls_m, strict=True))
+    far_m = [at and math.dist(at, here.eye(LEVEL).position_m) for at in found]
+    assert far_m[0] == pytest.approx(RANGES_M[0], abs=1e-6)
+    assert all(far is None or far <= RANGES_M[k // len(SEARCH_DEG)] + 1e-6 for k, far in enumerate(far_m))
+
+
+@pytest.mark.parametrize(
+    ("choice", "counts"),
+    [
+        (None, False),
+        (FAR, True),
+        (FAR._replace(contrast=0.9 * SHOWS), False),  # nobody's lamp shows a target there
+        (FAR._replace(own_contrast=1.1 * SHOWS), False),  # the own lamp does
+        (FAR._replace(lamps=("r1",)), False),
+    ],
+)
+def test_a_place_counts_that_others_lamps_show_and_the_own_does_not(choice: Choice | None, counts: bool) -> None:
+    assert LightSearch(FLEET, "r1").worth(choice) is counts
+
+
+def test_what_was_glimpsed_is_the_next_place_once() -> None:
+    search, here = LightSearch(FLEET, "r1"), seek()
+    first = search.place(here, LEVEL)
+    search.glimpse((0.5, 0.4, 0.1))
+    search.glimpse(None)
+    assert search.place(here, LEVEL) == (0.5, 0.4, 0.1)
+    search.advance()
+    assert search.place(here, LEVEL) == first
+
+
+def test_a_ball_in_view_is_as_far_away_as_it_looks() -> None:
+    here = seek()
+    here.act(0, "ball", LEVEL, None, False)
+    now_ns = here.pointing.steady_from_ns + STEP_NS
+    seen = Sighting(
+        t_ns=now_ns, frame=1, sweep=0, index=-1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=70.0
+    )
+    here.add_sighting(seen)
+    at_m = here.glimpsed_m("ball", LEVEL, None, now_ns)
+    far_m = 0.07 * CALIBRATION.camera.f_px / 70.0
+    assert at_m is not None and math.dist(at_m, here.eye(LEVEL).position_m) == pytest.approx(far_m, rel=0.02)
+    assert here.glimpsed_m("ball", LEVEL, None, now_ns + 10**9) is None
+
+
+class FromAside(LitScript):
+    """Its own lamp blinds it: it sees the ball while another's burns and its own does not."""
+
+    def look(self, now_ns, focus, sweep, index, target=None) -> Sighting:
+        seen = super().look(now_ns, focus, sweep, index, target)
+        burn = {name for name, robot in self.swarm.robots.items() if robot.light[0]}
+        me = next(name for name, robot in self.fleet.robot.items() if robot == self.robot)
+        if burn and me not in burn:
+            return seen
+        return Sighting(t_ns=now_ns, frame=self.frame, sweep=sweep, index=index, target=seen.target, found=False)
+
+
+def dark_swarm(rule) -> LitSwarm:
+    with patch("tests.kernel.lamps.lit_swarm.LitScript", FromAside):
+        swarm = LitSwarm()
+    with patch("tests.kernel.lamps.lit_swarm.lend_all", rule):
+        swarm.run(30.0)
+    return swarm
+
+
+def test_what_no_own_lamp_shows_is_found_by_lent_light_and_measured_by_all() -> None:
+    def others(own, scene, lamps, lighting) -> Choice:
+        free = tuple(name for name, lamp in sorted(lamps.items()) if lamp.free and name != own)
+        return FAR._replace(lamps=free) if free else NEAR._replace(lamps=(own,))
+
+    swarm = dark_swarm(others)
+    assert {sweep.robot for sweep in swarm.kept} == {"r1", "r2", "r3"}
+    assert all(sweep.robot not in sweep.lamps and not sweep.altered for sweep in swarm.kept)
+
+
+def test_where_nobody_lends_it_is_not_found() -> None:
+    swarm = dark_swarm(lambda own, scene, lamps, lighting: NEAR._replace(lamps=(own,)))
+    assert not swarm.kept
