@@ -7,8 +7,6 @@ nothing changed meanwhile. While nobody has a lease each lamp goes with its own 
 
 from __future__ import annotations
 
-import math
-
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
@@ -21,7 +19,7 @@ from agent.kernel.lamps.aim import others
 from agent.kernel.lamps.aside import cues_by, whole
 from agent.kernel.lamps.onlookers import lamp_state
 from agent.kernel.lamps.own_lamp import OwnLamp
-from agent.kernel.lamps.search import LightSearch
+from agent.kernel.lamps.search import SHOWS, LightSearch
 from agent.kernel.lamps.talk import Talk
 from agent.kernel.lamps.wish import Wishes
 from agent.kernel.lighting.allocate import Choice
@@ -62,6 +60,7 @@ class Lights:
             self._search = LightSearch(fleet, name)
         self._granted_ns = self._served_ns = self._retry_ns = 0
         self._swept = False  # a sweep began by the lease
+        self._own_shows = True  # the target, as far as it is known where that is
         self._fruitless = 0  # leases in a row without one
         self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._assumed, self._burned = tuple[str, ...](), tuple[str, ...]()  # whose lamps it took to, and that did
@@ -186,7 +185,9 @@ class Lights:
         self._own.burn(self._talk.party, seek, target.believed_m, keeps, attitude, now_ns)
         seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
         level = None if attitude.newest is None else attitude.at(attitude.newest.t_ns)
-        self._follow_light(seek, target, level, now_ns)
+        seek.lit_m = None
+        if self._search is not None and self._swimmer is None and target.believed_m is None:
+            seek.lit_m = self._search.follows(self._talk.party, seek, target.name, level, now_ns)
         self._wanted_lens = self._sharp_at(seek, target, target.believed_m or seek.lit_m, level)
 
     def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
@@ -238,29 +239,15 @@ class Lights:
             if not self._rests(now_ns):
                 return None
             return before if before is not None and before >= self._granted_ns else now_ns
-        return self._own.lamp.steady_ns if phase != "obeys" and self._own.now.power else None
+        shines = phase != "obeys" and self._own.now.power > 0.0 and self._own_shows
+        return self._own.lamp.steady_ns if shines else None
 
     def _in_vain(self, seek: Seek, target: TargetState, now_ns: int) -> bool:
         """The place that it has had lit shows nothing."""
         search = self._search
         if search is None or search.at_m is None or self._swept or seek.sees(target.name, now_ns):
             return False
-        return target.believed_m is not None or search.shown(seek, now_ns)
-
-    def _follow_light(self, seek: Seek, target: TargetState, level: Attitude | None, now_ns: int) -> None:
-        """While nobody knows where the target is the camera looks where light is, whosever; and remembers what it saw
-        there."""
-        assert self._talk is not None and self._search is not None
-        party, seek.lit_m = self._talk.party, None
-        if target.believed_m is not None or self._swimmer is not None:
-            return
-        if party.bound is not None:
-            seek.lit_m = party.bound.lease.at_m
-        elif party.mine is not None and party.mine.granted:
-            seek.lit_m = self._search.at_m
-        if party.bound is not None and seek.lit_m is not None and level is not None:
-            far_m = math.dist(seek.lit_m, seek.eye(level).position_m)
-            self._search.glimpse(seek.glimpsed_m(target.name, level, far_m, now_ns))
+        return target.believed_m is not None or search.shown(seek, self._granted_ns, now_ns)
 
     def _sharp_at(self, seek: Seek, target: TargetState, at_m: Vector | None, level: Attitude | None) -> float | None:
         return None if self._wishes is None else self._wishes.sharp_at(seek, target.ball, at_m, level)
@@ -287,6 +274,7 @@ class Lights:
             search.advance()
             return
         search.at_m = at_m if target.believed_m is None else None
+        self._own_shows = target.believed_m is None or choice is None or choice.own_contrast >= SHOWS
         if choice is not None:
             self._tell(target.name, choice, now_ns)
         holds_ns = LOOK_NS + seek.most_ns() + MARGIN_NS

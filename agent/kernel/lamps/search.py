@@ -9,12 +9,15 @@ lit.
 
 from __future__ import annotations
 
+import math
+
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import SEARCH_DEG
 from agent.kernel.control.seek import Seek
 from agent.kernel.lamps.aim import axis_of
 from agent.kernel.lighting.allocate import Choice
+from agent.kernel.lighting.lease import Party
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.camera_model import camera_pose
 
@@ -37,15 +40,14 @@ class LightSearch:
         self._fleet, self._name, self._robot = fleet, name, robot
         self._step = 0
         self._glimpsed_m: Vector | None = None
-        self._looked = not robot.lamp
+        self._looks_ns: int | None = None  # since when, by the own lamp
         self.at_m: Vector | None = None  # that the own lease is about
 
     def look(self, seek: Seek, now_ns: int) -> bool:
-        """Whether the own lamp has shown by now what it can."""
-        if not self._looked and seek.lit_from_ns is not None and seek.pointing.goal_us is not None:
-            since_ns = max(seek.lit_from_ns, seek.pointing.steady_from_ns)
-            self._looked = now_ns - since_ns > OWN_LOOK_NS
-        return self._looked
+        """Whether the own lamp has shown by now what it can. Others' light in between counts as well."""
+        if self._looks_ns is None and seek.lit_from_ns is not None and seek.pointing.goal_us is not None:
+            self._looks_ns = max(seek.lit_from_ns, seek.pointing.steady_from_ns)
+        return not self._robot.lamp or (self._looks_ns is not None and now_ns - self._looks_ns > OWN_LOOK_NS)
 
     def place(self, seek: Seek, level: Attitude) -> Vector | None:
         """The one whose turn it is, no farther than the tank's walls; None: that is too near, or out of the gimbal's
@@ -73,15 +75,22 @@ class LightSearch:
             return False
         return not self._robot.lamp or choice.own_contrast < SHOWS
 
-    def shown(self, seek: Seek, now_ns: int) -> bool:
-        """Whether a target at the place would have been seen by now."""
-        if seek.lit_from_ns is None:
+    def shown(self, seek: Seek, granted_ns: int, now_ns: int) -> bool:
+        """Whether a target at the place would have been seen by now, by the light that was granted then."""
+        if seek.lit_from_ns is None or seek.lit_from_ns < granted_ns:
             return False
         return now_ns - max(seek.lit_from_ns, seek.pointing.steady_from_ns) > SHOWN_NS
 
-    def glimpse(self, at_m: Vector | None) -> None:
-        """Something was seen about there by light that was another's, if anything: it is the next place."""
-        self._glimpsed_m = at_m or self._glimpsed_m
+    def follows(self, party: Party, seek: Seek, target: str, level: Attitude | None, now_ns: int) -> Vector | None:
+        """The place that is lit, by whosever lease, for the camera to look at. What it sees there by another's is its
+        own next place."""
+        if party.bound is None:
+            return self.at_m if party.mine is not None and party.mine.granted else None
+        lit_m = party.bound.lease.at_m
+        if lit_m is not None and level is not None:
+            far_m = math.dist(lit_m, seek.eye(level).position_m)
+            self._glimpsed_m = seek.glimpsed_m(target, level, far_m, now_ns) or self._glimpsed_m
+        return lit_m
 
     def advance(self) -> None:
         """On to the next place, for ever."""
