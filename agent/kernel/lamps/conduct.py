@@ -276,13 +276,16 @@ class Lights:
         search.at_m = at_m if target.believed_m is None else None
         self._own_shows = target.believed_m is None or choice is None or choice.own_contrast >= SHOWS
         if choice is not None:
-            self._tell(target.name, choice, now_ns)
+            self._tell(target.name, choice, searches, now_ns)
         holds_ns = LOOK_NS + seek.most_ns() + MARGIN_NS
         self._talk.ask(self._wishes.lease(at_m, choice, now_ns - self._served_ns, holds_ns), now_ns)
 
-    def _tell(self, target: str, choice: Choice, now_ns: int) -> None:
+    def _tell(self, target: str, choice: Choice, searches: bool, now_ns: int) -> None:
         """Whose light it asks for, in the log; alone it is no news."""
         if choice.lamps == (self._name,):
             return
-        text = f"asks for light of {' and '.join(choice.lamps)} on '{target}': {choice.sigma_mm:.1f} mm expected"
+        whose = " and ".join(choice.lamps)
+        text = f"asks for light of {whose} on '{target}': {choice.sigma_mm:.1f} mm expected"
+        if searches:
+            text = f"searches for '{target}' by the light of {whose}"
         self._log.note_seldom("info", f"light {target}", text, now_ns)
