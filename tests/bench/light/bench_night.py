@@ -1,6 +1,7 @@
 """Three robots in a dark tank that find a ball by each other's light, and three that lend nobody theirs.
 
-Seeds by AUCAMP_NIGHT_SEEDS, loss of messages by AUCAMP_NIGHT_LOSS. No clock in it: the figures are always the same.
+Seeds by AUCAMP_NIGHT_SEEDS, fleets by AUCAMP_NIGHT_FLEETS, loss of messages by AUCAMP_NIGHT_LOSS. On a machine so busy
+that the firmware's cycles get long it arms later, as on a board, and figures differ a little.
 """
 
 from __future__ import annotations
