@@ -1,4 +1,4 @@
-"""A ball in the dark by a lamp beside the camera: bright in the middle, dark at its rim, so that its edge looks soft."""
+"""A ball in the dark by a lamp beside the camera: bright in its middle, dark at its rim: its edge looks soft."""
 
 import math
 
