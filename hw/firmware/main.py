@@ -126,6 +126,8 @@ class Firmware:
         elif cycle % STATUS_EVERY == STATUS_AT:
             line.say_status()
         elif cycle % COLLECT_EVERY == COLLECT_AT:
+            if self.control.set_point.age_us > failsafe.HOLD_AFTER_US:
+                self.hal.light_permille = 0  # armed or not: nobody asks for light any more
             self.hal.collect()
         elif cycle % LOOK_EVERY == LOOK_AT:
             line.heap_free_16 = self.hal.heap_free() >> 4

@@ -44,6 +44,8 @@ class Seek:
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
         self.lit_from_ns: int | None = 0  # since when there is light where it looks; None: dark, and nothing shows
         self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
+        self.lit_m: Vector | None = None  # a place that is lit for whoever knows no other; world frame
+        self._lit_seen_m: Vector | None = None  # the one that the gimbal was turned to
         self.surveys = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
 
@@ -56,6 +58,21 @@ class Seek:
         """Whether it is in view where the gimbal looks, or was as the gimbal came to rest there."""
         found = self.roam is not None and self.roam.target == target and self.roam.found
         return found or (target == self._target and self._memory[target].in_view(now_ns))
+
+    def glimpsed_m(self, target: str, level: Attitude, far_m: float | None, now_ns: int) -> Vector | None:
+        """About where it is that is in view, world frame: as far away as a ball looks, else as far_m says. None: it is
+        not in view, or nobody can say how far away."""
+        seen, radius_m = self._memory[target].seen, self._fleet.target[target].radius_m
+        if target != self._target or seen is None or seen.centre_px is None or not self.sees(target, now_ns):
+            return None
+        if radius_m is not None and seen.radius_px:
+            far_m = radius_m * self._camera.f_px / seen.radius_px
+        if far_m is None:
+            return None
+        x, y, z = ray(self._camera, seen.centre_px)
+        at_m, tank = to_world(self.eye(level), (far_m * x, far_m * y, far_m * z)), self._fleet.tank
+        x, y, z = (min(max(at, 0.0), most) for at, most in zip(at_m, (*tank.size_m[:2], tank.surface_m), strict=True))
+        return x, y, z
 
     def add_sighting(self, sighting: Sighting) -> None:
         """Take note of one frame."""
@@ -116,7 +133,7 @@ class Seek:
         if self.roam is not None and self.roam.target == target and self.roam.over and not memory.in_view(now_ns):
             self.roam.advance()
             another = True
-        if not (another or self.pointing.steady(now_ns)):
+        if self._goes_to_light(memory, attitude, told_m, now_ns) or not (another or self.pointing.steady(now_ns)):
             return None
         if memory.seen is not None and memory.seen.centre_px is not None and memory.in_view(now_ns):
             memory.search.reset()
@@ -133,6 +150,16 @@ class Seek:
             memory.sweep.forget()
             self._look_around(memory.search, attitude, told_m, now_ns)
         return None
+
+    def _goes_to_light(
+        self, memory: TargetMemory, attitude: Attitude | None, told_m: Vector | None, now_ns: int
+    ) -> bool:
+        """Turn to what is lit, once, where nothing is seen and nobody has told anything; whether that was now."""
+        before, self._lit_seen_m = self._lit_seen_m, self.lit_m
+        if self.lit_m is None or self.lit_m == before or told_m is not None or memory.in_view(now_ns):
+            return False
+        self._turn_to_point(self.lit_m, attitude or Attitude(self._robot.depth_m, 0.0, 0.0), (0.0, 0.0), now_ns)
+        return True
 
     def _lost(self, memory: TargetMemory, now_ns: int) -> bool:
         if self.lit_from_ns is None:

@@ -7,8 +7,6 @@ nothing changed meanwhile. While nobody has a lease each lamp goes with its own 
 
 from __future__ import annotations
 
-import math
-
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
@@ -19,20 +17,21 @@ from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import ByLight, Measurement, Rejected
 from agent.kernel.lamps.aim import others
 from agent.kernel.lamps.aside import cues_by, whole
-from agent.kernel.lamps.choose import choose, scene_of
+from agent.kernel.lamps.onlookers import lamp_state
 from agent.kernel.lamps.own_lamp import OwnLamp
+from agent.kernel.lamps.search import SHOWS, LightSearch
 from agent.kernel.lamps.talk import Talk
+from agent.kernel.lamps.wish import Wishes
 from agent.kernel.lighting.allocate import Choice
 from agent.kernel.lighting.lease import lit_by
 from agent.kernel.lighting.proof import Spoiled
-from agent.kernel.lighting.words import MOST_HOLDS_S, MOST_WAITED, Lease, Light
+from agent.kernel.lighting.words import Light
 from agent.kernel.logbook import Logbook
 from agent.kernel.messages import LampState, Vector
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye
 from agent.kernel.ranging.cues import Outline
-from agent.kernel.ranging.focus import lens_position
 from agent.kernel.step_io import Heard, SweepOutcome
 from agent.kernel.target_state import TargetState
 from agent.kernel.topics import LIGHT
@@ -51,11 +50,17 @@ class Lights:
         self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, swimmer: Swimmer | None, log: Logbook
     ) -> None:
         self._fleet, self._name, self._calibration, self._swimmer, self._log = fleet, name, calibration, swimmer, log
-        lighting = self._lighting = fleet.lighting
+        lighting = fleet.lighting
         self._talk = None if lighting is None else Talk(fleet, name, incarnation)
         self._own = None if lighting is None else OwnLamp(fleet, name, lighting, swimmer)
+        self._wishes: Wishes | None = None
+        self._search: LightSearch | None = None
+        if lighting is not None and self._own is not None and self._talk is not None:
+            self._wishes = Wishes(fleet, name, calibration, swimmer, lighting, self._own, self._talk)
+            self._search = LightSearch(fleet, name)
         self._granted_ns = self._served_ns = self._retry_ns = 0
         self._swept = False  # a sweep began by the lease
+        self._own_shows = True  # the target, as far as it is known where that is
         self._fruitless = 0  # leases in a row without one
         self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._assumed, self._burned = tuple[str, ...](), tuple[str, ...]()  # whose lamps it took to, and that did
@@ -149,13 +154,15 @@ class Lights:
             return wanted
         phase = talk.party.phase
         if phase == "holds":
+            if self._in_vain(seek, target, now_ns):
+                self._over(now_ns)
+                return False
             lent = any(name != self._name for name in lit_by(talk.party))
-            seek.by_light = ByLight(self._expected(seek, target, level), lent)
+            seek.by_light = ByLight(self._sharp_at(seek, target, target.believed_m, level), lent)
             return not self.judging and self._rests(now_ns)
-        knows_where = target.believed_m is not None or seek.sees(target.name, now_ns)
         idle = phase == "free" and now_ns >= self._retry_ns and talk.acquainted(now_ns) and not self.judging
-        if idle and knows_where and level is not None and seek.ready(target.name, now_ns):
-            talk.ask(self._wish(seek, target, level, now_ns), now_ns)
+        if idle and level is not None and seek.ready(target.name, now_ns):
+            self._ask(seek, target, level, now_ns)
         return False
 
     def began(self, now_ns: int) -> None:
@@ -178,7 +185,10 @@ class Lights:
         self._own.burn(self._talk.party, seek, target.believed_m, keeps, attitude, now_ns)
         seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
         level = None if attitude.newest is None else attitude.at(attitude.newest.t_ns)
-        self._wanted_lens = self._expected(seek, target, level)
+        seek.lit_m = None
+        if self._search is not None and self._swimmer is None and target.believed_m is None:
+            seek.lit_m = self._search.follows(self._talk.party, seek, target.name, level, now_ns)
+        self._wanted_lens = self._sharp_at(seek, target, target.believed_m or seek.lit_m, level)
 
     def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
         """What is told to neighbours in this step."""
@@ -195,25 +205,7 @@ class Lights:
         """For whoever looks."""
         if self._talk is None or self._own is None:
             return UNSET
-        party, own = self._talk.party, self._own.now
-        holder: str | None = None
-        lease, lamps = 0, tuple[str, ...]()
-        if party.bound is not None:
-            holder, lease = party.bound.holder, party.bound.lease.number
-            lamps = tuple(name for name, power in party.bound.lease.lamps if power > 0.0)
-        elif party.mine is not None:
-            holder, lease, lamps = self._name, party.mine.lease.number, lit_by(party)
-        return LampState(
-            power=own.power,
-            pan_deg=own.pan_deg,
-            tilt_deg=own.tilt_deg,
-            phase=party.phase,
-            holder=holder,
-            lease=lease,
-            lamps=lamps,
-            load=own.load,
-            spoiled=self._spoiled,
-        )
+        return lamp_state(self._talk.party, self._own.now, self._spoiled)
 
     # --- what it comes from -----------------------------------------------------------------------------------
 
@@ -224,6 +216,8 @@ class Lights:
             self._served_ns = now_ns
             self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
         self._talk.release()
+        if self._search is not None and self._search.at_m is not None and not self._swept:
+            self._search.advance()
         self._swept = False
 
     def _fail(self, now_ns: int) -> None:
@@ -245,16 +239,18 @@ class Lights:
             if not self._rests(now_ns):
                 return None
             return before if before is not None and before >= self._granted_ns else now_ns
-        return self._own.lamp.steady_ns if phase != "obeys" and self._own.now.power else None
+        shines = phase != "obeys" and self._own.now.power > 0.0 and self._own_shows
+        return self._own.lamp.steady_ns if shines else None
 
-    def _expected(self, seek: Seek, target: TargetState, level: Attitude | None) -> float | None:
-        """Lens position at which the target would be sharp where it is believed to be; None: nobody knows."""
-        if target.believed_m is None or level is None:
-            return None
-        scene = scene_of(self._calibration, seek.eye(level), target.ball, target.believed_m)
-        if scene is None:
-            return None
-        return lens_position(self._calibration.focus, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
+    def _in_vain(self, seek: Seek, target: TargetState, now_ns: int) -> bool:
+        """The place that it has had lit shows nothing."""
+        search = self._search
+        if search is None or search.at_m is None or self._swept or seek.sees(target.name, now_ns):
+            return False
+        return target.believed_m is not None or search.shown(seek, self._granted_ns, now_ns)
+
+    def _sharp_at(self, seek: Seek, target: TargetState, at_m: Vector | None, level: Attitude | None) -> float | None:
+        return None if self._wishes is None else self._wishes.sharp_at(seek, target.ball, at_m, level)
 
     def _rest(self) -> int | UnsetType:
         """Where the lens shall rest, when that has changed by enough."""
@@ -264,36 +260,32 @@ class Lights:
         self._lens = round(max(wanted, 0.0))
         return self._lens
 
-    def _wish(self, seek: Seek, target: TargetState, level: Attitude, now_ns: int) -> Lease:
-        """The lease to ask for."""
-        assert self._own is not None
-        waited = min((now_ns - self._served_ns) // 100_000_000, MOST_WAITED)
-        holds_ns = LOOK_NS + seek.most_ns() + MARGIN_NS
-        at_m = target.believed_m
-        lamps: tuple[tuple[str, float], ...] = ((self._name, 1.0),) if self._own.has else ()
-        choice = None if at_m is None else self._choice(seek, target, at_m, level)
+    def _ask(self, seek: Seek, target: TargetState, level: Attitude, now_ns: int) -> None:
+        """For the light of a sweep, or of a look at the next place of a search."""
+        assert self._talk is not None and self._wishes is not None and self._search is not None
+        search, at_m = self._search, target.believed_m or seek.glimpsed_m(target.name, level, None, now_ns)
+        searches = at_m is None and not seek.sees(target.name, now_ns)
+        if searches:
+            if self._swimmer is not None or not search.look(seek, now_ns):
+                return
+            at_m = search.place(seek, level)
+        choice = None if at_m is None else self._wishes.choice(seek, target.ball, at_m, level)
+        if searches and not search.worth(choice):
+            search.advance()
+            return
+        search.at_m = at_m if target.believed_m is None else None
+        self._own_shows = target.believed_m is None or choice is None or choice.own_contrast >= SHOWS
         if choice is not None:
-            lamps = tuple((name, 1.0) for name in choice.lamps)
-            self._tell(target.name, choice, now_ns)
-        return Lease(0, waited, min(holds_ns * 1e-9, MOST_HOLDS_S), False, at_m, lamps)
+            self._tell(target.name, choice, searches, now_ns)
+        holds_ns = LOOK_NS + seek.most_ns() + MARGIN_NS
+        self._talk.ask(self._wishes.lease(at_m, choice, now_ns - self._served_ns, holds_ns), now_ns)
 
-    def _choice(self, seek: Seek, target: TargetState, at_m: Vector, level: Attitude) -> Choice | None:
-        """By the rule; None: the target is too near, or nobody has a lamp."""
-        assert self._talk is not None and self._own is not None and self._lighting is not None
-        scene = scene_of(self._calibration, seek.eye(level), target.ball, at_m)
-        if scene is None:
-            return None
-        aim, words = self._own.aim, dict(self._talk.party.words)
-        there = others(self._fleet, self._name, self._swimmer)
-        places_m = {name: aim.place_m(*at) for name, at in there.items() if name in words}
-        lamps = {name: words[name].said.lamp for name in places_m}
-        if self._own.has:
-            places_m[self._name], lamps[self._name] = aim.place_m(seek.pose, level), self._own.now
-        return choose(self._name if self._own.has else None, scene, places_m, lamps, self._lighting)
-
-    def _tell(self, target: str, choice: Choice, now_ns: int) -> None:
+    def _tell(self, target: str, choice: Choice, searches: bool, now_ns: int) -> None:
         """Whose light it asks for, in the log; alone it is no news."""
         if choice.lamps == (self._name,):
             return
-        text = f"asks for light of {' and '.join(choice.lamps)} on '{target}': {choice.sigma_mm:.1f} mm expected"
+        whose = " and ".join(choice.lamps)
+        text = f"asks for light of {whose} on '{target}': {choice.sigma_mm:.1f} mm expected"
+        if searches:
+            text = f"searches for '{target}' by the light of {whose}"
         self._log.note_seldom("info", f"light {target}", text, now_ns)

@@ -48,6 +48,8 @@ class Choice(NamedTuple):
     own_log_j: float  # with the own lamp alone
     sigma_mm: float  # of the range, expected with these lamps
     usable: bool  # contrast and sigma are such that the sweep is worth making
+    contrast: float = 0.0  # direct light of the target in all light, with these lamps
+    own_contrast: float = 0.0  # with the own lamp alone
 
 
 def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighting) -> Choice:
@@ -80,7 +82,8 @@ def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighti
                 chosen, best = flipped, tried
     if best.log_j <= alone.log_j + math.log1p(lighting.gain):
         chosen, best = frozenset((own,)), alone
-    return Choice(tuple(sorted(chosen)), best.log_j, alone.log_j, best.sigma_mm, best.usable)
+    contrasts = best.contrast, alone.contrast
+    return Choice(tuple(sorted(chosen)), best.log_j, alone.log_j, best.sigma_mm, best.usable, *contrasts)
 
 
 def dazzles(scene: Scene, lamp_m: Vector) -> bool:

@@ -48,6 +48,10 @@ CALM = 0.2  # unrest of the twin's mottled ball, and of real ones that are well 
 # An edge is as wide as the lens makes it: a camera's own blur and some of the radius, at most twice the twin's worst.
 SHARP_PX, SHARP, BLUR_PX, SOFT_PX = 3.0, 0.06, 8.0, 40.0
 GLOW = 1.5  # times as wide around what is burnt out
+# A ball that is lit from beside the camera grows dark towards its rim, by the cosine between light and surface. Of the
+# widest band in which an edge is looked for, 0.3 radii, the inner level is that at 0.775 of the radius; three quarters
+# and a quarter of it lie at 0.88 and 0.99: so wide is an edge that no lens has blurred.
+LIMB = 0.107  # of the radius
 LIMIT = 0.5  # of the score, for who has no reason to take another
 
 
@@ -66,13 +70,14 @@ def find_ball(
     origin_px: tuple[int, int] = (0, 0),
     colour: Colour | ColourModel = "red",
     limit: float = LIMIT,
+    by_lamps: bool = False,
 ) -> Ball | None:
     """The most convincing ball of an image (height, width, 3) blue green red; None if there is none.
 
     `origin_px` is where the image's upper left pixel lies in the full frame. A ball that overflows the frame is
-    found while the frame shows 120 deg of its outline. limit: least score.
+    found while the frame shows 120 deg of its outline. limit: least score. by_lamps: no other light than robots' lamps.
     """
-    balls = find_balls(image, camera, origin_px, colour, limit)
+    balls = find_balls(image, camera, origin_px, colour, limit, by_lamps)
     return balls[0] if balls else None
 
 
@@ -82,12 +87,13 @@ def find_balls(
     origin_px: tuple[int, int] = (0, 0),
     colour: Colour | ColourModel = "red",
     limit: float = LIMIT,
+    by_lamps: bool = False,
 ) -> list[Ball]:
     """All balls of that colour, the most convincing first; of two that overlap only that one."""
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
-    candidates = (_ball(picture, spot, camera, origin, model) for spot in spots(picture, model.hue_rad))
+    candidates = (_ball(picture, spot, camera, origin, model, by_lamps) for spot in spots(picture, model.hue_rad))
     sure = [ball for ball in candidates if ball is not None and ball.score >= limit]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
@@ -96,7 +102,7 @@ def find_balls(
     return balls
 
 
-def score(found: Patch, fit: OutlineFit, rare: float = 0.0) -> float:
+def score(found: Patch, fit: OutlineFit, rare: float = 0.0, by_lamps: bool = False) -> float:
     """1 for a flawless disc, less by every flaw: exp of minus the sum of what they are worth.
 
     missing: visible rays without an edge on the cone; uneven: scatter of the edges beyond a pixel's, in radii; stray:
@@ -110,6 +116,8 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0) -> float:
     glows = found.tone.burnt > GLARE
     roomy = min(1.0, max(ROOMY_PX / radius_px, GLOWING if glows else 0.0))
     sharp_px = min(SHARP_PX + SHARP * radius_px, BLUR_PX) * (GLOW if glows else 1.0)
+    if by_lamps:
+        sharp_px += LIMB * radius_px
     doubt = (
         MISSING * (1.0 - fit.agree) * roomy
         + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
@@ -122,7 +130,9 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0) -> float:
     return math.exp(-max(doubt - rare, 0.0))
 
 
-def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel) -> Ball | None:
+def _ball(
+    picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel, by_lamps: bool
+) -> Ball | None:
     """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
     if spot.rough > ROUGH:
         return None
@@ -157,7 +167,9 @@ def _ball(picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model:
     if found is None or not _is(found, fit.radius_px, model):
         return None
     u, v = cones.project(fit.axis, camera)
-    return Ball((float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare), float(fit.sigma_px))
+    return Ball(
+        (float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare, by_lamps), float(fit.sigma_px)
+    )
 
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:

@@ -64,11 +64,12 @@ class BallDetector:
 
     remembers = False
 
-    def __init__(self, camera: CameraFit, colour: Colour | ColourModel, limit: float = LIMIT) -> None:
-        self._camera, self._colour, self._limit = camera, colour, limit
+    def __init__(self, camera: CameraFit, colour: Colour | ColourModel, by_lamps: bool = False) -> None:
+        self._camera, self._colour, self._by_lamps = camera, colour, by_lamps
 
     def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
-        ball = find_ball(image, at_lens_position(self._camera, lens_position), offset_px, self._colour, self._limit)
+        camera, limit = at_lens_position(self._camera, lens_position), BY_LAMPS if self._by_lamps else LIMIT
+        ball = find_ball(image, camera, offset_px, self._colour, limit, self._by_lamps)
         if ball is None:
             return None
         return Found(ball.centre_px, ball.score, ball.radius_px, radius_sigma_px=ball.radius_sigma_px)
@@ -112,18 +113,18 @@ def boxed(box: Box, score: float, offset_px: tuple[int, int] = (0, 0)) -> Found:
 def load_detectors(fleet: Fleet, camera: CameraFit) -> Mapping[str, Detector]:
     """One for each target. Raises ConfigError for a picture or models that are not there or do not fit."""
     size = camera.width_px, camera.height_px
-    limit = LIMIT if fleet.lighting is None else BY_LAMPS
-    return {name: _detector(name, target, size, camera, limit) for name, target in fleet.target.items()}
+    by_lamps = fleet.lighting is not None
+    return {name: _detector(name, target, size, camera, by_lamps) for name, target in fleet.target.items()}
 
 
-def _detector(name: str, target: Target, size: tuple[int, int], camera: CameraFit, limit: float) -> Detector:
+def _detector(name: str, target: Target, size: tuple[int, int], camera: CameraFit, by_lamps: bool) -> Detector:
     match target.detector:
         case "box":
             return _box_detector(name, target, size)
         case "creature":
             return CreatureDetector(creature_hues(name, target, size))
         case "ball":
-            return BallDetector(camera, _colour(name, target, size), limit)
+            return BallDetector(camera, _colour(name, target, size), by_lamps)
 
 
 def creature_hues(name: str, target: Target, size: tuple[int, int]) -> Hues:

@@ -61,6 +61,22 @@ def test_host_silent_the_robot_holds_then_rises_then_stops_its_motors(hovering):
     assert not robot.armed and at_rest(robot)  # the host's return arms nobody
 
 
+def test_host_silent_the_lamp_goes_dark_and_comes_back_with_it(hovering):
+    robot = hovering
+    robot.asks = msgspec.structs.replace(HOVER, light=0.5)
+    robot.run(1.0)
+    lamp = robot.dive.lamps
+    assert lamp.asked[0] == pytest.approx(0.5)
+    robot.talks = False
+    robot.run(0.4)
+    assert lamp.asked[0] == pytest.approx(0.5)  # a few lost set-points are no silence
+    robot.run(0.7)
+    assert lamp.asked[0] == 0.0 and robot.ladder == failsafe.HOLD
+    robot.talks = True
+    robot.run(0.2)
+    assert lamp.asked[0] == pytest.approx(0.5) and robot.ladder == failsafe.OK
+
+
 def test_held_down_it_gives_up_after_half_a_minute(hovering):
     robot = hovering
     robot.dive.bodies["displaced_kg"] -= 6.0  # 59 N down; four thrusters lift 40 N

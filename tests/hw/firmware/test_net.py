@@ -248,3 +248,24 @@ def test_a_servo_pulse_that_is_no_servos_leaves_the_gimbal_where_it_is(board):
     board.say(wire.SETPOINT, 3000, 0, 0, 0, 0, 0, 500, 2500, 1500, 1500, 0, wire.VALID_ALL, 500, 7)
     board.tick()
     assert board.hal.servos_us == [500, 2500, 1500, 1500]
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_light_that_nobody_asks_for_any_more_goes_out_within_a_second(armed):
+    board = BareBoard()
+    if armed:
+        board.arm()
+    else:
+        board.greet()
+    lit = (3000, 0, 0, 0, 0, 0, 1500, 1500, 1500, 1500, 600, wire.VALID_ALL, 500, 7)
+    for _ in range(120):  # a host that talks
+        board.say(wire.SETPOINT, *lit)
+        board.tick()
+        assert board.hal.light_permille == 600
+    board.tick(50)
+    assert board.hal.light_permille == 600
+    board.tick(50)
+    assert board.hal.light_permille == 0
+    board.say(wire.SETPOINT, *lit)
+    board.tick()
+    assert board.hal.light_permille == 600

@@ -1,0 +1,104 @@
+"""Where a robot asks for light while nobody knows where the target is.
+
+A lamp beside the camera shows what is near. Farther out its veil outshines every target, and a neighbour's lamp from
+aside shows what it does not. So a robot that has looked by its own lamp and found nothing has places lit, one by one:
+ahead of it and to either side, then the same farther out. A place counts where the lamps that the rule names there
+would show a target to this camera, and the own lamp would not. Whoever knows no more looks there as well, while it is
+lit.
+"""
+
+from __future__ import annotations
+
+import math
+
+from agent.kernel.config import Fleet
+from agent.kernel.control.attitude import Attitude
+from agent.kernel.control.pointing import SEARCH_DEG
+from agent.kernel.control.seek import Seek
+from agent.kernel.lamps.aim import axis_of
+from agent.kernel.lighting.allocate import Choice
+from agent.kernel.lighting.lease import Party
+from agent.kernel.messages import Vector
+from agent.kernel.ranging.camera_model import camera_pose
+
+# From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from
+# 0.7 m before it to 0.7 m behind; nearer than that the own lamp shows what there is.
+RANGES_M = (1.4, 2.0)
+LEAST_M = 0.4
+# Of a target's light in all light: by more of it the ball is found in the twin's pictures, sharp or not, by less its
+# own lamp does not show it (harbour water, worlds 2 and 10, 0.7 to 1.5 m).
+SHOWS = 0.2
+OWN_LOOK_NS = 1_200_000_000  # by the own lamp, before light is asked for: four frames
+SHOWN_NS = 900_000_000  # of light and gimbal at rest, without a target: three frames
+
+
+class LightSearch:
+    """Of one moored robot, between steps."""
+
+    def __init__(self, fleet: Fleet, name: str) -> None:
+        robot = fleet.robot[name]
+        self._fleet, self._name, self._robot = fleet, name, robot
+        self._step = 0
+        self._glimpsed_m: Vector | None = None
+        self._looks_ns: int | None = None  # since when, by the own lamp
+        self.at_m: Vector | None = None  # that the own lease is about
+
+    def look(self, seek: Seek, now_ns: int) -> bool:
+        """Whether the own lamp has shown by now what it can. Others' light in between counts as well."""
+        if self._looks_ns is None and seek.lit_from_ns is not None and seek.pointing.goal_us is not None:
+            self._looks_ns = max(seek.lit_from_ns, seek.pointing.steady_from_ns)
+        return not self._robot.lamp or (self._looks_ns is not None and now_ns - self._looks_ns > OWN_LOOK_NS)
+
+    def place(self, seek: Seek, level: Attitude) -> Vector | None:
+        """The one whose turn it is, no farther than the tank's walls; None: that is too near, or out of the gimbal's
+        reach."""
+        if self._glimpsed_m is not None:
+            return self._glimpsed_m
+        (pan, tilt), far_m = self._way_deg(), RANGES_M[self._step // len(SEARCH_DEG) % len(RANGES_M)]
+        body, tank = self._fleet.body, self._fleet.tank
+        limits = body.pan_limit_deg, body.tilt_limit_deg
+        if not all(low <= deg <= high for deg, (low, high) in zip((pan, tilt), limits, strict=True)):
+            return None
+        eye = camera_pose(seek.pose, body, *level, pan, tilt, tank.surface_m)
+        way, walls_m = axis_of(eye), (*tank.size_m[:2], tank.surface_m)
+        for at, part, most_m in zip(eye.position_m, way, walls_m, strict=True):
+            if part:
+                far_m = min(far_m, ((most_m if part > 0.0 else 0.0) - at) / part)
+        if far_m < LEAST_M:
+            return None
+        x, y, z = (at + far_m * part for at, part in zip(eye.position_m, way, strict=True))
+        return x, y, z
+
+    def worth(self, choice: Choice | None) -> bool:
+        """Whether those lamps show what the own lamp does not."""
+        if choice is None or choice.contrast < SHOWS or choice.lamps == (self._name,):
+            return False
+        return not self._robot.lamp or choice.own_contrast < SHOWS
+
+    def shown(self, seek: Seek, granted_ns: int, now_ns: int) -> bool:
+        """Whether a target at the place would have been seen by now, by the light that was granted then."""
+        if seek.lit_from_ns is None or seek.lit_from_ns < granted_ns:
+            return False
+        return now_ns - max(seek.lit_from_ns, seek.pointing.steady_from_ns) > SHOWN_NS
+
+    def follows(self, party: Party, seek: Seek, target: str, level: Attitude | None, now_ns: int) -> Vector | None:
+        """The place that is lit, by whosever lease, for the camera to look at. What it sees there by another's is its
+        own next place."""
+        if party.bound is None:
+            return self.at_m if party.mine is not None and party.mine.granted else None
+        lit_m = party.bound.lease.at_m
+        if lit_m is not None and level is not None:
+            far_m = math.dist(lit_m, seek.eye(level).position_m)
+            self._glimpsed_m = seek.glimpsed_m(target, level, far_m, now_ns) or self._glimpsed_m
+        return lit_m
+
+    def advance(self) -> None:
+        """On to the next place, for ever."""
+        if self._glimpsed_m is None:
+            self._step += 1
+        self._glimpsed_m = self.at_m = None
+
+    def _way_deg(self) -> tuple[float, float]:
+        """Pan and tilt of the place whose turn it is."""
+        pan, tilt = SEARCH_DEG[self._step % len(SEARCH_DEG)]
+        return self._robot.look.pan_deg + pan, self._robot.look.tilt_deg + tilt

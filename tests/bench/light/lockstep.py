@@ -1,0 +1,169 @@
+"""A moored fleet with lamps in the dark: rendered, with real firmware, vision and kernels, all in one process and on
+the dive's own clock, which waits for each of them. Messages go from one step to the next; some are lost if so asked.
+
+What `aucamp demo` does with processes and sockets, for machines that have no cores to spare.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+from msgspec import UNSET
+from msgspec.structs import replace
+
+from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
+from agent.demo.history import History
+from agent.demo.summary import settled
+from agent.experiments.posed_robot import PosedRobot
+from agent.kernel.codec import encode
+from agent.kernel.config import Fleet
+from agent.kernel.core import Agent
+from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.step_io import Heard, Inputs, Outputs
+from agent.perception.detection.detectors import load_detectors
+from agent.perception.vision import Vision
+from hw.stm32.protocol import HostProtocol
+from hw.twin.devices.board import Board, interpreter
+from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
+from hw.twin.dive import Dive
+from hw.twin.optics.lens import Vcm, draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.pace import run_in_lock_step
+from hw.twin.scene import generator, in_daylight, lamp_place, scene_of
+from tests.bench.swim.lockstep import START_NS, STEP_TICKS, LockstepCamera, LockstepClock, LockstepPart
+
+
+class Ended(NamedTuple):
+    """One robot at the end."""
+
+    error_mm: float | None  # of its estimate; None: it has none
+    first_s: float | None  # when the ball was in one of its frames for the first time
+    kept: int  # sweeps that gave a place
+    by_lent: int  # of them by another's lamp
+    rejected: int
+
+
+class Diver:
+    """One robot of the dive."""
+
+    def __init__(self, fleet: Fleet, name: str, me: int, dive: Dive, folder: Path, calibration: Calibration) -> None:
+        seed, scene = fleet.twin.seed, scene_of(fleet)
+        self.name, self._dive = name, dive
+        self.clock = LockstepClock(dive)
+        lens = draw_lens(scene.camera, generator(seed, name, "lens"))
+        painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, name)
+        painter.prepare()
+        shutter = FrameClock(START_NS + int(generator(seed, name, "shutter").integers(FRAME_NS)))
+        camera, vcm = LockstepCamera(self.clock, shutter), Vcm(lens, generator(seed, name, "vcm"))
+        seen = (dive.history, lens, vcm, painter, fleet.body.camera_m, dive.stage, shutter, camera.now_ns)
+        camera.device = DiveCamera(me, *seen, blurs=scene.motion_blur, lamp_m=lamp_place(fleet, scene))
+        self.board = Board(name, folder, dive.tare_pa[me], interpreter=interpreter())
+        dive.boards.append(self.board)
+        self.board.start()
+        self._port = os.open(self.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        detectors = load_detectors(fleet, calibration.camera)
+        self._eyes = Vision(lambda: camera, fleet, calibration.camera, detectors, self.clock, name)
+        self._eyes.start()  # its thread ends with the process: it sleeps on a clock that stands
+        self.clock.begin()
+        self._protocol = HostProtocol(1)
+        self._protocol.connected()
+        self._protocol.arm()
+        self.agent = Agent(fleet, name, calibration, START_NS)
+        self.post: list[Heard] = []
+        self.history = History([])
+        self.ended = Ended(None, None, 0, 0, 0)
+
+    def tick(self) -> Outputs | None:
+        """10 ms; in every fifth a step, whose outputs are returned."""
+        self.clock.run_who_is_due()
+        with contextlib.suppress(BlockingIOError):
+            self._protocol.receive(os.read(self._port, 4096), self._dive.now_ns)
+        out, outputs = self._protocol.due(self._dive.now_ns), None
+        if self._dive.ticks % STEP_TICKS == 0:
+            outputs = self._step()
+            out += self._protocol.set_point(outputs.set_point, self._dive.now_ns)
+        if out:
+            os.write(self._port, out)
+        return outputs
+
+    def close(self) -> None:
+        os.close(self._port)
+        self.board.close()
+
+    def _step(self) -> Outputs:
+        now_ns = self._dive.now_ns
+        telemetry = tuple(each for each in self._protocol.telemetry if each.t_ns < now_ns)
+        self._protocol.telemetry.clear()
+        sightings, heard, self.post = tuple(self._eyes.drain()), tuple(self.post), []
+        outputs = self.agent.step(Inputs(telemetry=telemetry, sightings=sightings, heard=heard), now_ns)
+        if outputs.sweep is not None:
+            self._eyes.plan(outputs.sweep)
+        if outputs.lens is not UNSET:
+            self._eyes.rest(outputs.lens)
+        if outputs.state is not None:
+            self.history.states.append(outputs.state)
+        was = self.ended
+        if was.first_s is None and any(sighting.found for sighting in sightings):
+            was = was._replace(first_s=(now_ns - START_NS) * 1e-9)
+        if outputs.outcome:
+            kept = outputs.outcome.x_m is not None
+            lent = kept and set(outputs.outcome.lamps or ()) != {self.name}
+            was = was._replace(kept=was.kept + kept, by_lent=was.by_lent + lent, rejected=was.rejected + (not kept))
+        self.ended = was
+        return outputs
+
+
+def night(
+    fleet: Fleet, calibrations: Mapping[str, Calibration], seconds: float, loss: float = 0.0
+) -> tuple[float | None, dict[str, Ended]]:
+    """When all had settled, s, or None; and each robot."""
+    scene, names, random = scene_of(fleet), list(fleet.robot), Random(fleet.twin.seed)
+    dive, settled_s = Dive(fleet, names, START_NS, scene=scene), None
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(patch("agent.perception.vision.Part", LockstepPart))
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        divers = {}
+        for me, name in enumerate(names):
+            divers[name] = Diver(fleet, name, me, dive, folder, calibrations[name])
+            stack.callback(divers[name].close)
+        while settled_s is None and dive.now_ns - START_NS < seconds * 1e9:
+            said = [(name, diver.tick()) for name, diver in divers.items()]
+            run_in_lock_step(dive, 1)
+            for name, outputs in said:
+                for heard, to in () if outputs is None else letters(name, outputs, dive.now_ns):
+                    if random.random() >= loss:
+                        divers[to].post.append(heard)
+            histories = [diver.history for diver in divers.values()]
+            if dive.ticks % 100 == 0 and settled(histories, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
+                settled_s = (dive.now_ns - START_NS) * 1e-9
+    truth_m = np.array(scene.solid[0].position_m)
+    return settled_s, {name: diver.ended._replace(error_mm=off_mm(diver, truth_m)) for name, diver in divers.items()}
+
+
+def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
+    """What a robot says, and to whom."""
+    estimates = [(Heard(arrived_ns=now_ns, src=src, payload=encode(said)), said.dst) for said in outputs.says]
+    lights = outputs.light or ()
+    lit = [(Heard(arrived_ns=now_ns, src=src, topic="light", payload=encode(said)), said.dst) for said in lights]
+    return estimates + lit
+
+
+def off_mm(diver: Diver, truth_m: np.ndarray) -> float | None:
+    believed_m = diver.agent.current.believed_m
+    return None if believed_m is None else 1000.0 * float(np.linalg.norm(np.array(believed_m) - truth_m))
+
+
+def calibrated(fleet: Fleet, name: str) -> Calibration:
+    """By the bench's procedure, in daylight and without the fleet's scene."""
+    scene = in_daylight(replace(scene_of(fleet), solid=(), creature=()))
+    robot = PosedRobot(fleet, name, scene.camera)
+    robot._bench = robot._with(scene, 0)
+    return robot.calibrate()
