@@ -97,7 +97,7 @@ def demo(
         followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
     summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed, survey)
     (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    for target in summary["targets"]:
+    for target in summary["targets"] if survey is None else ():  # cameras of a survey are not at targets
         console.print(result_table(summary, target))
     for line in survey.lines() if survey is not None else ():
         console.print(line, highlight=False)
@@ -162,7 +162,7 @@ def dive(
     until_ns = start_ns + round(duration_s * 1e9)
     for line in how_to_look(fleet, path):
         console.print(line, highlight=False)
-    ends = f"know where it is and {until(fleet)}" if survey is None else "know all that they survey, and the same"
+    ends = f"know where it is and {until(fleet)}" if survey is None else "know what is asked for, and the same"
     console.print(
         f"diving until all robots {ends}, at most {duration_s:.0f} s; Ctrl-C ends it; logs are in {run / 'logs'}"
     )

@@ -207,7 +207,11 @@ FOLLOWED = (
 
 
 def verdict(summary: dict[str, Any]) -> str:
-    """Whether all estimates are good enough, and for what that counts."""
+    """Whether all estimates are good enough, and for what that counts; of a survey, what is known, and by whom."""
+    if "coverage" in summary:
+        share = percent(summary["coverage"]["wanted_share"])
+        known = f"every robot knows {share} of what is wanted at least, and all maps are the same"
+        return f"{summary['verdict']}: {'; '.join(summary['reasons'] or [known])}"
     resting = [about for about in summary["targets"].values() if not about.get("swims")]
     is_ball = {about["radii_m"] is None for about in resting}
     balls = [f"every robot's error is below {PASS_PERCENT} %"] if True in is_ball else []

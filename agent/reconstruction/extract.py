@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agent.reconstruction.bricks import SIDE, Surface, kernel
 from agent.reconstruction.camera import Floats, inlined
 
-LEAST_WEIGHT = 0.5  # one depth with a sigma of 14 mm
+LEAST_WEIGHT = 0.2  # one depth with a sigma of 22 mm
 MOST_JUMP_M = 60e-3
 
 

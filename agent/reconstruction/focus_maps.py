@@ -1,12 +1,13 @@
 """How far each pixel is, with its uncertainty, from the blocks of a sweep.
 
 Blocks, and the parts of those that hold two depths, are sharp at their mean vergence, so 1/z is what lies on a line
-between them: a pixel has the bilinear mean of the four around it, if all four are known and agree,
+between them: a pixel has the bilinear mean of the four around it, if they agree,
 
     spread z < MOST_SPREAD,  sigma^2 = s^2 + (SPREAD_SHARE spread z^2)^2 + FLOOR_M^2
 
-spread: the largest of the four 1/z less the smallest; s: mean of their standard deviations. Whole blocks first, which
-hold more texture; parts fill in between.
+spread: the largest of the four 1/z less the smallest; s: mean of their standard deviations. Where one is unknown, a
+pixel in the triangle between the other three has the plane through them. Whole blocks first, which hold more texture;
+parts fill in between.
 """
 
 from __future__ import annotations
@@ -64,15 +65,27 @@ def _from_grid(
     )
     corners = [(top + i, left + j) for i in (0, 1) for j in (0, 1)]
     shares = [(1 - down, 1 - across), (1 - down, across), (down, 1 - across), (down, across)]
-    four = np.stack([_picked(vergence, *corner) for corner in corners])
     weight = np.stack([np.outer(*share) for share in shares])
+    four = _with_the_fourth(np.stack([_picked(vergence, *corner) for corner in corners]), weight)
     depth: Floats = 1.0 / (weight * four).sum(axis=0)
     spread = four.max(axis=0) - four.min(axis=0)
-    s = np.stack([_picked(sigma, *corner) for corner in corners]).mean(axis=0)
+    each = np.stack([_picked(sigma, *corner) for corner in corners])
+    s = np.nansum(each, axis=0) / np.maximum(np.isfinite(each).sum(axis=0), 1)
     with np.errstate(invalid="ignore"):
         agree = spread * depth < MOST_SPREAD
     total = np.sqrt(s**2 + (SPREAD_SHARE * spread * depth**2) ** 2 + FLOOR_M**2)
     return np.where(agree, depth, np.nan), np.where(agree, total, np.nan)
+
+
+def _with_the_fourth(four: Floats, weight: Floats) -> Floats:
+    """Where one of the four (4, height, width) is unknown, what the plane through the others has there: for pixels in
+    the triangle between them, which are nearer to the one across than to the one that is missing."""
+    filled = four.copy()
+    for k in range(4):
+        a, b = (j for j in range(4) if j not in (k, 3 - k))
+        plane = four[a] + four[b] - four[3 - k]
+        filled[k] = np.where(np.isnan(four[k]) & (weight[k] <= weight[3 - k]), plane, four[k])
+    return filled
 
 
 def _between(length: int, count: int, side_px: float, times: int) -> tuple[NDArray[np.int64], Floats]:

@@ -88,3 +88,9 @@ def test_a_track_is_shown_with_the_bars_that_it_missed() -> None:
     assert "40 s" in text and "30.0" in text and "85.0 %" in text
     assert "missed: by two 95 %, by each 88 %, track 25 mm rms, NEES" in " ".join(text.split())
     assert verdict(summary).startswith("pass: one robot at least saw it for 95 % of the time")
+
+
+def test_a_survey_is_judged_by_what_is_known_not_by_targets() -> None:
+    summary = {"coverage": {"wanted_share": 0.5}, "verdict": "pass", "reasons": [], "targets": {"ball": {}}}
+    assert verdict(summary) == "pass: every robot knows 50.0 % of what is wanted at least, and all maps are the same"
+    assert verdict(summary | {"verdict": "fail", "reasons": ["the maps differ"]}) == "fail: the maps differ"

@@ -53,7 +53,9 @@ def test_a_small_survey_from_pictures_to_a_row() -> None:
     assert len(done) == size_parts((3,)) == 4
     assert (row["seed"], row["keyframes"], row["robots"]) == (1, 3, 3)
     assert row["triangles"] > 1000 and row["median_mm"] < 5.0
-    assert 50.0 < row["peak_mb"] < 2000.0 and row["seconds"] > 0.0
+    assert 50.0 < row["refine_mb"] <= row["surface_mb"] <= row["peak_mb"] < 2000.0 and row["seconds"] > 0.0
+    assert row["believed_mm"] > 1.0 and row["refine_seconds"] > 0.0 and row["place_mm"] > 0.0
+    assert row["image_seconds"] > 0.0 and row["image_db"] > 15.0
 
 
 def test_views_are_kept_as_they_are(tmp_path) -> None:
@@ -67,11 +69,19 @@ def test_views_are_kept_as_they_are(tmp_path) -> None:
 
 def test_what_grows_faster_than_it_may_is_said() -> None:
     rows = [
-        {"keyframes": n, "compared": c, "seconds": 0.1 * n * c, "peak_mb": 3000}
+        {
+            "keyframes": n,
+            "compared": c,
+            "seconds": 0.1 * n * c,
+            "peak_mb": 3000,
+            "refine_seconds": n * n,
+            "image_seconds": n,
+        }
         for n, c in zip(COUNTS, (4.0, 4.5, 4.7), strict=True)
     ]
     told = verdict(rows)
     assert (told["power_pairs"], told["peak_mb"]) == (1.0, 3000) and told["power_keyframes"] > 1.05
+    assert (told["power_refine"], told["power_image"]) == (2.0, 1.0)
     assert missed_size(rows) == missed_size([]) == [] and verdict([]) == {}
     slower = [{**row, "seconds": row["seconds"] * row["keyframes"]} for row in rows]
     assert missed_size([*slower[:2], {**slower[2], "peak_mb": 4100}]) == [

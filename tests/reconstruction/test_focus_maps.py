@@ -35,6 +35,21 @@ def test_a_plane_between_blocks_is_a_plane() -> None:
     np.testing.assert_allclose(found.depth_m[known], truth[known], rtol=1e-6)
 
 
+def test_three_blocks_tell_what_lies_between_them() -> None:
+    """The middle of block (2, 3) is small pixel (43.25, 30.75) of (u, v), 12.5 of them are a block."""
+    u, v = np.meshgrid(50 * np.arange(8) + 24.5, 50 * np.arange(6) + 24.5)
+    ranges = 1.0 / (2.0 + 4e-4 * u - 3e-4 * v)
+    ranges[2, 3] = np.nan
+    found = focus_map(grid(ranges), FOCUS, TIMES, (100, 75))
+    u, v = np.meshgrid(np.arange(100), np.arange(75))
+    away = np.abs(u - 43.25) / 12.5 + np.abs(v - 30.75) / 12.5  # 1 at the four blocks beside it
+    asked = (u > 6) & (u < 93) & (v > 6) & (v < 68) & (np.abs(away - 1.0) > 1e-9)
+    np.testing.assert_array_equal(np.isfinite(found.depth_m)[asked], (away > 1.0)[asked])
+    truth = 1.0 / (2.0 + 4e-4 * (4 * u + 1.5) - 3e-4 * (4 * v + 1.5))
+    known = np.isfinite(found.depth_m)
+    np.testing.assert_allclose(found.depth_m[known], truth[known], rtol=1e-6)
+
+
 def test_across_a_step_nothing_is_guessed() -> None:
     ranges = np.full((6, 8), 0.5)
     ranges[:, 4:] = 0.7
@@ -42,7 +57,7 @@ def test_across_a_step_nothing_is_guessed() -> None:
     found = focus_map(grid(ranges), FOCUS, TIMES, (100, 75))
     between = slice(int((50 * 3 + 24.5) / 4) + 2, int((50 * 4 + 24.5) / 4) - 1)
     assert np.isnan(found.depth_m[:, between]).all()
-    assert np.isnan(found.depth_m[30:32, 15:18]).all()  # a block that is unknown takes its surroundings along
+    assert np.isnan(found.depth_m[27:35, 15:22]).all()  # what is nearer to the unknown block than to all others
     assert set(np.unique(found.depth_m[np.isfinite(found.depth_m)]).round(4)) == {np.float32(0.5), np.float32(0.7)}
 
 

@@ -43,6 +43,13 @@ def test_planes_are_found_more_exactly_than_focus_has_them(normal: tuple[float, 
     assert np.nanquantile(off, 0.95) < 4e-3
 
 
+def test_a_prior_that_says_little_costs_no_depth() -> None:
+    """Its sixteenth part would be five pixels, as wide as the window that is compared."""
+    sure, unsure = (swept(views((0.0, 0.0, 1.0), sigma_m=sigma_m)) for sigma_m in (8e-3, 60e-3))
+    assert np.isfinite(unsure.depth_m).mean() > 0.9 * np.isfinite(sure.depth_m).mean()
+    assert np.nanmedian(np.abs(unsure.depth_m - sure.depth_m)) < 1e-3
+
+
 def test_a_prior_that_excludes_the_truth_is_refused() -> None:
     right, wrong = (swept(views((0.0, -0.7, 0.7), by, sigma_m=2e-3)) for by in (0.0, 0.08))
     assert np.isfinite(wrong.depth_m).mean() < 0.1 * np.isfinite(right.depth_m).mean()  # what looks alike by chance

@@ -1,11 +1,12 @@
 """Depths by comparing pictures, searched for only where focus says that the surface is: a plane sweep with a prior.
 
-Each pixel with a focus depth z and its sigma has HYPOTHESES depths, equal steps of 1/z over z +- (3.5 sigma + 10 mm). A
-window of 5 x 5 pixels at one of them is a small plane, tilted as the focus map is around the pixel; each neighbouring
-view sees it through its whole camera (the bend is not small), by an affine map that is exact at three corners. Cost:
-the mean of the two best normalised cross correlations (ZNCC) over neighbours; a parabola over the best hypothesis; a
-best one at either end is refused, for then the prior excludes the truth. What remains must be above LEAST and agree
-with what a neighbour found.
+Each pixel with a focus depth z and its sigma has HYPOTHESES depths, equal steps of 1/z over z +- (3.5 sigma + 10 mm),
+and more where a neighbour's picture would shift by more than STEP_PX from one to the next: what lies between would be
+missed. A window of 5 x 5 pixels at one of them is a small plane, tilted as the focus map is around the pixel; each
+neighbouring view sees it through its whole camera (the bend is not small), by an affine map that is exact at three
+corners. Cost: the mean of the two best normalised cross correlations (ZNCC) over neighbours; a parabola over the best
+hypothesis; a best one at either end is refused, for then the prior excludes the truth. What remains must be above LEAST
+and agree with what a neighbour found.
 
 Without the prior 43 % of what is accepted is wrong: on tiles and gravel much looks alike.
 """
@@ -19,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.progress import Progress
-from agent.reconstruction.camera import Floats, inlined, slopes_of
+from agent.reconstruction.camera import Camera, Floats, inlined, slopes_of
 from agent.reconstruction.stack import Stack, camera_in
 from agent.reconstruction.stereo.neighbours import Neighbours
 from agent.reconstruction.stereo.warp import between, seen_at, slopes_of_map
 from hw.compiled import compiled
 
-HYPOTHESES = 16
+HYPOTHESES, MOST_HYPOTHESES = 16, 96
+STEP_PX = 1.0  # that neighbours' pictures shift from one hypothesis to the next, at most: windows are five wide
 SIGMAS, MARGIN_M = 3.5, 10e-3
 HALF = 2  # of the window, pixels
 LEAST_TEXTURE = 25 * 1e-5  # sum of (grey - mean)^2 over the window, grey 0 to 1
@@ -76,7 +78,7 @@ def plane_sweep(
         progress(n, count)
         if everywhere is None:
             slopes_of_map(stack.depth_m[n], tilt)
-            ends, hypotheses = (0.0, 0.0), HYPOTHESES
+            ends, hypotheses = (0.0, 0.0), MOST_HYPOTHESES
         else:
             ends, hypotheses = (1.0 / everywhere.near_m, 1.0 / everywhere.far_m), everywhere.hypotheses
         _sweep(stack, grey, n, neighbours.of[n, :COMPARED], tilt, ends, np.empty(hypotheses), found[n])
@@ -111,17 +113,20 @@ def _sweep(
             near, far = 1.0 / max(depth - reach, 0.05), 1.0 / (depth + reach)
             if ends[0] > 0.0:
                 near, far = ends
-            step = (near - far) / (len(costs) - 1)
+            count = (
+                len(costs) if ends[0] > 0.0 else _fine_enough(stack, mine, others, turns, shifts, row, col, near, far)
+            )
+            step = (near - far) / (count - 1)
             # Rays of the middle and of the window's right and lower edge: the plane through them has 1/z linear.
             x0, y0 = slopes_of(mine, float(col), float(row))
             x1, y1 = slopes_of(mine, float(col + HALF), float(row))
             x2, y2 = slopes_of(mine, float(col), float(row + HALF))
             right, down = HALF * tilt[row, col, 0], HALF * tilt[row, col, 1]
-            for h in range(len(costs)):
+            for h in range(count):
                 inverse = far + h * step
                 z0 = 1.0 / inverse
                 z1, z2 = 1.0 / max(inverse + right, 1e-3), 1.0 / max(inverse + down, 1e-3)
-                best, second, count = -1.0, -1.0, 0
+                best, second, seen = -1.0, -1.0, 0
                 for k in range(len(others)):
                     o = others[k]
                     if o < 0:
@@ -139,13 +144,33 @@ def _sweep(
                     if not (rim_u <= u0 < its.width - 1 - rim_u and rim_v <= v0 < its.height - 1 - rim_v):
                         continue
                     value = _zncc(grey, o, own, texture, u0, v0, ux, vx, uy, vy)
-                    count += 1
+                    seen += 1
                     if value > best:
                         best, second = value, best
                     elif value > second:
                         second = value
-                costs[h] = 0.5 * (best + second) if count > 1 else (best - ALONE if count == 1 else -1.0)
-            found[row, col] = _peak(costs, far, step)
+                costs[h] = 0.5 * (best + second) if seen > 1 else (best - ALONE if seen == 1 else -1.0)
+            found[row, col] = _peak(costs[:count], far, step)
+
+
+@inlined
+def _fine_enough(
+    stack: Stack, mine: Camera, others: NDArray[np.int64], turns: Floats, shifts: Floats, row: int, col: int,
+    near: float, far: float,
+) -> int:  # fmt: skip
+    """How many depths between two 1/z: no neighbour's picture shifts by more than STEP_PX from one to the next."""
+    x, y = slopes_of(mine, float(col), float(row))
+    span = 0.0
+    a, b = 1.0 / near - mine.ahead_m, 1.0 / far - mine.ahead_m
+    for k in range(len(others)):
+        if others[k] < 0:
+            break
+        its = camera_in(stack, others[k])
+        u0, v0, good0 = seen_at(its, turns[k], shifts[k], x * a, y * a, 1.0 / near)
+        u1, v1, good1 = seen_at(its, turns[k], shifts[k], x * b, y * b, 1.0 / far)
+        if good0 and good1:
+            span = max(span, min(math.hypot(u1 - u0, v1 - v0), 1e3))
+    return min(max(HYPOTHESES, int(span / STEP_PX) + 2), MOST_HYPOTHESES)
 
 
 @inlined

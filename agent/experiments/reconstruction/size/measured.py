@@ -13,13 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from agent.clock.machine import processor_s
+from agent.clock.machine import monotonic_s, processor_s
+from agent.experiments.reconstruction.noisy import noisy
 from agent.experiments.reconstruction.score import distances_to
 from agent.experiments.reconstruction.size.basin import SIZE_M, SURFACE_M, basin
 from agent.experiments.result import Row
 from agent.reconstruction.build import CELL_M, build
 from agent.reconstruction.camera import Camera
 from agent.reconstruction.export.kinds import export
+from agent.reconstruction.image.judged import psnr_db
+from agent.reconstruction.image.model import ImageModel, ImageSettings, image
+from agent.reconstruction.poses.refine import refine
+from agent.reconstruction.poses.twist import apart, between, by_motion
 from agent.reconstruction.run import figures_of
 from agent.reconstruction.stack import stacked
 from agent.reconstruction.stereo.neighbours import neighbours
@@ -28,6 +33,8 @@ from agent.reconstruction.view import View
 
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many
 MB = 1e6
+SHOWN = 20  # pictures are held against what surfels show
+SURFELS = ImageSettings(kind="surfels")
 COMPILED_CELL_M = 0.02  # of a first, small reconstruction, which is not timed: kernels are compiled by it
 
 
@@ -53,23 +60,26 @@ def _view(path: Path) -> View:
 
 
 def measured(folder: Path, count: int, seed: int) -> Row:
-    """The first `count` keyframes of a folder made into a surface and a PLY file beside them, as `aucamp reconstruct`
-    does it where poses stand, in a process that does nothing else."""
+    """The first `count` keyframes of a folder as `aucamp reconstruct` goes through them, in a process that does nothing
+    else: poses that are off are refined; of exact ones a surface is made, a PLY file beside them, and surfels."""
     processes = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=processes) as pool:
         return pool.submit(_measure, folder, count, seed).result()
 
 
 def _measure(folder: Path, count: int, seed: int) -> Row:
-    build(kept(folder, 3), COMPILED_CELL_M, True, _silent)
+    _compile(folder, seed)
     views = kept(folder, count)
+    refined = _refined(views, seed)
     start = processor_s()
     built = build(views, CELL_M, True, _silent)
     export("ply", built.views, built.mesh, CELL_M, folder)
     seconds = processor_s() - start
-    figures = figures_of(built, ())
-    peak_mb = _peak_mb()
+    surface_mb, figures = _peak_mb(), figures_of(built, ())
     compared = int((neighbours(stacked(views, 0)).of[:, :COMPARED] >= 0).sum())
+    start = processor_s()
+    model = image(built.views, built.mesh, CELL_M, SURFELS, _silent, monotonic_s)
+    image_s, peak_mb = processor_s() - start, _peak_mb()
     step = max(1, len(built.mesh.vertices_m) // SAMPLED)
     box = np.array([*SIZE_M[:2], SURFACE_M])
     off, _ = distances_to(built.mesh.vertices_m[::step], box, basin(seed).solid)
@@ -78,6 +88,10 @@ def _measure(folder: Path, count: int, seed: int) -> Row:
         "robots": len({view.robot for view in views}),
         "seconds": round(seconds, 1),
         "seconds_per_keyframe": round(seconds / count, 3),
+        **refined,
+        "image_seconds": round(image_s, 1),
+        "image_db": round(_shown_db(model, views), 2),
+        "surface_mb": round(surface_mb),
         "peak_mb": round(peak_mb),
         "triangles": len(built.mesh.faces),
         "median_mm": round(1e3 * float(np.median(off)), 3),
@@ -86,6 +100,40 @@ def _measure(folder: Path, count: int, seed: int) -> Row:
         "area_m2": round(figures["area_m2"], 1),
         "compared": round(compared / count, 2),
     }
+
+
+def _compile(folder: Path, seed: int) -> None:
+    """All of it once, coarsely, with a few keyframes."""
+    few = kept(folder, 3)
+    refine(noisy(few, seed))
+    built = build(few, COMPILED_CELL_M, True, _silent)
+    image(built.views, built.mesh, COMPILED_CELL_M, SURFELS, _silent, monotonic_s)
+
+
+def _refined(views: list[View], seed: int) -> Row:
+    """How long it takes to find poses that are as wrong as a survey by hand leaves them, and how far off they are then,
+    the common motion taken off."""
+    believed = noisy(views, seed)
+    start = processor_s()
+    found = refine(believed)
+    seconds = processor_s() - start
+    motions = [between(some, views) for some in (believed, found.views)]
+    metres, radians = apart([by_motion(view, motions[1]) for view in found.views], views)
+    before, _ = apart([by_motion(view, motions[0]) for view in believed], views)
+    return {
+        "refine_seconds": round(seconds, 2),
+        "matches": found.matches,
+        "believed_mm": round(1e3 * float(before.mean()), 2),
+        "place_mm": round(1e3 * float(metres.mean()), 2),
+        "turn_deg": round(float(np.degrees(radians.mean())), 3),
+        "refine_mb": round(_peak_mb()),
+    }
+
+
+def _shown_db(model: ImageModel, views: list[View]) -> float:
+    """Mean PSNR of some of the pictures that the surfels were fitted to: that nothing went wrong, no more."""
+    some = views[:: max(1, len(views) // SHOWN)]
+    return float(np.mean([psnr_db(model.look(view)[0], view.picture) for view in some]))
 
 
 def _peak_mb() -> float:

@@ -39,9 +39,9 @@ def size(seed: int, step: Callable[[], None] = lambda: None, counts: Sequence[in
     return rows
 
 
-def power(rows: Sequence[Row], of: Callable[[Row], float]) -> float:
+def power(rows: Sequence[Row], of: Callable[[Row], float], key: str = "seconds") -> float:
     """p of seconds ~ of(row)^p, least squares of logarithms."""
-    amounts, seconds = np.log([of(row) for row in rows]), np.log([row["seconds"] for row in rows])
+    amounts, seconds = np.log([of(row) for row in rows]), np.log([row[key] for row in rows])
     return float(np.polyfit(amounts, seconds, 1)[0])
 
 
@@ -50,14 +50,16 @@ def verdict(rows: Sequence[Row]) -> dict[str, Any]:
 
     A survey's first keyframes are near its rim, where fewer others look at the same: over few keyframes time grows
     faster than they do, until nearly all have as many neighbours as are asked. Pairs tell that apart from work that
-    would go on growing. Empty where nothing was measured.
+    would go on growing. Of poses and surfels it is told by keyframes alone. Empty where nothing was measured.
     """
     if not rows:
         return {}
     return {
         "peak_mb": max(row["peak_mb"] for row in rows),
-        "power_keyframes": round(power(rows, lambda row: row["keyframes"]), 3),
+        "power_keyframes": round(power(rows, _keyframes), 3),
         "power_pairs": round(power(rows, _pairs), 3),
+        "power_refine": round(power(rows, _keyframes, "refine_seconds"), 3),
+        "power_image": round(power(rows, _keyframes, "image_seconds"), 3),
     }
 
 
@@ -67,6 +69,10 @@ def missed_size(rows: Sequence[Row]) -> list[str]:
     if rows and (grown := power(rows, _pairs)) > MOST_POWER:
         found.append(f"time grows as pairs of pictures^{grown:.2f}")
     return found
+
+
+def _keyframes(row: Row) -> float:
+    return float(row["keyframes"])
 
 
 def _pairs(row: Row) -> float:
