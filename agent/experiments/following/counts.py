@@ -89,7 +89,8 @@ def losses(draw: Draw) -> list[Again]:
 def _again(draw: Draw, k: int, since: int, until_s: float, seen: bool) -> Again:
     before = max(since - round(ALONE_S / FRAME_S), 0)
     others = np.delete(draw.sees[before : since + 1], k, axis=1)
-    return Again(float(draw.t_s[since]), until_s - float(draw.t_s[since]), seen, bool(others.any()))
+    t_s = float(draw.t_s[since])
+    return Again(t_s, round(until_s - t_s, 3), seen, bool(others.any()))  # whole frames, whatever is rounded off
 
 
 def p95(again: Sequence[Again]) -> float | None:
