@@ -10,19 +10,21 @@ from agent.experiments.following import basin as following_basin
 from agent.experiments.following.bars import verdicts
 from agent.experiments.following.cases import FLEET, Case, all_cases
 from agent.experiments.following.counts import figures, losses, share
-from agent.experiments.following.dive import Draw
+from agent.experiments.following.dive import Draw, reaches
 from agent.experiments.following.figures import figures as drawings
 from agent.experiments.following.run import Result, Shown
 from agent.experiments.following.tables import table
 from agent.experiments.navigation.drawn_ball import Pillar, hides
 from agent.experiments.navigation.pursuit.wanderer import BODY_M, Wanderer
 from agent.experiments.result import write_result
+from agent.kernel.config import Body
 from hw.twin.scene import generator
 
 N, WATCHED = 100, 20
 CASE = Case("share", FLEET, 0.0, 0.15)
 KEYS = {"policy", "robots", "loss", "speed_m_s", "seen_by_one", "seen_by_two", "seen_each", "rms_mm", "nees"} | {
-    "reacquire_p95_s"
+    "reacquire_p95_s",
+    "reacquire_any_side_p95_s",
 }
 
 
@@ -37,6 +39,7 @@ def drawn(**other) -> Draw:
         robots=robots,
         sees=every.copy(),
         in_sight=every.copy(),
+        in_reach=every.copy(),
         covered=never.copy(),
         landmarks=never.copy(),
         error_m=np.full((N, 3), 0.010),
@@ -76,6 +79,24 @@ def test_time_to_see_it_again_counts_from_when_it_is_in_sight() -> None:
     draw.sees[70:, 2] = False  # to the end: never
     row = figures(CASE, [draw])
     assert row["losses"] == 3 and row["losses_alone"] == 1 and row["reacquire_alone_p95_s"] is None
+
+
+def test_who_has_it_behind_is_asked_for_it_from_when_the_gimbal_reaches() -> None:
+    draw = drawn()
+    draw.sees[30:50, 0] = False
+    draw.in_reach[30:48, 0] = False
+    (again,), (any_side,) = losses(draw), losses(draw, any_side=True)
+    assert (again.seconds, any_side.seconds) == (0.2, 2.0)
+    row = figures(CASE, [draw])
+    assert (row["reacquire_p95_s"], row["reacquire_any_side_p95_s"]) == (0.2, 2.0)
+
+
+def test_a_gimbal_reaches_what_is_ahead_and_not_what_touches_the_lens() -> None:
+    body = Body(camera_m=(0.1, 0.0, 0.0), pan_limit_deg=(-90.0, 90.0))
+    here = (1.0, 1.0, math.pi)
+    assert reaches(body, here, (0.4, 1.0, 0.2)) and reaches(body, here, (0.89, 1.4, 0.2))
+    assert not reaches(body, here, (1.2, 1.0, 0.2)) and not reaches(body, here, (0.91, 1.4, 0.2))
+    assert not reaches(body, here, (0.85, 1.0, 0.2))
 
 
 def test_bars_are_for_three_that_share() -> None:

@@ -32,6 +32,7 @@ def figures(case: Case, draws: Sequence[Draw]) -> Row:
     error_m = np.concatenate([draw.error_m[draw.watched :].ravel() for draw in draws])
     nees = np.concatenate([draw.nees[draw.watched :].ravel() for draw in draws])
     again = [one for draw in draws for one in losses(draw)]
+    round_about = [one for draw in draws for one in losses(draw, any_side=True)]
     told = case.robots > 1 and case.policy != "silent"
     with_others = [one for one in again if told and one.by_others]
     alone = [one for one in again if not (told and one.by_others)]
@@ -42,6 +43,7 @@ def figures(case: Case, draws: Sequence[Draw]) -> Row:
         "nees": _number(float(np.nanmean(nees)) if np.isfinite(nees).any() else math.nan),
         "reacquire_p95_s": p95(with_others if told else alone),
         "losses": len(with_others if told else alone),
+        "reacquire_any_side_p95_s": p95([one for one in round_about if one.by_others or not told]),
         "reacquire_alone_p95_s": p95(alone),
         "losses_alone": len(alone),
         "known": float(np.mean(np.isfinite(error_m))),
@@ -65,11 +67,12 @@ def share(draw: Draw) -> Row:
     }
 
 
-def losses(draw: Draw) -> list[Again]:
-    """Each time that a robot lost it in the watch, from when it was in sight and the camera not at landmarks."""
+def losses(draw: Draw, any_side: bool = False) -> list[Again]:
+    """Each time that a robot lost it in the watch, from when it was in sight and the camera not at landmarks. any_side:
+    also where the gimbal does not reach, and the body has to turn first."""
     found = []
     for k in range(draw.sees.shape[1]):
-        could = draw.in_sight[:, k] & ~draw.landmarks[:, k]
+        could = draw.in_sight[:, k] & ~draw.landmarks[:, k] & (draw.in_reach[:, k] | any_side)
         last, since = -math.inf, None
         for i, t_s in enumerate(draw.t_s):
             lost = t_s - last > LOST_S + 0.5 * FRAME_S

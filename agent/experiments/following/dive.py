@@ -7,6 +7,7 @@ sees neither target nor tags.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +15,16 @@ from numpy.typing import NDArray
 
 from agent.experiments.following.basin import fleet_of, weeds
 from agent.experiments.following.cases import Case
-from agent.experiments.following.drawn_fish import DrawnFish
+from agent.experiments.following.drawn_fish import NEAREST_M, DrawnFish
 from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.drawn_ball import FARTHEST_M, Pillar, hides, ring
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import FRAME_STEPS, Swimmers
-from agent.kernel.config import Fleet
+from agent.kernel.config import Body, Fleet
 from agent.kernel.core import Agent
 from agent.kernel.estimation.choice import dynamics
 from agent.kernel.messages import Estimate, Message, Vector
+from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.pursuit import carried_on
 from hw.twin.scene import generator
 
@@ -41,7 +43,8 @@ class Draw(NamedTuple):
     target_m: Array  # (n, 3)
     robots: Array  # (n, k, 3): x, y (m), yaw (rad)
     sees: NDArray[np.bool_]  # (n, k): whether each robot's frame shows it
-    in_sight: NDArray[np.bool_]  # (n, k): whether it would, had the camera looked there
+    in_sight: NDArray[np.bool_]  # (n, k): whether nothing is in between
+    in_reach: NDArray[np.bool_]  # (n, k): whether the camera can be turned to it, and it is not too near for a picture
     covered: NDArray[np.bool_]  # (n, k)
     landmarks: NDArray[np.bool_]  # (n, k): its camera is turned to landmarks
     error_m: Array  # (n, k): of where each robot believes it to be now; nan: it does not know
@@ -75,12 +78,11 @@ def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
     t_s = (1 + np.arange(len(rows))) * FRAME_STEPS / STEPS_S
     target_m = np.array([wanderer.at(began_ns + round(t * 1e9)) for t in t_s])
     cells = np.array(rows)
-    sees, in_sight, covered, landmarks = np.moveaxis(cells[:, :, 3:7].astype(bool), 2, 0)
-    error_m, nees = np.moveaxis(cells[:, :, 7:], 2, 0)
+    sees, in_sight, in_reach, covered, landmarks = np.moveaxis(cells[:, :, 3:8].astype(bool), 2, 0)
+    error_m, nees = np.moveaxis(cells[:, :, 8:], 2, 0)
     watched = int(np.searchsorted(t_s, FIND_S, side="right"))
-    return Draw(
-        t_s, target_m, cells[:, :, :3], sees, in_sight, covered, landmarks, error_m, nees, watched, pillars, tuple(told)
-    )
+    seen = sees, in_sight, in_reach, covered, landmarks
+    return Draw(t_s, target_m, cells[:, :, :3], *seen, error_m, nees, watched, pillars, tuple(told))
 
 
 def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pillar, ...]) -> list[Array]:
@@ -92,10 +94,22 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         others = [ring(swimmers.bodies.pose(other)) for other in fleet.robot if other != name]
         near = np.hypot(target_m[0] - place[0], target_m[1] - place[1]) < FARTHEST_M
         clear = not any(hides(pillar, place[:2], target_m) for pillar in (*pillars, *others))
-        flags = newest is not None and newest.found, near and clear and not eyes.covered, eyes.covered
+        reach = reaches(fleet.body, place, target_m)
+        flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
         believed = judged(agent, fleet, target_m, swimmers.now_ns)
         found.append(np.array([*place, *flags, agent.swimmer is not None and agent.swimmer.glances, *believed], float))
     return found
+
+
+def reaches(body: Body, place: Vector, target_m: Vector) -> bool:
+    """Whether a gimbal of a robot there (x, y, yaw) pans as far as to the target, which is beyond the nearest that a
+    lens makes a picture of."""
+    x, y, yaw = place
+    ahead_m, left_m, _ = body.camera_m
+    c, s = math.cos(yaw), math.sin(yaw)
+    east, north = target_m[0] - (x + c * ahead_m - s * left_m), target_m[1] - (y + s * ahead_m + c * left_m)
+    low, high = body.pan_limit_deg
+    return math.hypot(east, north) > NEAREST_M and low <= math.degrees(wrap(math.atan2(north, east) - yaw)) <= high
 
 
 def judged(agent: Agent, fleet: Fleet, target_m: Vector, now_ns: int) -> tuple[float, float]:

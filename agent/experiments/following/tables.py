@@ -17,6 +17,7 @@ COLUMNS = (
     ("rms_mm", "rms mm"),
     ("nees", "NEES"),
     ("reacquire_p95_s", "again s"),
+    ("reacquire_any_side_p95_s", "any side s"),
     ("reacquire_alone_p95_s", "alone s"),
     ("least_m", "least m"),
 )
