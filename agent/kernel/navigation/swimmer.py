@@ -53,7 +53,7 @@ BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilo
 # from landmarks has no odometry, and is lost again. (What goes with a target never rests, and waits for nothing.)
 KEY_NS = 250_000_000
 # Shares of what is else too unsure: one that pursues looks later, for less, and what it sees meanwhile counts for less.
-PURSUES, BRIEF = 2.2, 0.75
+PURSUES, BRIEF = 3.0, 0.75
 NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
