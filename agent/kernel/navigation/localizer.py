@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.estimation.interface import Posterior, Prior
 from agent.kernel.estimation.matrix import minus, plus, times
-from agent.kernel.messages import Whereabouts
+from agent.kernel.messages import Vector, Whereabouts
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.gimbal_log import Gimbal
@@ -122,8 +123,8 @@ class Localizer:
         the search for a pose from."""
         return not within(then, LOST_M, LOST_DEG) and not any(t_ns > then.t_ns for t_ns in self._fixes_ns)
 
-    def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None) -> None:
-        """Points of a key frame in a later one; level and gimbal at either exposure."""
+    def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None, others_m: Sequence[Vector]) -> None:
+        """Points of a key frame in a later one; level and gimbal at either exposure. others_m: robots not to look at."""
         key, before = self.at(seen.since_ns), self.at(seen.t_ns)
         if self._ring is None or key is None or before is None or adrift(before):
             return
@@ -135,7 +136,7 @@ class Localizer:
         if then.gimbal.tracks or now.gimbal.tracks:
             lags = math.radians(then.gimbal.lag_sigma_deg), math.radians(now.gimbal.lag_sigma_deg)
             unsettled = math.hypot(math.sqrt(ALIKE) * unsettled, *lags)
-        moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake)
+        moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake, others_m)
         if moved is None:
             return
         covariance = moved.covariance

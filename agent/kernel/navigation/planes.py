@@ -37,6 +37,7 @@ LEVEL_RAD = math.radians(0.07)  # sigma of e: level noise of two frames
 # What swims hides behind stones, which a camera that goes with it sees more of than of walls. Points on a thing half as
 # far as the wall behind it, taken for points of the wall, make a turn of as much of the way aside.
 THINGS_M, OF_THINGS = 1.4, 0.3  # such a wall; and the share of the way that is not known either
+OTHER_M = 0.25  # of a robot: half of its length, and what both places may be wrong by
 LONGEST_M = 0.5  # new key frames are due every 0.25 m; what is farther than twice that is a mistake
 
 Pair = tuple[float, float, float, float]  # slopes x, y then; x, y now
@@ -61,19 +62,26 @@ class Moved(NamedTuple):
 
 
 def odometry(
-    of: View, then: Theta, now: Theta, pairs: Sequence[Pair], box_m: Box, unsettled: float, wake: float = 0.0
+    of: View,
+    then: Theta,
+    now: Theta,
+    pairs: Sequence[Pair],
+    box_m: Box,
+    unsettled: float,
+    wake: float = 0.0,
+    others_m: Sequence[Vector] = (),
 ) -> Moved | None:
     """None where too few points agree.
 
     then, now: at either exposure; place and yaw of then tell which wall a ray meets, those of now where to begin.
     unsettled: sigma of the angle that a gimbal which was not at rest may be off by, rad; wake: of what the level is off
-    by as the robot swims.
+    by as the robot swims. others_m: where other robots are, roughly; what is seen towards one of them may lie on it.
     """
     eye_then, eye_now = upright(of, then), upright(of, now)
     points = []
     for x_then, y_then, x_now, y_now in pairs:
         place_m = meets(eye_then, then, (x_then, y_then), box_m)
-        if place_m is not None:
+        if place_m is not None and not _towards(eye_now, now, (x_now, y_now), others_m):
             x, y, z = direction(eye_now, (x_now, y_now))
             points.append(Point(place_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y))))
     state, kept, off, L = [*_between(then, now), 0.0], points, 0.0, None
@@ -125,6 +133,26 @@ def meets(eye: Upright, at: Theta, slope: tuple[float, float], box_m: Box) -> Ve
     if not (0.0 < reach * math.sqrt(x * x + y * y + z * z) <= FARTHEST_M and up < box_m[2]):
         return None
     return right + reach * x, back + reach * y, up
+
+
+def _towards(eye: Upright, at: Theta, slope: tuple[float, float], others_m: Sequence[Vector]) -> bool:
+    """Whether a ray passes by one of them, as seen from above."""
+    if not others_m:
+        return False
+    x, y, _ = direction(eye, slope)
+    c, s = math.cos(at[2]), math.sin(at[2])
+    right, back, flat = eye.origin_m[0], eye.origin_m[1], math.hypot(x, y)
+    from_x, from_y, way_x, way_y = (
+        at[0] + c * right - s * back,
+        at[1] + s * right + c * back,
+        c * x - s * y,
+        s * x + c * y,
+    )
+    for other in others_m:
+        u, v = other[0] - from_x, other[1] - from_y
+        if u * way_x + v * way_y > 0.0 and abs(u * way_y - v * way_x) < OTHER_M * flat:
+            return True
+    return False
 
 
 def _between(then: Theta, now: Theta) -> Vector:

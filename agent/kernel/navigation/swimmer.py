@@ -53,7 +53,7 @@ BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilo
 # from landmarks has no odometry, and is lost again. (What goes with a target never rests, and waits for nothing.)
 KEY_NS = 250_000_000
 # Shares of what is else too unsure: one that pursues looks later, for less, and what it sees meanwhile counts for less.
-PURSUES, BRIEF = 3.0, 0.75
+PURSUES, BRIEF = 2.2, 0.75
 NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
@@ -141,7 +141,8 @@ class Swimmer:
         for flow in flows:
             then, now = self._carriage_at(flow.since_ns, attitude), self._carriage_at(flow.t_ns, attitude)
             if then is not None and now is not None:
-                self.localizer.follow(flow, then, now, lens.get(flow.t_ns))
+                others_m = self.company.neighbours.places()
+                self.localizer.follow(flow, then, now, lens.get(flow.t_ns), others_m)
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)
         if here is not None and within(here, LOST_M, LOST_DEG):

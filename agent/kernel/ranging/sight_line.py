@@ -26,8 +26,8 @@ SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard
 # deviation of its logarithm 0.2, by what is blurred, bends and pitches; other fish are slimmer, or stouter. What one
-# frame says of the range the next ones do.
-HIGH_SIGMA, ALIKE = 0.2, 2.0
+# frame says of the range the next ones do, for as long as it keeps its side: half a second of frames count as one.
+HIGH_SIGMA, ALIKE = 0.2, 5.0
 CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
 TURNS_RAD = 0.6  # by which it may face elsewhere than it is believed to swim: a track knows of a turn when it is over

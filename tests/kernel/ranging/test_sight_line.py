@@ -96,7 +96,7 @@ def test_a_creatures_height_says_a_little_of_how_far_it_is_and_nothing_across() 
         along = (THERE - origin) / d
         assert np.array(found.x_m) - origin == pytest.approx(1.3 * d * along, rel=0.01)
         weight = matrix(found.information) - matrix(plain.information)
-        assert weight == pytest.approx(np.outer(along, along) / (0.2**2 * 2 * (1.3 * d) ** 2), abs=0.05)
+        assert weight == pytest.approx(np.outer(along, along) / (0.2**2 * 5 * (1.3 * d) ** 2), abs=0.05)
     same = sight_line(
         CAMERA, here, outline(here, size_px=(9.0, 9.0)), Target(detector="box"), EXACT, 0.0, THERE, T_NS, 1.0
     )
