@@ -124,7 +124,7 @@ class Localizer:
         return not within(then, LOST_M, LOST_DEG) and not any(t_ns > then.t_ns for t_ns in self._fixes_ns)
 
     def follow(self, seen: Flow, then: Carriage, now: Carriage, focus: int | None, others_m: Sequence[Vector]) -> None:
-        """Points of a key frame in a later one; level and gimbal at either exposure. others_m: robots not to look at."""
+        """Points of a key frame in a later one; level and gimbal at either exposure. others_m: robots to leave out."""
         key, before = self.at(seen.since_ns), self.at(seen.t_ns)
         if self._ring is None or key is None or before is None or adrift(before):
             return

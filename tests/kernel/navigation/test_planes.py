@@ -81,6 +81,24 @@ def test_points_that_were_mistaken_do_no_harm(way) -> None:
     np.testing.assert_allclose(found.pose[2], moved(way)[2], atol=0.002)
 
 
+def test_points_on_another_robot_are_left_out() -> None:
+    """A third of them go with one that swims past in the middle of the picture."""
+    now = AHEAD[1]
+    pairs = pairs_of(np.random.default_rng(6), AHEAD, noise_px=0.3)
+    x, y, psi = now[:3]
+    bearing = psi + now[6]  # of the picture's middle: yaw and pan
+    other_m = x + 1.8 * np.cos(bearing), y + 1.8 * np.sin(bearing), 0.3
+    before_it = np.abs(pairs[:, 2]) < 0.09
+    assert 15 < before_it.sum() < 40
+    pairs[before_it, 2] += 0.03  # all alike: as if the robot had turned
+    led, found = odometry_of(pairs, AHEAD), odometry(VIEW, *AHEAD, pairs.tolist(), BOX_M, 0.0, others_m=(other_m,))
+    assert found.pairs <= 64 - before_it.sum()
+    np.testing.assert_allclose(found.pose, moved(AHEAD), atol=0.004)
+    assert led is None or np.abs(led.pose - moved(AHEAD)).max() > 0.004
+    behind_m = 2.0 * np.array(now[:2]) - other_m[:2]
+    assert odometry(VIEW, *AHEAD, pairs.tolist(), BOX_M, 0.0, others_m=((*behind_m, 0.3),)) == led
+
+
 @WAYS
 def test_errors_are_no_larger_than_said(way) -> None:
     """Points of 0.3 px; the place at the key frame is known to 4 mm an axis and 0.1 degrees."""
