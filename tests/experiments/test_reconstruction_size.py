@@ -74,6 +74,7 @@ def test_what_grows_faster_than_it_may_is_said() -> None:
             "compared": c,
             "seconds": 0.1 * n * c,
             "peak_mb": 3000,
+            "matches": 50 * n**2,
             "refine_seconds": n * n,
             "image_seconds": n,
         }
@@ -81,7 +82,7 @@ def test_what_grows_faster_than_it_may_is_said() -> None:
     ]
     told = verdict(rows)
     assert (told["power_pairs"], told["peak_mb"]) == (1.0, 3000) and told["power_keyframes"] > 1.05
-    assert (told["power_refine"], told["power_image"]) == (2.0, 1.0)
+    assert (told["power_refine"], told["power_matches"], told["power_image"]) == (2.0, 1.0, 1.0)
     assert missed_size(rows) == missed_size([]) == [] and verdict([]) == {}
     slower = [{**row, "seconds": row["seconds"] * row["keyframes"]} for row in rows]
     assert missed_size([*slower[:2], {**slower[2], "peak_mb": 4100}]) == [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.reconstruction.camera import project
-from agent.reconstruction.poses.bundle import Loss, Prior, State, first_state, normal_of, step
+from agent.reconstruction.poses.bundle import DAMPING, Loss, Prior, State, first_state, normal_of, step
 from agent.reconstruction.poses.corners import Corners
 from agent.reconstruction.poses.matches import Matches
 from agent.reconstruction.poses.shared_prior import FOCUS_SHARED, VIEW_SIGMA, certainty_of, information_of
@@ -48,25 +48,26 @@ def test_the_pull_is_the_slope_of_the_cost() -> None:
     corners, matches = seen(true)
     off = [moved(view, RNG.normal(0, 2e-3, 3), RNG.normal(0, 1e-3, 3)) for view in true]
     stack, prior = stacked(off), Prior(information_of(off), 1.0 / corners.depth_m, certainty_of(off, corners))
-    state, h = first_state(stack, corners), 1e-6
+    state, h = first_state(stack, corners, prior), 1e-6
     for _ in range(2):  # from where poses are not where priors have them, and depths not where focus has them
         state, _ = step(stack, corners, matches, prior, state, LOSS)
     state = state._replace(inverse=state.inverse * RNG.normal(1.0, 2e-3, len(state.inverse)))
-    normal, _ = normal_of(stack, corners, matches, prior, state, LOSS)
+    views = len(true)
+    normal, _, _ = normal_of(stack, corners, matches, prior, state, LOSS)
 
     def cost(xi: np.ndarray, further: np.ndarray) -> float:
-        turned = np.array([r @ rotation_of(w) for r, w in zip(state.rotations, xi[:, :3], strict=True)])
-        gone = state.positions_m + np.einsum("nij,nj->ni", state.rotations, xi[:, 3:])
+        turned = np.array([r @ rotation_of(w) for r, w in zip(state.rotations, xi[:views, :3], strict=True)])
+        gone = state.positions_m + np.einsum("nij,nj->ni", state.rotations, xi[:views, 3:])
         there = State(turned, gone, state.gone + xi, state.inverse + further)
-        return normal_of(stack, corners, matches, prior, there, LOSS)[1]
+        return normal_of(stack, corners, matches, prior, there, LOSS)[2]
 
-    still, none = np.zeros((len(true), 6)), np.zeros(len(state.inverse))
+    still, none = np.zeros_like(state.gone), np.zeros(len(state.inverse))
     # Corners were eliminated from the pull: what they take of it is put back.
     taken = np.where(normal.curve > 0, normal.tug / np.maximum(normal.curve, 1e-12), 0.0)
     pull = normal.pull.reshape(-1, 6).copy()
     np.add.at(pull, corners.owner, normal.of_corner * taken[:, None])
     np.add.at(pull, matches.other, normal.of_match * taken[matches.corner, None])
-    for n, i in ((0, 0), (1, 2), (3, 4), (4, 5), (5, 1)):
+    for n, i in ((0, 0), (1, 2), (3, 4), (4, 5), (5, 1), (views, 1), (views + 2, 4)):  # the last two are of robots
         xi = still.copy()
         xi[n, i] = h
         assert (cost(-xi, none) - cost(xi, none)) / (2 * h) == pytest.approx(pull[n, i], rel=1e-4, abs=1.0)
@@ -84,7 +85,7 @@ def test_poses_come_back_whole(wrong: float) -> None:
     # What is measured here has no errors, so that priors would only be in its way; focus says how large everything is.
     sure = np.full(len(corners.owner), 1e6)
     stack, prior = stacked(off), Prior(1e-6 * information_of(off), 1.0 / corners.depth_m, sure)
-    state = first_state(stack, corners)
+    state = first_state(stack, corners, prior)
     for scale in (8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 0.3, 0.1, 0.1, 0.1):
         state, off_px = step(stack, corners, matches, prior, state, Loss(scale, 0.5))
     placed = zip(off, state.rotations, state.positions_m, strict=True)
@@ -95,10 +96,28 @@ def test_poses_come_back_whole(wrong: float) -> None:
     assert np.quantile(off_px, 0.7) < 0.01
 
 
+def test_a_step_is_what_the_whole_matrix_says() -> None:
+    true = some_views()
+    corners, matches = seen(true)
+    near = np.abs(corners.owner[matches.corner] - matches.other) == 1  # a chain: its ends have nothing in common
+    matches = Matches(*(field[near] for field in matches))
+    off = lost(true)
+    stack, prior = stacked(off), Prior(information_of(off), 1.0 / corners.depth_m, certainty_of(off, corners))
+    state = first_state(stack, corners, prior)
+    normal, sparse, _ = normal_of(stack, corners, matches, prior, state, LOSS)
+    whole = sparse.toarray()
+    np.testing.assert_allclose(whole, whole.T, rtol=1e-9, atol=1e-6)
+    assert whole[:6, 12:18].any() and not whole[:6, 18:36].any()
+    whole[np.diag_indices(len(whole))] *= 1.0 + DAMPING
+    moves = np.linalg.solve(whole, normal.pull).reshape(-1, 6)
+    gone = step(stack, corners, matches, prior, state, LOSS)[0].gone
+    np.testing.assert_allclose(gone, moves, rtol=1e-6, atol=1e-10)
+
+
 def test_views_of_a_robot_share_their_error() -> None:
     views = some_views()
-    covariance = np.linalg.inv(information_of(views))
-    assert covariance[:6, 12:].max() == pytest.approx(0.0, abs=1e-9)  # of other robots: nothing
+    covariance = np.linalg.inv(information_of(views).toarray())
+    assert covariance[:6, 12:18].max() == pytest.approx(0.0, abs=1e-9)  # of other robots: nothing
     both = [slice(0, 6), slice(6, 12)]
     own = np.diag(covariance[both[0], both[0]])
     assert own[:3].min() > views[0].pose_covariance[0, 0]

@@ -76,7 +76,8 @@ def size_table(result: Result) -> Table:
     told = result.size_verdict
     shown.caption = (
         f"time grows as keyframes^{told['power_keyframes']:.2f}, as pairs compared^{told['power_pairs']:.2f}; "
-        f"that of poses as keyframes^{told['power_refine']:.2f}, of surfels as keyframes^{told['power_image']:.2f}"
+        f"that of poses as keyframes^{told['power_refine']:.2f}, as matches^{told['power_matches']:.2f}; "
+        f"that of surfels as keyframes^{told['power_image']:.2f}"
     )
     return shown
 

@@ -5,8 +5,8 @@ for each view are left. Steps are Gauss and Newton's, with Cauchy's weights of a
 
     c^2/2 sum log(1 + |found - seen|^2 / c^2) / s^2 + the like of (1/z_focus - 1/z) + 1/2 xi' Lambda xi
 
-with xi = (w, t) of all views along their cameras' axes, Lambda the information of shared_prior.py, and s what a match
-is worth, in pixels.
+with xi = (w, t) of all views along their cameras' axes, and of all robots, Lambda the information of shared_prior.py,
+and s what a match is worth, in pixels.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.reconstruction.camera import Camera, Floats, pixel_of, slopes_of
+from agent.reconstruction.poses.blocks import Sparse, matrix, pairs_of, solved
 from agent.reconstruction.poses.corners import Corners
 from agent.reconstruction.poses.matches import Matches
 from agent.reconstruction.stack import Stack, camera_in
@@ -31,18 +32,18 @@ kernel = compiled(error_model="numpy")
 
 
 class State(NamedTuple):
-    """What is looked for, n views and c corners."""
+    """What is looked for, n views of r robots, and c corners."""
 
     rotations: Floats  # (n, 3, 3)
     positions_m: Floats  # (n, 3)
-    gone: Floats  # (n, 6) sum of xi: how far each view is from where it was believed to be
+    gone: Floats  # (n + r, 6) sum of xi: how far each view is from where it was believed to be, and each robot
     inverse: Floats  # (c,) 1/z
 
 
 class Prior(NamedTuple):
     """What is known beside the matches."""
 
-    poses: Floats  # (6 n, 6 n) information of `gone`
+    poses: Sparse  # (6 (n + r), 6 (n + r)) information of `gone`
     inverse: Floats  # (c,) 1/z by focus
     certainty: Floats  # (c,) information of that
 
@@ -57,8 +58,9 @@ class Loss(NamedTuple):
 class Normal(NamedTuple):
     """Normal equations; a kernel adds to them."""
 
-    hessian: Floats  # (6 n, 6 n) of poses, corners eliminated
-    pull: Floats  # (6 n,)
+    slot: NDArray[np.int32]  # (n, n) which block is that of two views
+    blocks: Floats  # (k, 6, 6) of matches: what they say of poses, corners eliminated
+    pull: Floats  # (6 (n + r),) of matches and of priors
     curve: Floats  # (c,) of corners
     tug: Floats  # (c,)
     of_corner: Floats  # (c, 6) coupling of a corner with its own view
@@ -66,32 +68,35 @@ class Normal(NamedTuple):
     off_px: Floats  # (m,) between where it was found and where it should be
 
 
-def first_state(stack: Stack, corners: Corners) -> State:
+def first_state(stack: Stack, corners: Corners, prior: Prior) -> State:
     """Everything where it is believed to be."""
-    return State(stack.rotations, stack.positions_m, np.zeros((len(stack.cameras), 6)), 1.0 / corners.depth_m)
+    return State(stack.rotations, stack.positions_m, np.zeros((prior.poses.shape[0] // 6, 6)), 1.0 / corners.depth_m)
 
 
 def normal_of(
     stack: Stack, corners: Corners, matches: Matches, prior: Prior, state: State, loss: Loss
-) -> tuple[Normal, float]:
-    """The normal equations there, and the cost."""
+) -> tuple[Normal, Sparse, float]:
+    """The normal equations there, their matrix (6 (n + r), 6 (n + r)), and the cost."""
     gone, c, m = state.gone.ravel(), len(corners.owner), len(matches.other)
-    pull = -prior.poses @ gone
+    pull = -(prior.poses @ gone)
     held = -0.5 * float(pull @ gone)
-    made = Normal(prior.poses.copy(), pull, np.zeros(c), np.zeros(c), np.zeros((c, 6)), np.zeros((m, 6)), np.zeros(m))
+    pairs = pairs_of(len(stack.cameras), corners.owner, matches.corner, matches.other)
+    blocks = np.zeros((len(pairs.row), 6, 6))
+    made = Normal(pairs.slot, blocks, pull, np.zeros(c), np.zeros(c), np.zeros((c, 6)), np.zeros((m, 6)), np.zeros(m))
     first = np.searchsorted(matches.corner, np.arange(c + 1))
     there = stack._replace(rotations=state.rotations, positions_m=state.positions_m)
-    cost = _sum(there, corners, matches, first, prior, state.inverse, loss, made)
-    return made, cost + held
+    cost = _sum(there, corners, matches, first, prior.inverse, prior.certainty, state.inverse, loss, made)
+    return made, prior.poses + matrix(len(state.gone), pairs.row, pairs.column, blocks), cost + held
 
 
 def step(
     stack: Stack, corners: Corners, matches: Matches, prior: Prior, state: State, loss: Loss
 ) -> tuple[State, Floats]:
     """One step; and how far, in pixels, each match was off before it."""
-    normal, _ = normal_of(stack, corners, matches, prior, state, loss)
-    normal.hessian[np.diag_indices(len(normal.pull))] *= 1.0 + DAMPING
-    xi = np.linalg.solve(normal.hessian, normal.pull).reshape(-1, 6)
+    normal, hessian, _ = normal_of(stack, corners, matches, prior, state, loss)
+    hessian.setdiag(hessian.diagonal() * (1.0 + DAMPING))
+    moves = solved(hessian, normal.pull).reshape(-1, 6)
+    xi = moves[: len(stack.cameras)]
     with np.errstate(invalid="ignore", divide="ignore"):
         tug = normal.tug - (normal.of_corner * xi[corners.owner]).sum(axis=1)
         tug -= np.bincount(matches.corner, (normal.of_match * xi[matches.other]).sum(axis=1), len(tug))
@@ -99,19 +104,19 @@ def step(
     inverse = np.clip(state.inverse + further, 0.5 * state.inverse, 2.0 * state.inverse)
     turns = np.array([rotation_of(w) for w in xi[:, :3]])
     positions = state.positions_m + np.einsum("nij,nj->ni", state.rotations, xi[:, 3:])
-    return State(state.rotations @ turns, positions, state.gone + xi, inverse), normal.off_px
+    return State(state.rotations @ turns, positions, state.gone + moves, inverse), normal.off_px
 
 
 @kernel
 def _sum(
-    stack: Stack, corners: Corners, matches: Matches, first: NDArray[np.int64], prior: Prior, q: Floats,
-    loss: Loss, to: Normal,
+    stack: Stack, corners: Corners, matches: Matches, first: NDArray[np.int64], focus: Floats, certainty: Floats,
+    q: Floats, loss: Loss, to: Normal,
 ) -> float:  # fmt: skip
     cost = 0.0
     for c in range(len(q)):
         if first[c] == first[c + 1]:
             continue
-        miss, certain = prior.inverse[c] - q[c], prior.certainty[c]
+        miss, certain = focus[c] - q[c], certainty[c]
         large = 1.0 + miss * miss * certain / FOCUS_SCALE**2
         cost += 0.5 * FOCUS_SCALE**2 * math.log(large)
         to.curve[c], to.tug[c] = certain / large, certain / large * miss
@@ -166,10 +171,10 @@ def _add(stack: Stack, corners: Corners, matches: Matches, c: int, m: int, q: fl
             to.pull[6 * n + i] += share * of_n[i] * rest
             to.pull[6 * o + i] += share * of_o[i] * rest
             for j in range(6):
-                to.hessian[6 * n + i, 6 * n + j] += share * of_n[i] * of_n[j]
-                to.hessian[6 * o + i, 6 * o + j] += share * of_o[i] * of_o[j]
-                to.hessian[6 * n + i, 6 * o + j] += share * of_n[i] * of_o[j]
-                to.hessian[6 * o + i, 6 * n + j] += share * of_o[i] * of_n[j]
+                to.blocks[to.slot[n, n], i, j] += share * of_n[i] * of_n[j]
+                to.blocks[to.slot[o, o], i, j] += share * of_o[i] * of_o[j]
+                to.blocks[to.slot[n, o], i, j] += share * of_n[i] * of_o[j]
+                to.blocks[to.slot[o, n], i, j] += share * of_o[i] * of_n[j]
     return 0.5 * (loss.scale_px / loss.sigma_px) ** 2 * math.log(large)
 
 
@@ -184,7 +189,7 @@ def _eliminate(n: int, others: NDArray[np.int64], c: int, first: int, to: Normal
             for b in range(len(others) + 1):
                 vb, pb = (n, to.of_corner[c]) if b == 0 else (others[b - 1], to.of_match[first + b - 1])
                 for j in range(6):
-                    to.hessian[6 * va + i, 6 * vb + j] -= part * pb[j]
+                    to.blocks[to.slot[va, vb], i, j] -= part * pb[j]
 
 
 @kernel

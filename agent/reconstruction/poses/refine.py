@@ -17,7 +17,7 @@ import numpy as np
 
 from agent.progress import Progress
 from agent.reconstruction.camera import Floats
-from agent.reconstruction.poses.bundle import Loss, Prior, first_state, step
+from agent.reconstruction.poses.bundle import Loss, Prior, first_state, normal_of, step
 from agent.reconstruction.poses.corners import Corners, corners
 from agent.reconstruction.poses.matches import matched
 from agent.reconstruction.poses.shared_prior import certainty_of, information_of
@@ -45,7 +45,7 @@ def refine(views: Sequence[View], progress: Progress = lambda done, total: None)
     stack = stacked(views)
     found, robots = corners(stack), [(view.robot, view.incarnation) for view in views]
     prior = Prior(information_of(views), 1.0 / found.depth_m, certainty_of(views, found))
-    state = start = first_state(stack, found)
+    state = start = first_state(stack, found, prior)
     total = len(SCALES_PX) * len(views)
     reach_px, sigma_px = _reach_px(views, stack, found), LEAST_SIGMA_PX
     for n, scales in enumerate(SCALES_PX):
@@ -59,7 +59,8 @@ def refine(views: Sequence[View], progress: Progress = lambda done, total: None)
         replace(view, rotation=rotation, position_m=position)
         for view, rotation, position in zip(views, state.rotations, state.positions_m, strict=True)
     ]
-    before, after = (_median(step(stack, found, seen, prior, one, Loss(1.0, sigma_px))[1]) for one in (start, state))
+    last = Loss(1.0, sigma_px)
+    before, after = (_median(normal_of(stack, found, seen, prior, one, last)[0].off_px) for one in (start, state))
     return Refined(placed, len(seen.other), (before, after))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.reconstruction.camera import Floats
+from agent.reconstruction.poses.blocks import Sparse, matrix
 from agent.reconstruction.poses.corners import Corners
 from agent.reconstruction.poses.twist import carried
 from agent.reconstruction.view import View
@@ -22,18 +23,23 @@ def robots_of(views: Sequence[View]) -> list[list[int]]:
     return [[n for n, view in enumerate(views) if (view.robot, view.incarnation) == name] for name in names]
 
 
-def information_of(views: Sequence[View]) -> Floats:
-    """(6 n, 6 n) of (w, t) of all views: a robot's motion, which its views' covariances say as one, and VIEW_SIGMA."""
-    total = np.zeros((6 * len(views), 6 * len(views)))
-    own = np.diag([VIEW_SIGMA[0] ** 2] * 3 + [VIEW_SIGMA[1] ** 2] * 3)
-    for group in robots_of(views):
+def information_of(views: Sequence[View]) -> Sparse:
+    """(6 (n + r), 6 (n + r)) of (w, t) of n views, and after them of their r robots.
+
+    A robot's is what its views' covariances say as one; between that, carried over, and a view's own is VIEW_SIGMA.
+    Views have to do with each other by their robot alone, so nearly all of it is empty.
+    """
+    own, groups = np.diag(np.repeat(np.array(VIEW_SIGMA) ** -2, 3)), robots_of(views)
+    found = list[tuple[int, int, Floats]]()
+    for robot, group in enumerate(groups, len(views)):
         mine = [views[n] for n in group]
         centre = np.mean([view.position_m for view in mine], axis=0)
-        carries = np.concatenate([carried(view, centre) for view in mine])
-        covariance = carries @ np.linalg.inv(shared(mine, centre)) @ carries.T + np.kron(np.eye(len(mine)), own)
-        at = (6 * np.array(group)[:, None] + np.arange(6)).ravel()
-        total[np.ix_(at, at)] = np.linalg.inv(covariance)
-    return total
+        found.append((robot, robot, shared(mine, centre)))
+        for n, view in zip(group, mine, strict=True):
+            carry = carried(view, centre)
+            between = -own @ carry
+            found += [(n, n, own), (n, robot, between), (robot, n, between.T), (robot, robot, carry.T @ own @ carry)]
+    return matrix(len(views) + len(groups), *zip(*found, strict=True))
 
 
 def shared(views: Sequence[View], centre_m: Floats) -> Floats:

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.progress import Progress
-from agent.reconstruction.camera import Camera, Floats, inlined, slopes_of
+from agent.reconstruction.camera import Floats, inlined, slopes_of
 from agent.reconstruction.stack import Stack, camera_in
 from agent.reconstruction.stereo.neighbours import Neighbours
-from agent.reconstruction.stereo.warp import between, seen_at, slopes_of_map
+from agent.reconstruction.stereo.warp import between, most_shift_px, seen_at, slopes_of_map
 from hw.compiled import compiled
 
 HYPOTHESES, MOST_HYPOTHESES = 16, 96
@@ -113,9 +113,10 @@ def _sweep(
             near, far = 1.0 / max(depth - reach, 0.05), 1.0 / (depth + reach)
             if ends[0] > 0.0:
                 near, far = ends
-            count = (
-                len(costs) if ends[0] > 0.0 else _fine_enough(stack, mine, others, turns, shifts, row, col, near, far)
-            )
+            count = len(costs)
+            if not ends[0] > 0.0:
+                shift_px = most_shift_px(stack, mine, others, turns, shifts, (float(col), float(row)), near, far)
+                count = min(max(HYPOTHESES, int(shift_px / STEP_PX) + 2), MOST_HYPOTHESES)
             step = (near - far) / (count - 1)
             # Rays of the middle and of the window's right and lower edge: the plane through them has 1/z linear.
             x0, y0 = slopes_of(mine, float(col), float(row))
@@ -151,26 +152,6 @@ def _sweep(
                         second = value
                 costs[h] = 0.5 * (best + second) if seen > 1 else (best - ALONE if seen == 1 else -1.0)
             found[row, col] = _peak(costs[:count], far, step)
-
-
-@inlined
-def _fine_enough(
-    stack: Stack, mine: Camera, others: NDArray[np.int64], turns: Floats, shifts: Floats, row: int, col: int,
-    near: float, far: float,
-) -> int:  # fmt: skip
-    """How many depths between two 1/z: no neighbour's picture shifts by more than STEP_PX from one to the next."""
-    x, y = slopes_of(mine, float(col), float(row))
-    span = 0.0
-    a, b = 1.0 / near - mine.ahead_m, 1.0 / far - mine.ahead_m
-    for k in range(len(others)):
-        if others[k] < 0:
-            break
-        its = camera_in(stack, others[k])
-        u0, v0, good0 = seen_at(its, turns[k], shifts[k], x * a, y * a, 1.0 / near)
-        u1, v1, good1 = seen_at(its, turns[k], shifts[k], x * b, y * b, 1.0 / far)
-        if good0 and good1:
-            span = max(span, min(math.hypot(u1 - u0, v1 - v0), 1e3))
-    return min(max(HYPOTHESES, int(span / STEP_PX) + 2), MOST_HYPOTHESES)
 
 
 @inlined

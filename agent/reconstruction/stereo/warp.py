@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.reconstruction.camera import Camera, Floats, inlined, pixel_of
-from agent.reconstruction.stack import Stack
+from agent.reconstruction.camera import Camera, Floats, inlined, pixel_of, slopes_of
+from agent.reconstruction.stack import Stack, camera_in
 from hw.compiled import compiled
+
+ENDLESS_PX = 1e3  # beside a camera pixels go to infinity
 
 
 @compiled(error_model="numpy")
@@ -48,6 +52,26 @@ def seen_at(camera: Camera, m: Floats, shift: Floats, x: float, y: float, z: flo
         m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + shift[1],
         m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + shift[2],
     )
+
+
+@inlined
+def most_shift_px(
+    stack: Stack, mine: Camera, others: NDArray[np.int64], turns: Floats, shifts: Floats, pixel: tuple[float, float],
+    near: float, far: float,
+) -> float:  # fmt: skip
+    """How far what is at a pixel goes in any other view's picture from one 1/z to another; ENDLESS_PX at most."""
+    x, y = slopes_of(mine, pixel[0], pixel[1])
+    a, b = 1.0 / near - mine.ahead_m, 1.0 / far - mine.ahead_m
+    most_px = 0.0
+    for k in range(len(others)):
+        if others[k] < 0:
+            break
+        its = camera_in(stack, others[k])
+        u0, v0, good0 = seen_at(its, turns[k], shifts[k], x * a, y * a, 1.0 / near)
+        u1, v1, good1 = seen_at(its, turns[k], shifts[k], x * b, y * b, 1.0 / far)
+        if good0 and good1:
+            most_px = max(most_px, min(math.hypot(u1 - u0, v1 - v0), ENDLESS_PX))
+    return most_px
 
 
 @compiled(error_model="numpy", fastmath={"contract", "arcp", "nsz"})

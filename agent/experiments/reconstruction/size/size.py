@@ -50,7 +50,7 @@ def verdict(rows: Sequence[Row]) -> dict[str, Any]:
 
     A survey's first keyframes are near its rim, where fewer others look at the same: over few keyframes time grows
     faster than they do, until nearly all have as many neighbours as are asked. Pairs tell that apart from work that
-    would go on growing. Of poses and surfels it is told by keyframes alone. Empty where nothing was measured.
+    would go on growing. Of poses corners that were found elsewhere do. Empty where nothing was measured.
     """
     if not rows:
         return {}
@@ -59,6 +59,7 @@ def verdict(rows: Sequence[Row]) -> dict[str, Any]:
         "power_keyframes": round(power(rows, _keyframes), 3),
         "power_pairs": round(power(rows, _pairs), 3),
         "power_refine": round(power(rows, _keyframes, "refine_seconds"), 3),
+        "power_matches": round(power(rows, _matches, "refine_seconds"), 3),
         "power_image": round(power(rows, _keyframes, "image_seconds"), 3),
     }
 
@@ -73,6 +74,10 @@ def missed_size(rows: Sequence[Row]) -> list[str]:
 
 def _keyframes(row: Row) -> float:
     return float(row["keyframes"])
+
+
+def _matches(row: Row) -> float:
+    return float(row["matches"])
 
 
 def _pairs(row: Row) -> float:
