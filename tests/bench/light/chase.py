@@ -27,7 +27,7 @@ from tests.bench.swim.lockstep import START_NS
 SCENE = Path(__file__).parent / "fish_night.toml"
 FISH = "fish"
 ROW_TICKS, SEEN_NS = 10, 150_000_000  # a row in 0.1 s; a frame that old, and delivered late, still is of this row
-NOBODY_LENDS = 1e9
+LENDS, NOBODY_LENDS = 0.10, 1e9  # gain, as in [lighting]
 
 
 class Row(NamedTuple):
@@ -42,7 +42,7 @@ class Row(NamedTuple):
     place_m: tuple[float, ...]  # of how far each is wrong about itself; nan: it knows no place
 
 
-def fish_in_the_dark(seed: int, gain: float = 0.10) -> Fleet:
+def fish_in_the_dark(seed: int, gain: float = LENDS) -> Fleet:
     """gain: as in [lighting]."""
     fleet, water = load_fleet(fleet_file("fish")), load_scene(str(SCENE)).water
     assert water.absorption_per_m is not None and water.scattering_per_m is not None
