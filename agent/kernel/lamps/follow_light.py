@@ -15,7 +15,7 @@ from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.servo_path import SERVO_LAG_S
 from agent.kernel.estimation.choice import dynamics, pursued
-from agent.kernel.lamps.aim import Aim, others
+from agent.kernel.lamps.aim import Aim, place_of
 from agent.kernel.lamps.choose import scene_of
 from agent.kernel.lighting.followers import Held, View, decided, view
 from agent.kernel.lighting.lease import Party, listeners
@@ -108,16 +108,16 @@ class FollowLight:
         said = {name: each.newest.message for name, each in neighbours.letters.senders.items() if each.newest}
         about = {name: said[name].target or None for name in listeners(party, now_ns) if name in said}
         about[self._name] = self._swimmer.about
-        name = next((name for name in (about[self._name], *self._swims) if name in self._swims), None)
-        if name is None or name not in about.values():
+        followed = [name for name in self._swims if name in about.values()]
+        if not followed:
             return None
+        name = next((name for name in followed if name == about[self._name]), followed[0])
         target = targets[name]
         estimate, believed = target.estimate(now_ns), target.estimator.posterior
         if estimate is None or believed is None or now_ns - estimate.seen_ns > ALL_LOST_NS:
             return None
         at_m = carried_on(believed, dynamics(target.ball), now_ns + round((SERVO_LAG_S + LEAD_S) * 1e9))
-        places = others(self._fleet, self._name, self._swimmer)
-        places = {other: at for other, at in places.items() if other in about}
+        places = {other: place_of(said[other]) for other in about if other in said}
         away = set(neighbours.glancing(now_ns))
         if self._swimmer.here is not None:
             places[self._name] = seek.pose, level
