@@ -110,7 +110,7 @@ class Agent:
         self._iterate(now_ns)
         self.lights.tick(self.attitude, now_ns)
         sweep = self._act(now_ns)
-        self.lights.burn(self.seek, self.current, self.attitude, now_ns)
+        self.lights.burn(self.seek, self.current, self.targets, self.attitude, now_ns)
         claims, keyframes = self.survey.say(now_ns)
         return Outputs(
             sweep=sweep,

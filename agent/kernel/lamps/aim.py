@@ -14,6 +14,7 @@ from agent.kernel.control.seek import Seek
 from agent.kernel.lighting.settings import Lighting
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer
+from agent.kernel.presence import Presence
 from agent.kernel.ranging.camera_model import Eye, camera_pose, look_at
 
 AHEAD_M = 1.0  # along the camera's axis: where a lamp aims while nobody knows where anything is
@@ -78,7 +79,11 @@ def others(fleet: Fleet, me: str, swimmer: Swimmer | None) -> dict[str, tuple[Po
         if swimmer is None:
             found[name] = robot.pose, Attitude(robot.depth_m, 0.0, 0.0)
         elif (letter := swimmer.company.neighbours.letters.senders[name].newest) is not None:
-            said = letter.message
-            pose = Pose(x_m=said.x_m, y_m=said.y_m, yaw_deg=math.degrees(said.yaw_rad))
-            found[name] = pose, Attitude(said.depth_m, 0.0, 0.0)
+            found[name] = place_of(letter.message)
     return found
+
+
+def place_of(said: Presence) -> tuple[Pose, Attitude]:
+    """Where a robot is that says so."""
+    pose = Pose(x_m=said.x_m, y_m=said.y_m, yaw_deg=math.degrees(said.yaw_rad))
+    return pose, Attitude(said.depth_m, 0.0, 0.0)

@@ -7,6 +7,8 @@ nothing changed meanwhile. While nobody has a lease each lamp goes with its own 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
@@ -17,6 +19,7 @@ from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import ByLight, Measurement, Rejected
 from agent.kernel.lamps.aim import others
 from agent.kernel.lamps.aside import cues_by, whole
+from agent.kernel.lamps.follow_light import FollowLight
 from agent.kernel.lamps.onlookers import lamp_state
 from agent.kernel.lamps.own_lamp import OwnLamp
 from agent.kernel.lamps.search import SHOWS, LightSearch
@@ -55,9 +58,12 @@ class Lights:
         self._own = None if lighting is None else OwnLamp(fleet, name, lighting, swimmer)
         self._wishes: Wishes | None = None
         self._search: LightSearch | None = None
+        self._follow: FollowLight | None = None
         if lighting is not None and self._own is not None and self._talk is not None:
             self._wishes = Wishes(fleet, name, calibration, swimmer, lighting, self._own, self._talk)
             self._search = LightSearch(fleet, name)
+            if swimmer is not None and lighting.gain < len(fleet.robot):  # more than all followers are none
+                self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self._own.aim)
         self._granted_ns = self._served_ns = self._retry_ns = 0
         self._swept = False  # a sweep began by the lease
         self._own_shows = True  # the target, as far as it is known where that is
@@ -177,14 +183,17 @@ class Lights:
         if self._name in self._burned:  # from beside the camera: nothing of the disc is dark
             self._lamps_m = ()
 
-    def burn(self, seek: Seek, target: TargetState, attitude: AttitudeLog, now_ns: int) -> None:
-        """The own lamp as it shall burn from now on, and whether the camera sees by it."""
+    def burn(
+        self, seek: Seek, target: TargetState, targets: Mapping[str, TargetState], attitude: AttitudeLog, now_ns: int
+    ) -> None:
+        """The own lamp as it shall burn from now on, and whether the camera sees by it. target: the camera's."""
         if self._talk is None or self._own is None:
             return
-        keeps = seek.measuring or self.judging
-        self._own.burn(self._talk.party, seek, target.believed_m, keeps, attitude, now_ns)
-        seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
         level = None if attitude.newest is None else attitude.at(attitude.newest.t_ns)
+        keeps, party, now = seek.measuring or self.judging, self._talk.party, self._own.now
+        follows = None if self._follow is None else self._follow.tick(targets, party, now, seek, level, now_ns)
+        self._own.burn(party, seek, target.believed_m, follows, keeps, attitude, now_ns)
+        seek.lit_from_ns = self._lit_from(seek.lit_from_ns, follows is not None, now_ns)
         seek.lit_m = None
         if self._search is not None and self._swimmer is None and target.believed_m is None:
             seek.lit_m = self._search.follows(self._talk.party, seek, target.name, level, now_ns)
@@ -231,15 +240,15 @@ class Lights:
         assert self._talk is not None and self._own is not None
         return self._own.by_own_lease and self._talk.rests(self._own.now, now_ns)
 
-    def _lit_from(self, before: int | None, now_ns: int) -> int | None:
-        """Since when the camera sees by light that is meant for it."""
+    def _lit_from(self, before: int | None, follows: bool, now_ns: int) -> int | None:
+        """Since when the camera sees by light that is meant for it. follows: by whosever what swims is followed."""
         assert self._talk is not None and self._own is not None
         phase = self._talk.party.phase
         if phase == "holds":
             if not self._rests(now_ns):
                 return None
             return before if before is not None and before >= self._granted_ns else now_ns
-        shines = phase != "obeys" and self._own.now.power > 0.0 and self._own_shows
+        shines = phase != "obeys" and (follows or (self._own.now.power > 0.0 and self._own_shows))
         return self._own.lamp.steady_ns if shines else None
 
     def _in_vain(self, seek: Seek, target: TargetState, now_ns: int) -> bool:

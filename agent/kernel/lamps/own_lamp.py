@@ -8,6 +8,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.lamps.aim import aim_of, looked_at
+from agent.kernel.lamps.follow_light import Wish
 from agent.kernel.lamps.lamp import LENDS_BELOW, Lamp, cannot, command, load, warmed
 from agent.kernel.lighting.lease import Bound, Party, lit_by
 from agent.kernel.lighting.settings import Lighting
@@ -60,9 +61,17 @@ class OwnLamp:
         self._show(party, attitude, now_ns)
 
     def burn(
-        self, party: Party, seek: Seek, believed_m: Vector | None, keeps: bool, attitude: AttitudeLog, now_ns: int
+        self,
+        party: Party,
+        seek: Seek,
+        believed_m: Vector | None,
+        follows: Wish | None,
+        keeps: bool,
+        attitude: AttitudeLog,
+        now_ns: int,
     ) -> None:
-        """As it shall from now on. keeps: a sweep of its robot's is under way, and light must not change.
+        """As it shall from now on. follows: how, while nobody has a lease and something that swims is followed; keeps:
+        a sweep of its robot's is under way, and light must not change.
 
         It goes dark at once, whatever is under way, where the control module is silent, disarmed or surfacing, the
         battery is empty or the lamp too warm.
@@ -73,12 +82,18 @@ class OwnLamp:
         if level is None or cannot(self.has, self.lamp, telemetry, attitude.silent(now_ns, 0)):
             power = 0.0
         elif not keeps:
-            power, us = self._wanted(party, seek, believed_m, level, now_ns)
+            power, us = self._wanted(party, seek, believed_m, follows, level, now_ns)
         self.lamp = command(self.lamp, power, us, now_ns)
         self._show(party, attitude, now_ns)
 
     def _wanted(
-        self, party: Party, seek: Seek, believed_m: Vector | None, level: Attitude, now_ns: int
+        self,
+        party: Party,
+        seek: Seek,
+        believed_m: Vector | None,
+        follows: Wish | None,
+        level: Attitude,
+        now_ns: int,
     ) -> tuple[float, tuple[int, int]]:
         """Power and pulses."""
         if party.bound is None:
@@ -94,9 +109,11 @@ class OwnLamp:
                 self._us = self.aim.at(at_m, seek.pose, level)[0]
             return (1.0 if self._name in lit_by(party) else 0.0), self._us
         self._us = None
-        us, _ = self.aim.at(looked_at(seek, level, believed_m), seek.pose, level)
+        at_m = looked_at(seek, level, believed_m) if follows is None else follows.at_m
+        us, _ = self.aim.at(at_m, seek.pose, level)
         near = max(abs(to - at) for to, at in zip(us, self.lamp.us, strict=True)) <= NEAR_US
-        return 1.0, self.lamp.us if near and self.lamp.power else us
+        power = 1.0 if follows is None or follows.burns else 0.0
+        return power, self.lamp.us if near and self.lamp.power else us
 
     def _obey(self, bound: Bound, seek: Seek, level: Attitude) -> Obeyed:
         """By a neighbour's lease: decided once."""

@@ -1,5 +1,6 @@
-"""A moored fleet with lamps in the dark: rendered, with real firmware, vision and kernels, all in one process and on
-the dive's own clock, which waits for each of them. Messages go from one step to the next; some are lost if so asked.
+"""A fleet with lamps in the dark, moored or not: rendered, with real firmware, vision and kernels, all in one process
+and on the dive's own clock, which waits for each of them. Messages go from one step to the next; some are lost if so
+asked.
 
 What `aucamp demo` does with processes and sockets, for machines that have no cores to spare.
 """
@@ -9,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
@@ -27,18 +28,21 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
 from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Heard, Inputs, Outputs
+from agent.kernel.step_io import Heard, Inputs, Outputs, Sighting
 from agent.perception.detection.detectors import load_detectors
+from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.vision import Vision
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
-from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
+from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock, unhurried
 from hw.twin.dive import Dive
+from hw.twin.landmarks import true_tags
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.pace import run_in_lock_step
 from hw.twin.scene import generator, in_daylight, lamp_place, scene_of
 from tests.bench.swim.lockstep import START_NS, STEP_TICKS, LockstepCamera, LockstepClock, LockstepPart
+from tests.replay.step_box import StepBox
 
 
 class Ended(NamedTuple):
@@ -59,18 +63,24 @@ class Diver:
         self.name, self._dive = name, dive
         self.clock = LockstepClock(dive)
         lens = draw_lens(scene.camera, generator(seed, name, "lens"))
-        painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, name)
+        tags = true_tags(fleet.landmarks, seed)
+        painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, name, tags)
         painter.prepare()
         shutter = FrameClock(START_NS + int(generator(seed, name, "shutter").integers(FRAME_NS)))
         camera, vcm = LockstepCamera(self.clock, shutter), Vcm(lens, generator(seed, name, "vcm"))
         seen = (dive.history, lens, vcm, painter, fleet.body.camera_m, dive.stage, shutter, camera.now_ns)
-        camera.device = DiveCamera(me, *seen, blurs=scene.motion_blur, lamp_m=lamp_place(fleet, scene))
+        swims = scene.creature, seed, None, lamp_place(fleet, scene)
+        camera.device = DiveCamera(me, *seen, unhurried, scene.motion_blur, *swims)
         self.board = Board(name, folder, dive.tare_pa[me], interpreter=interpreter())
         dive.boards.append(self.board)
         self.board.start()
         self._port = os.open(self.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         detectors = load_detectors(fleet, calibration.camera)
-        self._eyes = Vision(lambda: camera, fleet, calibration.camera, detectors, self.clock, name)
+        self._watch = None
+        if fleet.navigation is not None:
+            self._watch = LandmarkWatch(calibration.camera, calibration.focus, fleet.navigation.follow_hz)
+        eyes = lambda: camera, fleet, calibration.camera, detectors, self.clock, name
+        self._eyes = Vision(*eyes, landmarks=self._watch)
         self._eyes.start()  # its thread ends with the process: it sleeps on a clock that stands
         self.clock.begin()
         self._protocol = HostProtocol(1)
@@ -78,6 +88,8 @@ class Diver:
         self._protocol.arm()
         self.agent = Agent(fleet, name, calibration, START_NS)
         self.post: list[Heard] = []
+        self.box: StepBox | None = None  # where its steps are written, if anywhere
+        self.sightings: tuple[Sighting, ...] = ()  # of the newest step
         self.history = History([])
         self.ended = Ended(None, None, 0, 0, 0)
 
@@ -102,8 +114,15 @@ class Diver:
         now_ns = self._dive.now_ns
         telemetry = tuple(each for each in self._protocol.telemetry if each.t_ns < now_ns)
         self._protocol.telemetry.clear()
-        sightings, heard, self.post = tuple(self._eyes.drain()), tuple(self.post), []
-        outputs = self.agent.step(Inputs(telemetry=telemetry, sightings=sightings, heard=heard), now_ns)
+        self.sightings, heard, self.post = tuple(self._eyes.drain()), tuple(self.post), []
+        sightings = self.sightings
+        tags, flow = ((), ()) if self._watch is None else self._watch.drain()
+        inputs = Inputs(
+            telemetry=telemetry, sightings=sightings, heard=heard, landmarks=tags or UNSET, flow=flow or UNSET
+        )
+        outputs = self.agent.step(inputs, now_ns)
+        if self.box is not None:
+            self.box.add(now_ns, encode(inputs), encode(outputs))
         if outputs.sweep is not None:
             self._eyes.plan(outputs.sweep)
         if outputs.lens is not UNSET:
@@ -125,27 +144,41 @@ def night(
     fleet: Fleet, calibrations: Mapping[str, Calibration], seconds: float, loss: float = 0.0
 ) -> tuple[float | None, dict[str, Ended]]:
     """When all had settled, s, or None; and each robot."""
+    truth_m, settled_s = np.array(scene_of(fleet).solid[0].position_m), None
+    for dive, divers in under_way(fleet, calibrations, loss):
+        histories = [diver.history for diver in divers.values()]
+        if dive.ticks % 100 == 0 and settled(histories, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
+            settled_s = (dive.now_ns - START_NS) * 1e-9
+        if settled_s is not None or dive.now_ns - START_NS >= seconds * 1e9:
+            break
+    return settled_s, {name: diver.ended._replace(error_mm=off_mm(diver, truth_m)) for name, diver in divers.items()}
+
+
+def under_way(
+    fleet: Fleet, calibrations: Mapping[str, Calibration], loss: float = 0.0, into: Path | None = None
+) -> Iterator[tuple[Dive, dict[str, Diver]]]:
+    """The dive after each of its ticks, for as long as somebody asks. into: a folder for each robot's steps."""
     scene, names, random = scene_of(fleet), list(fleet.robot), Random(fleet.twin.seed)
-    dive, settled_s = Dive(fleet, names, START_NS, scene=scene), None
+    dive = Dive(fleet, names, START_NS, scene=scene)
     with contextlib.ExitStack() as stack:
         stack.enter_context(patch("agent.perception.vision.Part", LockstepPart))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         divers = {}
         for me, name in enumerate(names):
-            divers[name] = Diver(fleet, name, me, dive, folder, calibrations[name])
-            stack.callback(divers[name].close)
-        while settled_s is None and dive.now_ns - START_NS < seconds * 1e9:
+            divers[name] = diver = Diver(fleet, name, me, dive, folder, calibrations[name])
+            stack.callback(diver.close)
+            if into is not None:
+                diver.box = stack.enter_context(
+                    StepBox(into / f"{name}.mcap", fleet, name, calibrations[name], START_NS)
+                )
+        while True:
             said = [(name, diver.tick()) for name, diver in divers.items()]
             run_in_lock_step(dive, 1)
             for name, outputs in said:
                 for heard, to in () if outputs is None else letters(name, outputs, dive.now_ns):
                     if random.random() >= loss:
                         divers[to].post.append(heard)
-            histories = [diver.history for diver in divers.values()]
-            if dive.ticks % 100 == 0 and settled(histories, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
-                settled_s = (dive.now_ns - START_NS) * 1e-9
-    truth_m = np.array(scene.solid[0].position_m)
-    return settled_s, {name: diver.ended._replace(error_mm=off_mm(diver, truth_m)) for name, diver in divers.items()}
+            yield dive, divers
 
 
 def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
@@ -153,7 +186,9 @@ def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
     estimates = [(Heard(arrived_ns=now_ns, src=src, payload=encode(said)), said.dst) for said in outputs.says]
     lights = outputs.light or ()
     lit = [(Heard(arrived_ns=now_ns, src=src, topic="light", payload=encode(said)), said.dst) for said in lights]
-    return estimates + lit
+    near = outputs.near or ()
+    at = [(Heard(arrived_ns=now_ns, src=src, topic="near", payload=encode(said)), said.dst) for said in near]
+    return estimates + lit + at
 
 
 def off_mm(diver: Diver, truth_m: np.ndarray) -> float | None:
