@@ -20,12 +20,12 @@ from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.drawn_ball import FARTHEST_M, Pillar, hides, ring
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import FRAME_STEPS, Swimmers
-from agent.kernel.config import Body, Fleet
+from agent.kernel.config import Body, Fleet, Pose
 from agent.kernel.core import Agent
 from agent.kernel.estimation.choice import dynamics
 from agent.kernel.messages import Estimate, Message, Vector
-from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.pursuit import carried_on
+from agent.kernel.ranging.camera_model import camera_pose, look_at
 from hw.twin.scene import generator
 
 FIND_S, WATCH_S = 20.0, 30.0
@@ -104,12 +104,11 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
 def reaches(body: Body, place: Vector, target_m: Vector) -> bool:
     """Whether a gimbal of a robot there (x, y, yaw) pans as far as to the target, which is beyond the nearest that a
     lens makes a picture of."""
-    x, y, yaw = place
-    ahead_m, left_m, _ = body.camera_m
-    c, s = math.cos(yaw), math.sin(yaw)
-    east, north = target_m[0] - (x + c * ahead_m - s * left_m), target_m[1] - (y + s * ahead_m + c * left_m)
+    pose, level = Pose(x_m=place[0], y_m=place[1], yaw_deg=math.degrees(place[2])), (0.0, 0.0, 0.0, 0.0)
+    pan_deg, _ = look_at(target_m, pose, body, *level)
+    eye_m = camera_pose(pose, body, *level[:3], 0.0, 0.0, level[3]).position_m
     low, high = body.pan_limit_deg
-    return math.hypot(east, north) > NEAREST_M and low <= math.degrees(wrap(math.atan2(north, east) - yaw)) <= high
+    return math.dist(eye_m[:2], target_m[:2]) > NEAREST_M and low <= pan_deg <= high
 
 
 def judged(agent: Agent, fleet: Fleet, target_m: Vector, now_ns: int) -> tuple[float, float]:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 from agent.kernel.config import Fleet, Pose
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.seek import Seek
-from agent.kernel.control.servo_path import SERVO_LAG_S
 from agent.kernel.estimation.choice import dynamics, pursued
 from agent.kernel.lamps.aim import Aim, place_of
 from agent.kernel.lamps.choose import scene_of
@@ -22,7 +21,7 @@ from agent.kernel.lighting.lease import Party, listeners
 from agent.kernel.lighting.settings import Lighting
 from agent.kernel.lighting.words import LampNow
 from agent.kernel.messages import Vector
-from agent.kernel.navigation.pursuit import ALL_LOST_NS, LEAD_S, carried_on
+from agent.kernel.navigation.pursuit import AHEAD_S, ALL_LOST_NS, carried_on
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import camera_pose
@@ -116,7 +115,7 @@ class FollowLight:
         estimate, believed = target.estimate(now_ns), target.estimator.posterior
         if estimate is None or believed is None or now_ns - estimate.seen_ns > ALL_LOST_NS:
             return None
-        at_m = carried_on(believed, dynamics(target.ball), now_ns + round((SERVO_LAG_S + LEAD_S) * 1e9))
+        at_m = carried_on(believed, dynamics(target.ball), now_ns + round(AHEAD_S * 1e9))
         places = {other: place_of(said[other]) for other in about if other in said}
         away = set(neighbours.glancing(now_ns))
         if self._swimmer.here is not None:

@@ -40,6 +40,7 @@ THINGS_M, OF_THINGS = 1.4, 0.3  # such a wall; and the share of the way that is 
 OTHER_M = 0.25  # of a robot: half of its length, and what both places may be wrong by
 LONGEST_M = 0.5  # new key frames are due every 0.25 m; what is farther than twice that is a mistake
 
+Planar = tuple[float, float]
 Pair = tuple[float, float, float, float]  # slopes x, y then; x, y now
 Normal = tuple[list[list[float]], list[float]]
 Box = tuple[float, float, float]  # length, breadth and depth of the water, m
@@ -81,8 +82,10 @@ def odometry(
     points = []
     for x_then, y_then, x_now, y_now in pairs:
         place_m = meets(eye_then, then, (x_then, y_then), box_m)
-        if place_m is not None and not _towards(eye_now, now, (x_now, y_now), others_m):
-            x, y, z = direction(eye_now, (x_now, y_now))
+        if place_m is None:
+            continue
+        x, y, z = direction(eye_now, (x_now, y_now))
+        if not _towards(eye_now, now, (x, y), others_m):
             points.append(Point(place_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y))))
     state, kept, off, L = [*_between(then, now), 0.0], points, 0.0, None
     lift = math.hypot(LEVEL_RAD, unsettled, wake)
@@ -120,13 +123,9 @@ def meets(eye: Upright, at: Theta, slope: tuple[float, float], box_m: Box) -> Ve
     """Where a ray meets floor or wall, in the robot's upright frame, heights above the floor; None where that is too
     far off, or the surface."""
     x, y, z = direction(eye, slope)
-    c, s = math.cos(at[2]), math.sin(at[2])
     right, back = eye.origin_m[0], eye.origin_m[1]
     reach = eye.height_m / -z if z < 0.0 else math.inf
-    for where, way, length in (
-        (at[0] + c * right - s * back, c * x - s * y, box_m[0]),
-        (at[1] + s * right + c * back, s * x + c * y, box_m[1]),
-    ):
+    for where, way, length in zip(*_from_above(eye, at, (x, y)), box_m, strict=False):
         if way != 0.0:
             reach = min(reach, ((length if way > 0.0 else 0.0) - where) / way)
     up = eye.height_m + reach * z
@@ -135,19 +134,18 @@ def meets(eye: Upright, at: Theta, slope: tuple[float, float], box_m: Box) -> Ve
     return right + reach * x, back + reach * y, up
 
 
-def _towards(eye: Upright, at: Theta, slope: tuple[float, float], others_m: Sequence[Vector]) -> bool:
+def _from_above(eye: Upright, at: Theta, way: Planar) -> tuple[Planar, Planar]:
+    """Where a ray begins and which way it goes, in the world, of one that goes that way in the robot's frame."""
+    c, s = math.cos(at[2]), math.sin(at[2])
+    (right, back), (x, y) = eye.origin_m[:2], way
+    return (at[0] + c * right - s * back, at[1] + s * right + c * back), (c * x - s * y, s * x + c * y)
+
+
+def _towards(eye: Upright, at: Theta, way: Planar, others_m: Sequence[Vector]) -> bool:
     """Whether a ray passes by one of them, as seen from above."""
     if not others_m:
         return False
-    x, y, _ = direction(eye, slope)
-    c, s = math.cos(at[2]), math.sin(at[2])
-    right, back, flat = eye.origin_m[0], eye.origin_m[1], math.hypot(x, y)
-    from_x, from_y, way_x, way_y = (
-        at[0] + c * right - s * back,
-        at[1] + s * right + c * back,
-        c * x - s * y,
-        s * x + c * y,
-    )
+    ((from_x, from_y), (way_x, way_y)), flat = _from_above(eye, at, way), math.hypot(*way)
     for other in others_m:
         u, v = other[0] - from_x, other[1] - from_y
         if u * way_x + v * way_y > 0.0 and abs(u * way_y - v * way_x) < OTHER_M * flat:

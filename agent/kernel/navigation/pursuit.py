@@ -39,7 +39,8 @@ HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not 
 # Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
 # alike in more of them does not count more often.
 REMEMBERS = 2.0
-LEAD_S = 0.05  # of the gaze: half of a step, and what a frame is known late of the gaze's own doing
+# Of the gaze: the servos' lag, half of a step, and what a frame is known late of the gaze's own doing.
+AHEAD_S = SERVO_LAG_S + 0.05
 
 
 class Pursuit:
@@ -126,10 +127,9 @@ class Pursuit:
             seek.track(of.name, *self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns), now_ns)
             self._lens = None
             return True
-        ahead_s = SERVO_LAG_S + LEAD_S
-        x, y, psi = (at + ahead_s * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
+        x, y, psi = (at + AHEAD_S * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
-        at_m = carried_on(believed, self._swims[of.name], now_ns + round(ahead_s * 1e9))
+        at_m = carried_on(believed, self._swims[of.name], now_ns + round(AHEAD_S * 1e9))
         lost = (known := of.estimate(now_ns)) is None or now_ns - known.seen_ns > ALL_LOST_NS
         at_m = self._searched(at_m, grown(believed, self._swims[of.name], now_ns), (x, y, at_m[2]), lost, now_ns)
         pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)

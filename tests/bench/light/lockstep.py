@@ -183,12 +183,12 @@ def under_way(
 
 def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
     """What a robot says, and to whom."""
-    estimates = [(Heard(arrived_ns=now_ns, src=src, payload=encode(said)), said.dst) for said in outputs.says]
-    lights = outputs.light or ()
-    lit = [(Heard(arrived_ns=now_ns, src=src, topic="light", payload=encode(said)), said.dst) for said in lights]
-    near = outputs.near or ()
-    at = [(Heard(arrived_ns=now_ns, src=src, topic="near", payload=encode(said)), said.dst) for said in near]
-    return estimates + lit + at
+    topics = (UNSET, outputs.says), ("light", outputs.light or ()), ("near", outputs.near or ())
+    return [
+        (Heard(arrived_ns=now_ns, src=src, topic=topic, payload=encode(said)), said.dst)
+        for topic, letters_of in topics
+        for said in letters_of
+    ]
 
 
 def off_mm(diver: Diver, truth_m: np.ndarray) -> float | None:
