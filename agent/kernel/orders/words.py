@@ -16,7 +16,7 @@ from agent.kernel.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, mean
 MAX_ORDER = 4096  # bytes; larger ones are turned away unread
 MAX_WORDS = 200  # characters of an order in words
 
-Arg = float | int | str
+Arg = bool | int | float | str
 
 
 class Order(Message, frozen=True, kw_only=True):
