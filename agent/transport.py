@@ -134,9 +134,8 @@ class Observer:
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(Session(observer_config(self._fleet), f"fleet '{self._fleet.fleet}'"))
-            anyone = {"fleet": self._fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
             for row in self._rows:
-                session.subscribe(topics.key(row, **anyone), self._arrived)
+                session.subscribe(topics.key(row, fleet=self._fleet.fleet, **topics.ANYBODY), self._arrived)
             self._open = stack.pop_all()
         return self
 

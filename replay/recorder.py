@@ -207,7 +207,7 @@ def receiving(fleet: Fleet, arrivals: Arrivals, process: str) -> Iterator[None]:
 
     Topic by topic, so that one that stays mute is seen to be; and to everything, for keys of nobody.
     """
-    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**", "session": "*"}
+    anyone = {"fleet": fleet.fleet, **topics.ANYBODY}
     with Session(observer_config(fleet, process), f"fleet '{fleet.fleet}'") as session:
         for topic in topics.TOPICS:
             session.subscribe(topics.key(topic, **anyone), partial(arrivals.message, topic))
