@@ -14,7 +14,7 @@ from agent.kernel.config import Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.run_folder import new_recording
 from agent.stop_signal import until_signal
-from router_config.session import ROUTER_LISTEN
+from router_config.session import ROUTER, ROUTER_LISTEN
 
 SHIPPED = ", ".join(shipped_names())
 
@@ -104,12 +104,14 @@ def record(
     """
     with until_signal() as stop:
         from agent.fleet_clock import fleet_clock
+        from agent.keys.fleet_certificates import credentials
         from replay.recorder import record as run
 
-        robots, file = load_fleet(fleet), new_recording(out)
+        robots = load_fleet(fleet)
+        keys, file = credentials(robots, "recorder", fleet), new_recording(out)
         clock = fleet_clock(robots)
         complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
-        counts = run(robots, file, stop, clock, complain, views=view)
+        counts = run(robots, file, stop, clock, complain, views=view, keys=keys)
     if not any(counts.values()):
         raise Failed(f"nobody of fleet '{robots.fleet}' was heard, so {file} was not kept: nothing is in it")
     terminal().print("recorded: " + ", ".join(f"{name} {count}" for name, count in counts.items() if count))
@@ -118,13 +120,18 @@ def record(
 @app.command(epilog="Example: aucamp router fleet.toml")
 def router(
     fleet: FleetFile,
-    listen: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Where consoles attach.")] = ROUTER_LISTEN,
+    listen: Annotated[
+        str | None,
+        typer.Option(metavar="tcp/HOST:PORT", help=f"Where consoles attach.  [default: {ROUTER_LISTEN}, or tls/]"),
+    ] = None,
 ) -> None:
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
     with until_signal() as stop:
+        from agent.keys.fleet_certificates import credentials
         from agent.router import run_router
 
-        run_router(load_fleet(fleet), stop, listen, complain)
+        robots = load_fleet(fleet)
+        run_router(robots, stop, listen, complain, credentials(robots, ROUTER, fleet))
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")
@@ -135,7 +142,8 @@ def view(
     """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C."""
     with until_signal() as stop:
         from agent.fleet_clock import fleet_clock
+        from agent.keys.fleet_certificates import credentials
         from replay.view import view as serve
 
         robots = load_fleet(fleet)
-        serve(robots, stop, fleet_clock(robots), port, typer.echo)
+        serve(robots, stop, fleet_clock(robots), port, typer.echo, credentials(robots, "view", fleet))

@@ -10,20 +10,15 @@ LOOPBACK = ("127.", "localhost", "[::1]")
 CONSOLE = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
-def secured(fleet: Fleet) -> bool:
-    """Links prove who speaks."""
-    return all(robot.listen.startswith("tls/") for robot in fleet.robot.values())
-
-
 def why_closed(fleet: Fleet, console: str) -> str:
     """Why nobody may order by that name; empty: it may. The same at the console and at the robots."""
     if CONSOLE.fullmatch(console) is None:
         return "the name of a console is a small letter and up to 15 small letters, digits or _"
-    consoles: tuple[str, ...] = getattr(fleet.access, "consoles", ())
-    if console not in consoles and (secured(fleet) or consoles):
+    consoles = fleet.access.consoles
+    if console not in consoles and (fleet.secured or consoles):
         named = ", ".join(consoles) or "nobody"
         return f"'{console}' is no console of this fleet; [access] consoles names {named}"
-    if not secured(fleet) and not all(_on_loopback(robot.listen) for robot in fleet.robot.values()):
+    if not fleet.secured and not all(_on_loopback(robot.listen) for robot in fleet.robot.values()):
         return 'anybody could order over links without keys; secure the fleet: aucamp keys, and listen = "tls/.."'
     return ""
 
