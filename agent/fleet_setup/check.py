@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.fleet_setup.addresses import address_finding, is_here, links
+from agent.fleet_setup.certificates import certificate_findings, watchers_here
 from agent.fleet_setup.devices import device_findings
 from agent.fleet_setup.files import (
     calibration_finding,
@@ -70,6 +71,8 @@ def check(path: Path, robot: str | None, folder: Path) -> Checked:
     for name in fleet.robot if robot is None else [robot]:
         found.append(address_finding(fleet, name, path, asked=robot is not None))
         found += robot_findings(fleet, name, path) if name in here else ()
+    for name in watchers_here(fleet, path) if robot is None else ():
+        found += certificate_findings(fleet, name, path)
     return Checked((*found, *computer_findings(here, folder)), len(here))
 
 
@@ -100,12 +103,15 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     yield from enhancement_findings(fleet)
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")
+    if not fleet.secured:
+        yield Finding("ok", "fleet", "open: who reaches a port can read it and speak as any robot; see docs/keys.md")
 
 
 def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
     """What a robot of this computer needs here."""
     yield calibration_finding(fleet, name, path)
     yield from key_findings(fleet, name, path)
+    yield from certificate_findings(fleet, name, path)
     yield from device_findings(fleet, name)
 
 
