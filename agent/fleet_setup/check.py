@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.fleet_setup.addresses import address_finding, is_here, links, loopback_findings
-from agent.fleet_setup.certificates import certificate_findings
+from agent.fleet_setup.certificates import certificate_findings, watchers_here
 from agent.fleet_setup.devices import device_findings
 from agent.fleet_setup.files import (
     calibration_finding,
@@ -72,6 +72,8 @@ def check(path: Path, robot: str | None, folder: Path) -> Checked:
     for name in fleet.robot if robot is None else [robot]:
         found.append(address_finding(fleet, name, path, asked=robot is not None))
         found += robot_findings(fleet, name, path) if name in here else ()
+    for name in watchers_here(fleet, path) if robot is None else ():
+        found += certificate_findings(fleet, name, path)
     return Checked((*found, *computer_findings(here, folder)), len(here))
 
 
@@ -110,6 +112,11 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
 def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
     """What a robot of this computer needs here."""
     yield calibration_finding(fleet, name, path)
+    yield from running_findings(fleet, name, path)
+
+
+def running_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """What it needs to be here for as long as it runs."""
     yield from key_findings(fleet, name, path)
     yield from certificate_findings(fleet, name, path)
     yield from device_findings(fleet, name)
@@ -128,5 +135,5 @@ def computer_findings(here: Sequence[str], folder: Path) -> Iterator[Finding]:
 def before_dive(fleet: Fleet, name: str, path: Path, folder: Path) -> str | None:
     """What will go wrong in a dive of this robot though its agent starts, in one line; None: nothing is known to.
     `folder`: where it records."""
-    found = (*robot_findings(fleet, name, path), *computer_findings([name], folder))
+    found = (*running_findings(fleet, name, path), *computer_findings([name], folder))
     return "; ".join(finding.text for finding in found if finding.level != "ok") or None

@@ -9,8 +9,7 @@ from pathlib import Path
 from agent.fleet_clock import fleet_clock
 from agent.fleet_setup.addresses import is_here, loopback_findings
 from agent.fleet_setup.certificates import certificate_findings
-from agent.fleet_setup.check import computer_findings
-from agent.fleet_setup.check import robot_findings as findings_here
+from agent.fleet_setup.check import computer_findings, running_findings
 from agent.fleet_setup.finding import Finding
 from agent.ground.doctor.clocks import Offset, best, clock_finding
 from agent.ground.doctor.diagnosis import Diagnosis
@@ -46,7 +45,7 @@ def _from_here(fleet: Fleet, path: Path, who: Who, folder: Path) -> Iterator[Fin
     yield from loopback_findings(fleet)
     here = [robot for robot in fleet.robot if is_here(fleet.robot[robot].listen)]
     for robot in here:
-        yield from findings_here(fleet, robot, path)
+        yield from running_findings(fleet, robot, path)
     if here:
         yield from computer_findings(here, folder)
     if who.name not in here:

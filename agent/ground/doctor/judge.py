@@ -22,9 +22,7 @@ def robot_findings(fleet: Fleet, facts: Facts, robots: Collection[str], expected
 def _robot(fleet: Fleet, facts: Facts, name: str, expected: Said) -> Iterator[Finding]:
     link, state = facts.links.get(name), facts.states.get(name)
     if link is None and state is None:
-        text = (
-            f"its port answers, but no link came about in {LISTEN_S:.0f} s: its agent hangs, or something else has it"
-        )
+        text = f"its port answers, but no link came about in {LISTEN_S:.0f} s: its agent hangs, or it is no agent"
         yield Finding("wrong", name, f"{text}; start it again, and look what listens there: ss -ltnp")
         return
     if link is not None:

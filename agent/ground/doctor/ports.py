@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 
-from agent.fleet_setup.certificates import WARN_DAYS
+from agent.fleet_setup.certificates import SOON_DAYS
 from agent.fleet_setup.finding import Finding
 from agent.ground.doctor.probe import Probed, probe, speaks_tls
 from agent.ground.doctor.who import Who
@@ -40,6 +40,6 @@ def port_findings(fleet: Fleet, name: str, probed: Probed) -> Iterator[Finding]:
     if not is_open(name, probed) and probed.name and probed.name != name:
         text = f"shows the certificate of '{probed.name}': one of the two files names the other's address"
         yield Finding("wrong", name, f"{listen}: {text}; correct listen, or copy {name}'s own certificate there")
-    if probed.ends is not None and (left := (probed.ends - datetime.now(UTC)) / timedelta(days=1)) < WARN_DAYS:
+    if probed.ends is not None and (left := (probed.ends - datetime.now(UTC)) / timedelta(days=1)) < SOON_DAYS:
         text = f"its certificate expires in {left:.0f} days; make another, and start its agent again"
         yield Finding("warning", name, f"{listen}: {text}")
