@@ -20,7 +20,7 @@ from agent.kernel.desk.wishes import AtOnce, Wishes
 from agent.kernel.lamps.conduct import Lights
 from agent.kernel.logbook import Logbook
 from agent.kernel.navigation.swimmer import Swimmer
-from agent.kernel.orders.verbs import URGENT, Args, arguments, in_words
+from agent.kernel.orders.verbs import CLOCK, URGENT, Args, arguments, in_words
 from agent.kernel.orders.words import MAX_ORDER, MAX_WORDS, Answer, Order
 from agent.kernel.step_io import Ordered, Outputs
 
@@ -106,7 +106,7 @@ class Desk:
 
     def _too_old(self, order: Order, now_ns: int) -> str:
         """Why it comes too late; empty: it does not."""
-        if order.verb in URGENT or order.verb == "clock":
+        if order.verb in URGENT or order.verb == CLOCK:
             return ""
         if order.seen is None:
             return "it does not say which State of the robot was looked at"
