@@ -71,10 +71,8 @@ def _differences(name: str, shown: Shown, expected: Said) -> Iterator[Finding]:
         text = f"has other access rules (their digest is {said['rules']}, by our file {expected['rules']}): [access],"
         yield Finding("wrong", name, f"{text} neighbours or targets differ; {SAME}")
     if said.get("version") != expected["version"]:
-        text = (
-            f"runs version {said.get('version', 'before 0.1')}, this is {expected['version']}; install one everywhere"
-        )
-        yield Finding("warning", name, text)
+        theirs = f"version {said['version']}" if "version" in said else "an older version"
+        yield Finding("warning", name, f"runs {theirs}, and this is {expected['version']}; install one everywhere")
 
 
 def _mute(fleet: Fleet, facts: Facts, name: str, shown: Shown | None) -> Finding:
@@ -96,7 +94,5 @@ def _strangers(fleet: Fleet, facts: Facts) -> Iterator[Finding]:
     known = {link.session for link in facts.links.values()}
     for agent in sorted(facts.agents):
         if agent.session not in known and agent.robot not in fleet.robot and agent.fleet == fleet.fleet:
-            text = (
-                f"an agent calls itself {agent.robot} of this fleet, and the file has no such robot; end it, or add it"
-            )
+            text = f"an agent calls itself {agent.robot}, and the file has no such robot; end it, or add it"
             yield Finding("warning", "fleet", text)
