@@ -21,8 +21,8 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
-from agent.kernel.orders.words import Answer
 from agent.kernel.orders.verbs import prepare_all
+from agent.kernel.orders.words import Answer
 from agent.kernel.presence import Presence
 from agent.kernel.step_io import DroppedPayloads, Heard, Ordered
 from agent.kernel.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
