@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from agent.kernel.config import Access, Fleet
 from router_config import session
+from router_config.metadata import metadata
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 
@@ -47,7 +48,7 @@ def test_of_two_neighbours_the_later_named_dials(make_fleet: Callable[..., Fleet
     assert accepted(text, "mode") == "peer"
     assert accepted(text, "listen/endpoints") == [fleet.robot["r2"].listen]
     assert accepted(text, "connect/endpoints") == [fleet.robot["r1"].listen]
-    assert accepted(text, "metadata") == {"fleet": "test", "name": "r2"}
+    assert accepted(text, "metadata") == metadata(fleet, "r2")
     assert accepted(session.peer_config(fleet, "r1"), "connect/endpoints") == []
     assert accepted(session.peer_config(fleet, "r3"), "connect/endpoints") == [fleet.robot["r2"].listen]
 
