@@ -10,7 +10,7 @@ import typer
 from agent.commands.options import FleetFile, Port, RobotName, Speed, complain, terminal
 from agent.failure import Failed
 from agent.fleet_files import shipped_names
-from agent.kernel.config import Protocol
+from agent.kernel.config import Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.run_folder import new_recording
 from agent.stop_signal import until_signal
@@ -37,6 +37,7 @@ def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
+    secure: Annotated[bool, typer.Option("--secure", help="All links are TLS, with certificates of this run.")] = False,
 ) -> None:
     """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report.
 
@@ -49,7 +50,7 @@ def demo(
     from agent.progress import with_spinner
     from replay.report.report import report
 
-    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed)
+    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed, secure)
     with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
         page = report(run, depth=sweep_depth)
     terminal().print(f"{verdict(summary)}. Look at {page}; recordings are beside it")
@@ -74,8 +75,12 @@ def agent(
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
     with until_signal() as stop:
         from agent.agent_process import run
+        from agent.fleet_setup.check import before_dive
 
-        run(fleet, robot, out, arm, stop, lossless, view, behaviour)
+        def doubts(read: Fleet) -> str | None:
+            return before_dive(read, robot, fleet, out or Path())
+
+        run(fleet, robot, out, arm, stop, lossless, view, behaviour, doubts)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")
