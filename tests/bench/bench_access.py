@@ -24,10 +24,9 @@ from msgspec.structs import replace
 from agent.demo.fleet import demo_fleet, listening
 from agent.kernel import topics
 from agent.kernel.config import Access, Fleet
-from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.toml_files import dump
 from agent.keys.certificates import certificate_file, issue, key_file, write
-from agent.keys.fleet_certificates import authority, credentials
+from agent.keys.fleet_certificates import authority
 from agent.keys.make import make_all
 from agent.ports import free_ports
 from replay.recorder import Arrivals, receiving
@@ -40,7 +39,7 @@ ROUNDS = 7  # of each kind, one after the other
 PINGS, PUTS = 300, 1500
 SIZE, LARGE = 600, 25_000  # bytes: an estimate, a picture
 TEN = tuple(f"r{k}" for k in range(1, 11))
-STARTS = 5
+STARTS = 7
 
 Pair = tuple[zenoh.Session, zenoh.Session]
 
@@ -211,7 +210,7 @@ def renewed_s(fleet: Fleet, keys: Path) -> float:
 def start_s(path: Path) -> float:
     """From the start of ten processes until each has heard all others."""
     began_s = time.perf_counter()
-    command = [sys.executable, "-m", "tests.bench.bench_access", str(path)]
+    command = [sys.executable, "-m", "tests.bench.one_of_ten", str(path)]
     pipe = subprocess.PIPE
     peers = [subprocess.Popen([*command, n], stdin=pipe, stdout=pipe, text=True, cwd=ROOT) for n in TEN]
     try:
@@ -221,24 +220,3 @@ def start_s(path: Path) -> float:
     finally:
         for peer in peers:
             peer.communicate()
-
-
-def one_of_ten(path: Path, name: str) -> None:
-    """A process of `start_s`: speaks to all others 20 times a second, and says when it has heard them all."""
-    fleet, heard = load_fleet(path), set()
-    with Session(peer_config(fleet, name, credentials(fleet, name, path)), name) as door:
-        door.subscribe(link(fleet, "*", name), lambda sample: heard.add(sample.key.split("/")[-2]))
-        says = [door.publisher(topics.LINK, link(fleet, name, other)) for other in TEN if other != name]
-        told = threading.Event()
-        threading.Thread(target=lambda: (sys.stdin.read(), told.set()), daemon=True).start()
-        said = False
-        while not told.wait(0.05):
-            for say in says:
-                say(b"q" * SIZE)
-            if not said and len(heard) == len(TEN) - 1:
-                said = True
-                print("all", flush=True)
-
-
-if __name__ == "__main__":
-    one_of_ten(Path(sys.argv[1]), sys.argv[2])
