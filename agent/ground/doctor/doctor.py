@@ -80,6 +80,11 @@ def _from_outside(fleet: Fleet, who: Who) -> Iterator[Finding]:
     yield from (_in_order(facts, name, offsets.get(name)) for name in there if name in facts.states and name not in ill)
 
 
+def _measured(offset: Offset, late_ns: int) -> Iterator[str]:
+    yield f"there and back {offset.way_s * 1e3:.1f} ms, a state takes {late_ns * 1e-6 + offset.ahead_s * 1e3:.1f} ms"
+    yield f"clock {offset.ahead_s * 1e3:+.1f} ms"
+
+
 def _in_order(facts: Facts, name: str, offset: Offset | None) -> Finding:
     """What there is to say of a robot that is heard."""
     state = facts.states[name]
@@ -88,7 +93,7 @@ def _in_order(facts: Facts, name: str, offset: Offset | None) -> Finding:
         "is linked and heard",
         f"hears {', '.join(hears)}" if hears else "hears nobody",
         *((f"motors {'on' if state.armed else 'off'}",) if state.armed is not None else ()),
-        *((f"there and back {offset.way_s * 1e3:.1f} ms, clock {offset.ahead_s * 1e3:+.1f} ms",) if offset else ()),
+        *(_measured(offset, facts.late_ns[name]) if offset else ()),
         *((f"believed not: {', '.join(f'{n} {kind}' for kind, n in state.refused.items())}",) if state.refused else ()),
     )
     return Finding("ok", name, "; ".join(said))
