@@ -44,7 +44,7 @@ from replay.files.auto_recover import recovering, torn_files
 from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 
-OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
+OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
 
 
 class Setup(NamedTuple):
