@@ -9,7 +9,7 @@ from pathlib import Path
 from agent.fleet_clock import fleet_clock
 from agent.fleet_setup.addresses import is_here, loopback_findings
 from agent.fleet_setup.certificates import certificate_findings
-from agent.fleet_setup.check import computer_findings, running_findings
+from agent.fleet_setup.check import OPEN, computer_findings, running_findings
 from agent.fleet_setup.finding import Finding
 from agent.ground.doctor.clocks import Offset, best, clock_finding
 from agent.ground.doctor.diagnosis import Diagnosis
@@ -23,8 +23,6 @@ from agent.kernel.desk.rights import why_closed
 from agent.kernel.fleet_reader import load_fleet
 from router_config.metadata import metadata
 from router_config.session import observer_config
-
-OPEN = "open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
 
 
 def examine(path: Path, name: str | None, folder: Path) -> Diagnosis:
