@@ -24,7 +24,7 @@ def broken_access_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         yield f"robot.{plain[0]}.listen", f"open, while {secret[0]} listens on tls/; write all of them one way"
     for name in secret:
         if "[" in fleet.robot[name].listen:  # Zenoh 1.10.2: the link never comes about, and nothing says why
-            yield f"robot.{name}.listen", "no address of IPv6 can be dialled by TLS; write a host's name, or one of IPv4"
+            yield f"robot.{name}.listen", "no address of IPv6 can be dialled by TLS; write a name, or one of IPv4"
     if fleet.secured or fleet.access.consoles:  # else nobody has a certificate
         yield from _name_rules(fleet)
 
