@@ -162,7 +162,7 @@ def test_an_open_fleet(make_fleet: MakeFleet, tmp_path: Path) -> None:
         assert sum("there and back" in finding.text for finding in diagnosis.findings) == 3  # loopback: anybody may ask
 
 
-def test_what_robots_say_of_themselves_and_links_that_go(make_fleet: MakeFleet, tmp_path: Path) -> None:
+def test_what_robots_say_of_themselves(make_fleet: MakeFleet, tmp_path: Path) -> None:
     fleet = make_fleet(CHAIN)
     path = file_of(fleet, tmp_path)
     with robot(fleet, "r1", faults=("no camera: plug it in",)), robot(fleet, "r2", mode="degraded"), robot(fleet, "r3"):
