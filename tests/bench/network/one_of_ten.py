@@ -1,7 +1,7 @@
 """A process of bench_access: one of ten robots, all neighbours.
 
 It speaks to all others 20 times a second, prints "all" once it has heard them all, and ends with its standard input.
-python -m tests.bench.one_of_ten FLEET NAME
+python -m tests.bench.network.one_of_ten FLEET NAME
 """
 
 import sys

@@ -210,7 +210,7 @@ def renewed_s(fleet: Fleet, keys: Path) -> float:
 def start_s(path: Path) -> float:
     """From the start of ten processes until each has heard all others."""
     began_s = time.perf_counter()
-    command = [sys.executable, "-m", "tests.bench.one_of_ten", str(path)]
+    command = [sys.executable, "-m", "tests.bench.network.one_of_ten", str(path)]
     pipe = subprocess.PIPE
     peers = [subprocess.Popen([*command, n], stdin=pipe, stdout=pipe, text=True, cwd=ROOT) for n in TEN]
     try:
