@@ -90,6 +90,7 @@ def test_the_robot_has_its_devices_and_its_own_keys_alone(tmp_path):
         assert robot.calibration.startswith("calibration/")  # beside the fleet file, in ./fleet
     assert [filled_in(each) for each in agent["group_add"]] == ["dialout", "video"]
 
+
 def test_each_service_sees_its_own_keys_alone():
     seen = {}
     for name, service in SERVICES.items():
