@@ -21,6 +21,7 @@ from agent.kernel.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
 from agent.kernel.ranging.calibration import Calibration, load_calibration
 from agent.kernel.step_io import Sighting
+from agent.keys.fleet_certificates import credentials
 from agent.keys.robot_keys import RobotKeys, robot_keys
 from agent.perception.detection.detectors import Detector, colours_too_alike, load_detectors
 from agent.perception.enhancement.enhance import default
@@ -41,6 +42,7 @@ from replay.files.auto_recover import recovering, torn_files
 from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 
+OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
 GIVEN_UP = "to start them, put right what stopped them, end this agent and start it again with --arm"
 
 
@@ -53,6 +55,7 @@ class Setup(NamedTuple):
     calibration: Calibration
     detectors: Mapping[str, Detector]
     keys: RobotKeys
+    certificates: Path | None  # folder of those of a secured fleet
 
 
 def run(
@@ -95,11 +98,13 @@ def load_setup(fleet_path: Path, name: str, behaviour: str | None = None) -> Set
     fleet = fleet if behaviour is None else with_behaviour(fleet, name, behaviour)
     known_scheme(robot.camera)
     calibration = own_calibration(fleet, name, fleet_path)
-    keys = robot_keys(fleet, name, fleet_path)
+    keys, certificates = robot_keys(fleet, name, fleet_path), credentials(fleet, name, fleet_path)
     detectors = load_detectors(fleet, calibration.camera)
     for line in colours_too_alike(fleet):
         tell(f"{name}: {line}\n")
-    return Setup(fleet, name, robot, calibration, detectors, keys)
+    if not fleet.secured:
+        tell(f"{name}: {OPEN}\n")
+    return Setup(fleet, name, robot, calibration, detectors, keys, certificates)
 
 
 class AgentProcess:
@@ -117,7 +122,7 @@ class AgentProcess:
         """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
         fleet, name, calibration = self._setup.fleet, self._setup.name, self._setup.calibration
         with ExitStack() as links:
-            self._link = links.enter_context(Transport(fleet, name, self._clock.now_ns))
+            self._link = links.enter_context(Transport(fleet, name, self._clock.now_ns, self._setup.certificates))
             facts = run_facts(fleet, name, self._incarnation)
             self.log = self._stack.enter_context(
                 black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)

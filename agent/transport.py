@@ -9,6 +9,7 @@ import contextlib
 import random
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
@@ -29,17 +30,20 @@ from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 
 Told = Presence | Claim | Keyframe | Light
+LOOKER = "view"  # as whom people look at a secured fleet, by the name that every fleet file has for it
 OBSERVED = 4096  # messages an observer keeps between two drains, oldest dropped first: a minute of three robots
 
 
 class Transport:
     """A robot's links to its neighbours and what it shows to observers. Context manager.
 
-    `clock` gives integer nanoseconds that never step back; it stamps messages on arrival.
+    `clock` gives integer nanoseconds that never step back; it stamps messages on arrival. `keys`: folder of a secured
+    fleet's certificates.
     Entering raises ConfigError, one line, when the endpoint of the fleet file cannot be used.
     """
 
-    def __init__(self, fleet: Fleet, robot: str, clock: Callable[[], int]) -> None:
+    def __init__(self, fleet: Fleet, robot: str, clock: Callable[[], int], keys: Path | None = None) -> None:
+        self._keys = keys
         self.lost = 0  # outgoing link messages thrown away by fault injection
         self._fleet, self._robot, self._clock = fleet, robot, clock
         self._random = random.Random(f"{fleet.link.loss_seed} {robot}")
@@ -54,7 +58,7 @@ class Transport:
         names = {"fleet": self._fleet.fleet, "robot": self._robot}
         targets = self._fleet.target
         with contextlib.ExitStack() as stack:
-            session = stack.enter_context(Session(peer_config(self._fleet, self._robot), where))
+            session = stack.enter_context(Session(peer_config(self._fleet, self._robot, self._keys), where))
             for target in targets:
                 chunk = topics.target_chunk(targets, target)
                 for name in self._fleet.robot[self._robot].neighbours:
@@ -124,19 +128,29 @@ class Received(NamedTuple):
 
 
 class Observer:
-    """Looks at every robot of a fleet without being known to any. Context manager; `rows` choose what it hears."""
+    """Looks at every robot of a fleet without being known to any. Context manager; `rows` choose what it hears.
 
-    def __init__(self, fleet: Fleet, clock: Callable[[], int], rows: tuple[Topic, ...] = TOPICS) -> None:
+    In a secured fleet it looks as `name`, an observer or a console, whose certificate lies in the folder `keys`.
+    """
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        clock: Callable[[], int],
+        rows: tuple[Topic, ...] = TOPICS,
+        name: str = LOOKER,
+        keys: Path | None = None,
+    ) -> None:
+        self._config = observer_config(fleet, name, keys)
         self._fleet, self._clock, self._rows = fleet, clock, rows
         self._received: deque[Received] = deque(maxlen=OBSERVED)
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
-            session = stack.enter_context(Session(observer_config(self._fleet), f"fleet '{self._fleet.fleet}'"))
-            anyone = {"fleet": self._fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**"}
+            session = stack.enter_context(Session(self._config, f"fleet '{self._fleet.fleet}'"))
             for row in self._rows:
-                session.subscribe(topics.key(row, **anyone), self._arrived)
+                session.subscribe(topics.key(row, fleet=self._fleet.fleet, **topics.ANYBODY), self._arrived)
             self._open = stack.pop_all()
         return self
 

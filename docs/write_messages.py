@@ -8,7 +8,8 @@ from typing import Any
 
 from agent.kernel import topics
 from agent.kernel.codec import encoding
-from agent.observing.schemas import TOKENS, schema, write
+from agent.kernel.orders.words import MAX_ORDER
+from agent.observing.schemas import QUERIES, TOKENS, kinds, schema, write
 
 PAGE = Path(__file__).with_name("messages.md")
 SCHEMAS = Path(__file__).with_name("schemas")
@@ -18,10 +19,10 @@ BEGIN, END = "<!-- tables: python docs/write_messages.py -->\n", "<!-- end of ta
 def tables() -> str:
     """All that is generated in the page."""
     sections, told = [keys()], set[str]()
-    for row in topics.TOPICS:
-        whole = schema(row.message)
+    for kind in kinds():
+        whole = schema(kind)
         parts = whole.get("$defs", {})
-        sections.append(section(whole, f"`{encoding(row.message)}`, [schema](schemas/{whole['title']}.json). "))
+        sections.append(section(whole, f"`{encoding(kind)}`, [schema](schemas/{whole['title']}.json). "))
         sections += [section(part) for name, part in parts.items() if name not in told]
         told |= parts.keys()
     return "\n".join(sections)
@@ -35,6 +36,10 @@ def keys() -> str:
         name = row.message.__name__
         size = f"{row.qos.reliability.lower().replace('_', ' ')}, {row.limit} bytes"
         lines.append(f"| `{row.key}` | [`{name}`](#{name.lower()}) | {rate} | {size} |")
+    lines += [
+        f"| `{key}` | [`{kind.__name__}`](#{kind.__name__.lower()}), a query: {about} | on events | {MAX_ORDER} bytes |"
+        for key, (kind, about) in QUERIES.items()
+    ]
     lines += [f"| `{key}` | liveliness token without payload: {about} | | |" for key, about in TOKENS.items()]
     return "\n".join(lines) + "\n"
 

@@ -50,13 +50,15 @@ def record(
     warn: Callable[[str], None] = logger.warning,
     views: bool = True,
     limits: Limits = Limits(),  # noqa: B008 - a NamedTuple cannot change
+    keys: Path | None = None,
 ) -> dict[str, int]:
     """Record into `out` until `stop` is set; returns messages per topic, and what was not recorded by reason.
 
     Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap. Where nothing at all
     was heard, no file is left. Log times are the clock's. `warn` takes lines for a person, one at a time, `views` adds
-    channels for viewers. Raises ConfigError if the file cannot be written, or no longer, as on a disk that
-    has become full, and if no session can be opened. What no message of a fleet may do is counted, and recorded.
+    channels for viewers, `keys` is the folder of a secured fleet's certificates. Raises ConfigError if the file cannot
+    be written, or no longer, as on a disk that has become full, and if no session can be opened. What no message of a
+    fleet may do is counted, and recorded.
     """
     arrivals, rate, roll = Arrivals(clock.now_ns), RateNotes(clock), RollCall(fleet, warn)
     stuck = False
@@ -67,7 +69,7 @@ def record(
     log = LogWriter(
         out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=ViewerChannels(fleet) if views else None
     )
-    with log, recovering(torn, warn), receiving(fleet, arrivals, "recorder"):
+    with log, recovering(torn, warn), receiving(fleet, arrivals, "recorder", keys):
         while not machine.wait(stop, PERIOD_S):
             for entry in (*arrivals.drain(), *rate.due()):
                 log.put(entry)
@@ -202,13 +204,14 @@ class Arrivals:
 
 
 @contextmanager
-def receiving(fleet: Fleet, arrivals: Arrivals, process: str) -> Iterator[None]:
+def receiving(fleet: Fleet, arrivals: Arrivals, process: str, keys: Path | None = None) -> Iterator[None]:
     """Subscribe to every robot of a fleet, as `process`. Raises ConfigError if no session can be opened.
 
-    Topic by topic, so that one that stays mute is seen to be; and to everything, for keys of nobody.
+    Topic by topic, so that one that stays mute is seen to be; and to everything, for keys of nobody. `keys`:
+    the folder of a secured fleet's certificates, that of `process` among them.
     """
-    anyone = {"fleet": fleet.fleet, "src": "*", "dst": "*", "robot": "*", "target": "**", "session": "*"}
-    with Session(observer_config(fleet, process), f"fleet '{fleet.fleet}'") as session:
+    anyone = {"fleet": fleet.fleet, **topics.ANYBODY}
+    with Session(observer_config(fleet, process, keys), f"fleet '{fleet.fleet}'") as session:
         for topic in topics.TOPICS:
             session.subscribe(topics.key(topic, **anyone), partial(arrivals.message, topic))
         session.subscribe(topics.ALL.format(**anyone), arrivals.stranger)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 from agent.clock import machine
@@ -26,11 +27,17 @@ PORT = 8765  # Foxglove's own
 
 
 def view(
-    fleet: Fleet, stop: threading.Event, clock: Clock, port: int = PORT, say: Callable[[str], None] = lambda line: None
+    fleet: Fleet,
+    stop: threading.Event,
+    clock: Clock,
+    port: int = PORT,
+    say: Callable[[str], None] = lambda line: None,
+    keys: Path | None = None,
 ) -> None:
     """Serve until `stop` is set. Raises ConfigError without the extra `view`, or if the port is taken.
 
-    `say` gets lines for a person: where to look, and who is not heard.
+    `say` gets lines for a person: where to look, and who is not heard. `keys`: the folder of a secured fleet's
+    certificates.
     """
     try:
         import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
@@ -50,7 +57,7 @@ def view(
             )
         channels[entry.channel].log(entry.data, log_time=entry.log_time_ns)
 
-    with receiving(fleet, arrivals, "view"):
+    with receiving(fleet, arrivals, "view", keys):
         try:
             server = foxglove.start_server(name=f"aucamp {fleet.fleet}", host=HOST, port=port, context=context)
         except RuntimeError as error:

@@ -1,59 +1,89 @@
 """Fleet file -> Zenoh configuration. Pure: text in, text out.
 
 The base files in router_config/ are JSON5 whose only liberty over JSON is whole lines of // comment. What differs from
-process to process is laid over them here. The graph of the swarm is the set of `connect` endpoints.
+process to process is laid over them here: endpoints, and in a secured fleet certificates and access rules. The graph of
+the swarm is the set of `connect` endpoints.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from agent.kernel.config import Fleet
+from router_config.access import access_control
 
 # Where consoles find the router. Below 32768, as every port of ours: those above are ephemeral source ports.
 ROUTER_LISTEN = "tcp/127.0.0.1:17447"
+ROUTER_LISTEN_SECURED = "tls/127.0.0.1:17447"
+ROUTER = "router"  # its name in a secured fleet
 
 
-def peer_config(fleet: Fleet, robot: str) -> str:
+def peer_config(fleet: Fleet, robot: str, keys: Path | None = None) -> str:
     """Configuration of `robot`: listens on its own endpoint and dials neighbours, nobody else.
 
     Of two neighbours the one whose name comes later dials; it goes on trying, so the order of starting does not
     matter. Two that dial each other after an outage turn down each other's link, for seconds or for good.
+
+    `keys`, here and below: the folder of a secured fleet's certificates on this computer.
     """
     own = fleet.robot[robot]
-    return _over(
+    return _config(
         "peer.json5",
-        {
-            "listen": {"endpoints": [own.listen]},
-            "connect": {"endpoints": [fleet.robot[name].listen for name in own.neighbours if name < robot]},
-            "metadata": {"fleet": fleet.fleet, "name": robot},
-        },
+        fleet,
+        robot,
+        keys,
+        listen=[own.listen],
+        connect=[fleet.robot[name].listen for name in own.neighbours if name < robot],
     )
 
 
-def observer_config(fleet: Fleet, name: str = "observer") -> str:
-    """Configuration of a process that looks at every robot and that no robot knows of."""
-    return _over(
-        "observer.json5",
-        {
-            "connect": {"endpoints": _every_robot(fleet)},
-            "metadata": {"fleet": fleet.fleet, "name": name},
-        },
-    )
+def observer_config(fleet: Fleet, name: str = "observer", keys: Path | None = None) -> str:
+    """Configuration of a process that looks at every robot, or orders about every robot, and that no robot dials."""
+    return _config("observer.json5", fleet, name, keys, connect=_every_robot(fleet))
 
 
-def router_config(fleet: Fleet, listen: str = ROUTER_LISTEN) -> str:
+def router_config(fleet: Fleet, listen: str = ROUTER_LISTEN, keys: Path | None = None) -> str:
     """Configuration of the router, which dials every robot and listens for clients."""
-    return _over(
-        "router.json5",
-        {
-            "listen": {"endpoints": [listen]},
-            "connect": {"endpoints": _every_robot(fleet)},
-            "metadata": {"fleet": fleet.fleet, "name": "router"},
-        },
-    )
+    return _config("router.json5", fleet, ROUTER, keys, listen=[listen], connect=_every_robot(fleet))
+
+
+def tls(keys: Path, name: str) -> dict[str, Any]:
+    """Who a process is on its links, and whom it lets in: the files of `name`, which are both server's and client's."""
+    own = {"certificate": str(keys / f"{name}.pem"), "private_key": str(keys / f"{name}.key")}
+    return {
+        "root_ca_certificate": str(keys / "ca.pem"),
+        "enable_mtls": True,
+        **{f"{end}_{part}": file for end in ("listen", "connect") for part, file in own.items()},
+        "verify_name_on_connect": True,
+        # A certificate that expires in the middle of a dive must not end it; `aucamp check` says it in time.
+        "close_link_on_expiration": False,
+    }
+
+
+def _config(
+    base: str,
+    fleet: Fleet,
+    name: str,
+    keys: Path | None,
+    listen: Sequence[str] | None = None,
+    connect: Sequence[str] = (),
+) -> str:
+    differences: dict[str, Any] = {
+        "connect": {"endpoints": list(connect)},
+        "metadata": {"fleet": fleet.fleet, "name": name},
+    }
+    if listen is not None:
+        differences["listen"] = {"endpoints": list(listen)}
+    if fleet.secured:
+        if keys is None or not keys.is_absolute():
+            raise ValueError(f"{name} of a secured fleet needs the full path of its folder of keys, not {keys}")
+        differences["transport"] = {"link": {"tls": tls(keys, name)}}
+        differences["access_control"] = access_control(fleet, name)
+    return _over(base, differences)
 
 
 def _every_robot(fleet: Fleet) -> list[str]:

@@ -13,7 +13,7 @@ from agent.fleet_files import shipped_names
 from agent.kernel.config import Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.stop_signal import until_signal
-from router_config.session import ROUTER_LISTEN
+from router_config.session import ROUTER, ROUTER_LISTEN
 
 SHIPPED = ", ".join(shipped_names())
 
@@ -114,13 +114,18 @@ def record(
 @app.command(epilog="Example: aucamp router fleet.toml")
 def router(
     fleet: FleetFile,
-    listen: Annotated[str, typer.Option(metavar="tcp/HOST:PORT", help="Where consoles attach.")] = ROUTER_LISTEN,
+    listen: Annotated[
+        str | None,
+        typer.Option(metavar="tcp/HOST:PORT", help=f"Where consoles attach.  [default: {ROUTER_LISTEN}, or tls/]"),
+    ] = None,
 ) -> None:
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
     with until_signal() as stop:
+        from agent.keys.fleet_certificates import credentials
         from agent.router import run_router
 
-        run_router(load_fleet(fleet), stop, listen, complain)
+        robots = load_fleet(fleet)
+        run_router(robots, stop, listen, complain, credentials(robots, ROUTER, fleet))
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")

@@ -25,12 +25,14 @@ def snapshot(
     ] = None,
 ) -> None:
     """The next picture of a running robot's camera, as the robot shows it. It does not notice."""
+    from agent.keys.fleet_certificates import credentials
     from agent.observing.snapshot import about, next_picture, target_table
+    from agent.transport import LOOKER
 
     robots = load_fleet(fleet)
     load_robot(robots, robot, fleet)
     path = new_file(out or Path(f"{robot}.jpg"))
-    image = next_picture(robots, robot)
+    image = next_picture(robots, robot, credentials(robots, LOOKER, fleet))
     path.write_bytes(image.jpeg)
     typer.echo(about(path, image))
     if target is not None:

@@ -57,13 +57,17 @@ def check(
 def keys(
     fleet: FleetFile,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into; made where there is none.")],
-    only: Annotated[str | None, typer.Option(metavar="ROBOT", help="For this robot alone: one that is new.")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME", help="For this one alone: a robot, observer or console that is new.")
+    ] = None,
+    days: Annotated[int, typer.Option(min=1, max=3650, help="How long certificates are good.")] = 825,
 ) -> None:
     """A pair of signing keys for each robot, so that nobody can say of a target what another one measured.
 
-    NAME.sign is private, NAME.sign.pub public. Nothing is ever overwritten; what goes where is said at the end.
+    Where robots listen on tls/, also an authority of the fleet's own, and a certificate for each robot, observer and
+    console. Nothing is ever overwritten; what goes where is said at the end.
     """
     from agent.keys.make import fleet_keys
 
-    for line in fleet_keys(load_fleet(fleet), fleet, out, only):
+    for line in fleet_keys(load_fleet(fleet), fleet, out, only, days):
         typer.echo(line)

@@ -87,9 +87,12 @@ class Link(Struct, frozen=True, kw_only=True):
 
 
 class Access(Struct, frozen=True, kw_only=True):
-    """Who may say what."""
+    """Who may say what. Robots, observers and consoles share one name space: their certificates' common names."""
 
     keys: str | None = None  # folder of keys, looked for beside the fleet file; none: nothing is signed
+    # of a fleet whose robots listen on tls/
+    observers: tuple[Name, ...] = ("recorder", "view", "router")  # hear everything and say nothing
+    consoles: tuple[Name, ...] = ()  # hear everything and give orders
 
 
 class Camera(Struct, frozen=True, kw_only=True):
@@ -271,3 +274,8 @@ class Fleet(Struct, frozen=True, kw_only=True):
     coverage: Coverage | None = None  # none: no keyframes, nobody says what it has seen
     lighting: Lighting | None = None  # none: no lamp burns
     twin: Twin = Twin()
+
+    @property
+    def secured(self) -> bool:
+        """Whether all links are TLS, between certificates that the fleet's own authority gave."""
+        return bool(self.robot) and all(robot.listen.startswith("tls/") for robot in self.robot.values())

@@ -11,6 +11,7 @@ import msgspec
 from agent.kernel.lamps.light_rules import broken_light_rules
 from agent.kernel.navigation.swim_rules import broken_swim_rules
 from agent.kernel.navigation.tags.landmark_rules import broken_landmark_rules
+from agent.kernel.trust.access_rules import broken_access_rules
 
 if TYPE_CHECKING:
     from agent.kernel.config import Fleet
@@ -31,8 +32,7 @@ def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         yield "target", "nothing to look for; add a table [target.ball]"
     yield from _tank_rules(fleet)
     yield from _rate_rules(fleet)
-    if fleet.access.keys == "":
-        yield "access.keys", "no folder; write its name, or remove the key: then nothing is signed"
+    yield from broken_access_rules(fleet)
     for limits in ("pan_limit_deg", "tilt_limit_deg"):
         lowest, highest = getattr(fleet.body, limits)
         if lowest >= highest:
@@ -189,11 +189,11 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
 
 
 def _wrong_endpoint(text: str) -> str | None:
-    """What is wrong with a Zenoh endpoint, tcp/HOST:PORT; None if nothing is."""
+    """What is wrong with a Zenoh endpoint, tcp/HOST:PORT or tls/HOST:PORT; None if nothing is."""
     protocol, _, address = text.partition("/")
     host, _, port = address.rpartition(":")
-    if protocol != "tcp" or not host or not port.isdigit():
-        return f"'{text}' is no endpoint; write tcp/HOST:PORT"
+    if protocol not in ("tcp", "tls") or not host or not port.isdigit():
+        return f"'{text}' is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT in a fleet with certificates"
     if host in ("0.0.0.0", "[::]"):
         return f"neighbours dial it, and {host} is no address to dial; write the computer's own"
     if not 1024 <= int(port) <= MAX_PORT:

@@ -14,6 +14,7 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Count, Estimate, Id, LogLine, Message, State, Vector
+from agent.kernel.orders.words import Answer
 from agent.kernel.presence import Presence
 
 Slope = tuple[float, float]
@@ -118,6 +119,14 @@ class DroppedPayloads(Message, frozen=True, kw_only=True):
     src: Id | UnsetType = UNSET  # the neighbour on whose keys they came; unset: on a stranger's
 
 
+class Ordered(Message, frozen=True, kw_only=True):
+    """An order as it came, not yet judged."""
+
+    arrived_ns: int
+    console: str  # from the key it came on
+    payload: bytes
+
+
 class Inputs(Message, frozen=True, kw_only=True):
     """All that arrived since the last step: devices in order of arrival, neighbours in turn."""
 
@@ -130,6 +139,7 @@ class Inputs(Message, frozen=True, kw_only=True):
     blocks: tuple[BlockPeaks, ...] | UnsetType = UNSET  # of sweeps over whole frames that ended; unset: none did
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
+    orders: tuple[Ordered, ...] | UnsetType = UNSET  # in order of arrival; unset: nobody ordered anything
 
 
 # --- outputs: to the robot's own devices, and to others ---------------------------------------------------------
@@ -154,6 +164,17 @@ class SetPoint(Message, frozen=True, kw_only=True):
     yaw_moment_nm: float = 0.0  # open loop
     servos_us: tuple[int, int, int, int] = (1500, 1500, 1500, 1500)  # camera pan, tilt, lamp pan, tilt
     light: float = 0.0  # 0 to 1
+
+
+class TargetBox(Message, frozen=True, kw_only=True):
+    """Where somebody has drawn a box around a target, for vision to go by: pixels of the whole frame."""
+
+    target: Id
+    frame: Count  # number of the frame that it was drawn in
+    box: tuple[float, float, float, float]  # x, y of the upper left corner, width, height
+
+
+Motors = Literal["off", "surface", "arm"]
 
 
 class SweepOutcome(Message, frozen=True, kw_only=True):
@@ -185,3 +206,7 @@ class Outputs(Message, frozen=True, kw_only=True):
     light: tuple[Light, ...] | UnsetType = UNSET  # whose lamps burn, to neighbours; unset: not now
     lens: int | UnsetType | None = UNSET  # position between sweeps from now on; none: for landmarks; unset: as before
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were
+    answers: tuple[Answer, ...] | UnsetType = UNSET  # to `Inputs.orders`, one by one; unset: there were none
+    motors: Motors | UnsetType = UNSET  # as somebody ordered in this step; unset: as before
+    box: TargetBox | UnsetType = UNSET  # around a target, as somebody drew it; unset: as before
+    preview_hz: float | UnsetType = UNSET  # pictures for whoever looks, from now on; unset: as before

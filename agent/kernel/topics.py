@@ -9,6 +9,7 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
 from agent.kernel.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
+from agent.kernel.orders.words import Answer
 from agent.kernel.presence import Presence
 
 
@@ -20,7 +21,7 @@ class QoS(NamedTuple):
 
 class Topic(NamedTuple):
     name: str
-    key: str  # {fleet}, {src}, {dst}, {robot} are filled in; [..] is left off where there is nothing to fill in
+    key: str  # {fleet}, {src}, {dst}, {robot}, {console} are filled in; [..] is left off where there is nothing to fill in
     message: type[Message]
     hz: float  # nominal; 0: on events
     qos: QoS
@@ -65,12 +66,26 @@ IMAGE = Topic(
     "robot",
     limit=MAX_JPEG + 1024,
 )
+# What became of an order, for all but the one who gave it: he has the same as the reply to his query.
+ANSWER = Topic(
+    "answer",
+    "aucamp/{fleet}/robot/{robot}/answer/{console}",
+    Answer,
+    0.0,
+    QoS("DATA", "RELIABLE", 64),
+    "robot",
+    limit=2048,
+)
 
-TOPICS = (LINK, NEAR, CLAIM, KEYFRAME, LIGHT, STATE, LOG, IMAGE)
+TOPICS = (LINK, NEAR, CLAIM, KEYFRAME, LIGHT, STATE, LOG, IMAGE, ANSWER)
+
+# An order is a query, answered by each robot on this key with its own name; '*' as the robot is all of them.
+ORDER = "aucamp/{fleet}/robot/{robot}/order/{console}"
 
 # Liveliness tokens: who is listed, never whose word counts. Two agents of one name differ in their sessions.
 ALIVE = "aucamp/{fleet}/alive/{robot}/{session}"
 TWICE = "aucamp/{fleet}/twice/{robot}/{witness}"  # the witness is linked to two of this name
+ANYBODY = {"src": "*", "dst": "*", "robot": "*", "target": "**", "console": "*", "session": "*"}  # as chunks of a key
 ALL = "aucamp/{fleet}/**"
 EVERY_FLEET = "aucamp/**"
 
@@ -94,7 +109,7 @@ def match(key_text: str) -> tuple[Topic, dict[str, str]] | None:
 
 
 def chunks(pattern: str, key_text: str) -> dict[str, str] | None:
-    """The values of the chunks of a token's key, of ALIVE or TWICE; None for another key."""
+    """The values of the chunks of a token's or an order's key, of ALIVE, TWICE or ORDER; None for another key."""
     return _match(pattern.split("/"), key_text.split("/"))
 
 

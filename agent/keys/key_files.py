@@ -48,9 +48,9 @@ def write_pair(folder: Path, robot: str) -> tuple[Path, Path]:
     """Make a new pair; returns its two files. Raises ConfigError where one is there already, or cannot be written."""
     key = Ed25519PrivateKey.generate()
     private, public = private_file(folder, robot), public_file(folder, robot)
-    _write_new(private, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), OWNER_ONLY)
+    write_new(private, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), OWNER_ONLY)
     try:
-        _write_new(public, key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo), EVERYBODY)
+        write_new(public, key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo), EVERYBODY)
     except BaseException:
         private.unlink()  # half a pair would be in the way of the next attempt
         raise
@@ -94,7 +94,7 @@ def public_bytes(key: Ed25519PublicKey) -> bytes:
     return key.public_bytes(Encoding.Raw, PublicFormat.Raw)
 
 
-def _write_new(path: Path, content: bytes, mode: int) -> None:
+def write_new(path: Path, content: bytes, mode: int) -> None:
     """The mode is the file's from its first moment on: between an open and a chmod anybody could open it too."""
     try:
         opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import TypeVar
 
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.fleet_reader import load_fleet
+from agent.keys.fleet_certificates import credentials
+from agent.keys.robot_keys import VARIABLE
 from agent.run_folder import new_recording
 
 T = TypeVar("T")
@@ -28,6 +31,16 @@ def load_fleets(paths: Sequence[Path]) -> dict[Path, Fleet]:
             )
         fleets[path] = fleet
     return fleets
+
+
+def keys_of(fleets: Mapping[Path, Fleet], name: str) -> dict[Path, Path | None]:
+    """The folder of each secured fleet's certificates, in which `name` has one. Raises ConfigError.
+
+    The variable AUCAMP_KEYS names one folder, and each fleet has an authority of its own.
+    """
+    if len(fleets) > 1 and VARIABLE in os.environ and any(fleet.secured for fleet in fleets.values()):
+        raise ConfigError(f"{VARIABLE} names the keys of one fleet; unset it: each fleet file says where its own are")
+    return {path: credentials(fleet, name, path) for path, fleet in fleets.items()}
 
 
 def recordings_of(fleets: Sequence[Fleet], out: Path) -> dict[str, Path]:

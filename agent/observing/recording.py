@@ -9,7 +9,7 @@ from threading import Event
 from typing import NamedTuple
 
 from agent.fleet_clock import fleet_clock
-from agent.observing.at_once import Say, at_once, load_fleets, recordings_of
+from agent.observing.at_once import Say, at_once, keys_of, load_fleets, recordings_of
 from replay.recorder import record
 
 
@@ -26,12 +26,13 @@ def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views
     Of several fleets one that cannot be recorded any longer ends no other's recording. Raises ConfigError for files and
     folders that cannot be used, and where the only fleet cannot be recorded.
     """
-    fleets = tuple(load_fleets(paths).values())
-    clocks = [fleet_clock(fleet) for fleet in fleets]
-    files = recordings_of(fleets, out)
+    fleets = load_fleets(paths)
+    keys = keys_of(fleets, "recorder")
+    clocks = {path: fleet_clock(fleet) for path, fleet in fleets.items()}
+    files = recordings_of(tuple(fleets.values()), out)
     jobs = {
-        fleet.fleet: partial(record, fleet, files[fleet.fleet], stop, clock, views=views)
-        for fleet, clock in zip(fleets, clocks, strict=True)
+        fleet.fleet: partial(record, fleet, files[fleet.fleet], stop, clocks[path], views=views, keys=keys[path])
+        for path, fleet in fleets.items()
     }
     several = len(jobs) > 1
     say(f"recording fleet{'s' * several} {', '.join(repr(name) for name in jobs)}; Ctrl-C ends it")

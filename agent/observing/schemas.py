@@ -16,6 +16,7 @@ from agent.kernel.codec import encoding
 from agent.kernel.keyframes import claim, keyframe
 from agent.kernel.lighting import words
 from agent.kernel.messages import SCHEMA, Message
+from agent.kernel.orders.words import MAX_ORDER, Answer, Order
 from agent.kernel.topics import TOPICS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -27,6 +28,9 @@ INDEX = "topics.json"
 TOKENS = {
     topics.ALIVE: "an agent of this robot runs; the token goes with its session",
     topics.TWICE: "the witness is linked to two agents of this robot's name",
+}
+QUERIES = {
+    topics.ORDER: (Order, "what somebody at a console wants of a robot; the reply is an Answer, of the same key")
 }
 
 
@@ -68,7 +72,24 @@ def index() -> dict[str, Any]:
             for row in TOPICS
         ],
         "liveliness": [{"key": key, "description": about} for key, about in TOKENS.items()],
+        "queries": [
+            {
+                "key": key,
+                "encoding": encoding(kind),
+                "message": kind.__name__,
+                "json_schema": file_name(kind),
+                "reply": Answer.__name__,
+                "max_bytes": MAX_ORDER,
+                "description": about,
+            }
+            for key, (kind, about) in QUERIES.items()
+        ],
     }
+
+
+def kinds() -> tuple[type[Message], ...]:
+    """Every kind of message that there is a schema of."""
+    return (*(row.message for row in TOPICS), *(kind for kind, _ in QUERIES.values()))
 
 
 def file_name(kind: type[Message]) -> str:
@@ -77,7 +98,7 @@ def file_name(kind: type[Message]) -> str:
 
 def texts() -> dict[str, str]:
     """All files: name -> content."""
-    files = {INDEX: index(), **{file_name(row.message): schema(row.message) for row in TOPICS}}
+    files = {INDEX: index(), **{file_name(kind): schema(kind) for kind in kinds()}}
     return {name: json.dumps(content, indent=2) + "\n" for name, content in files.items()}
 
 

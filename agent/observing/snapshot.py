@@ -17,10 +17,13 @@ PICTURE_S = 10.0  # between two sweeps a whole frame is seldom further away, als
 LOOK_S = 0.02
 
 
-def next_picture(fleet: Fleet, robot: str) -> Image:
-    """The robot's next preview. Raises Failed, one line that says what is wrong, where none comes."""
+def next_picture(fleet: Fleet, robot: str, keys: Path | None = None) -> Image:
+    """The robot's next preview. Raises Failed, one line that says what is wrong, where none comes.
+
+    `keys`: folder of a secured fleet's certificates.
+    """
     state, refused, start_s = None, "", machine.monotonic_s()
-    with Observer(fleet, machine.monotonic_ns, (IMAGE, STATE)) as observer:
+    with Observer(fleet, machine.monotonic_ns, (IMAGE, STATE), keys=keys) as observer:
         while (waited_s := machine.monotonic_s() - start_s) < PICTURE_S:
             for seen in observer.drain():
                 if seen.chunks["robot"] != robot:

@@ -9,7 +9,7 @@ from threading import Event
 
 from agent.failure import Failed
 from agent.fleet_clock import fleet_clock
-from agent.observing.at_once import Say, at_once, load_fleets
+from agent.observing.at_once import Say, at_once, keys_of, load_fleets
 from replay.view import view
 
 
@@ -19,9 +19,11 @@ def view_fleets(paths: Sequence[Path], port: int, stop: Event, say: Say) -> None
     Of several fleets one that cannot be served ends no other's view; at the end Failed is raised. Raises ConfigError
     for files that cannot be used, and where the only fleet cannot be served.
     """
-    fleets = load_fleets(paths).values()
+    fleets = load_fleets(paths)
+    keys = keys_of(fleets, "view")
     jobs = {
-        fleet.fleet: partial(view, fleet, stop, fleet_clock(fleet), at) for at, fleet in enumerate(fleets, start=port)
+        fleet.fleet: partial(view, fleet, stop, fleet_clock(fleet), at, keys=keys[path])
+        for at, (path, fleet) in enumerate(fleets.items(), start=port)
     }
     _, failed = at_once(jobs, stop, say)
     if failed:

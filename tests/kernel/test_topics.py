@@ -25,7 +25,7 @@ from agent.kernel.topics import (
 )
 from tests.places import ROOT
 
-CHUNKS = {"fleet": "tank", "robot": "r1", "src": "r1", "dst": "r2"}
+CHUNKS = {"fleet": "tank", "robot": "r1", "src": "r1", "dst": "r2", "console": "ann"}
 TARGET = {"target": "buoy"}
 
 

@@ -1,0 +1,1 @@
+"""What people order a robot to do: read, judged, carried out once, answered."""
