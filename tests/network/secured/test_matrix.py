@@ -1,0 +1,196 @@
+"""Every (certificate, receiver, key): who is believed what by whom, and who hears what of whom.
+
+What is expected is spelled here a second time, from the keys alone; the rules themselves are router_config/access.py.
+"""
+
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from agent.kernel import topics
+from agent.kernel.config import Fleet
+from router_config.session import observer_config, peer_config, router_config
+from tests.network.conftest import unused_port
+from tests.network.secured.parties import (
+    CHAIN,
+    CONSOLES,
+    STRANGER,
+    Ear,
+    client,
+    listener,
+    message_keys,
+    opened,
+    order_keys,
+    say_everything,
+    secure,
+    token_keys,
+)
+from tests.waiting import until
+
+pytestmark = pytest.mark.slow
+
+CERTIFICATES = (*CHAIN, "recorder", *CONSOLES, STRANGER)
+WATCHERS = ("recorder", "ann")
+PAIRWISE = ("link", "near", "claim", "keyframe", "light")
+SETTLED_S = 0.5  # after the last thing that should come, what should not would have come too
+
+Triple = tuple[str, str, str]  # whose certificate, receiver, key
+
+
+@pytest.fixture
+def secured(make_fleet: Callable[..., Fleet], tmp_path: Path) -> tuple[Fleet, Path]:
+    return secure(make_fleet(CHAIN), tmp_path), tmp_path
+
+
+def triples(receiver: str) -> set[Triple]:
+    """All that anybody could try on a receiver, as anybody else."""
+    return {
+        (by, receiver, key)
+        for by in CERTIFICATES
+        for key in (*message_keys(), *token_keys(by), *order_keys())
+        if by != receiver
+    }
+
+
+def believed(by: str, receiver: str, key: str) -> bool:
+    """Whether `receiver` should take from `by` what comes on a key."""
+    _, _, kind, *rest = key.split("/")
+    neighbour = receiver not in CHAIN or by in CHAIN[receiver]
+    if kind in PAIRWISE:
+        return by == rest[0] and neighbour and (receiver not in CHAIN or receiver == rest[1])
+    if kind == "alive":
+        return by == rest[0] and neighbour
+    if kind == "twice":
+        return by == rest[1] and neighbour
+    if rest[1] == "order":
+        return receiver in CHAIN and rest[0] in (receiver, "*") and by == rest[2]
+    return by == rest[0] and receiver not in CHAIN
+
+
+def come_through(ear: Ear, receiver: str, talkers: dict[str, zenoh.Session]) -> set[Triple]:
+    """What a receiver takes when everybody says everything at once."""
+    whose = {key: by for by in CERTIFICATES for key in token_keys(by)}
+    kept = [say_everything(session, by) for by, session in talkers.items()]
+
+    def found() -> set[Triple]:
+        return {(whose[key] if who == "token" else who, receiver, key) for key, who in set(ear.heard)}
+
+    with contextlib.suppress(AssertionError):
+        until(lambda: found() >= {triple for triple in triples(receiver) if believed(*triple)}, 3.0)
+    time.sleep(SETTLED_S)
+    del kept
+    return found()
+
+
+def told_to_robot(fleet: Fleet, keys: Path, receiver: str, config: str) -> set[Triple]:
+    """What a robot takes from those who dial it."""
+    with contextlib.ExitStack() as stack:
+        orders = topics.ORDER.format(fleet="test", robot=receiver, console="*")
+        ear = Ear(stack.enter_context(opened(config)), orders=orders)
+        where = fleet.robot[receiver].listen
+        dialling = {by: client(where, keys, by) for by in CERTIFICATES if by != receiver}
+        talkers = {by: stack.enter_context(opened(config)) for by, config in dialling.items()}
+        return come_through(ear, receiver, talkers)
+
+
+def told_to_watcher(fleet: Fleet, keys: Path, receiver: str, config: str) -> set[Triple]:
+    """What an observer or a console takes from those who listen where it dials: all certificates, at any address."""
+    ends = {by: f"tls/127.0.0.1:{unused_port()}" for by in CERTIFICATES if by != receiver}
+    changed: dict[str, Any] = json.loads(config)
+    changed["connect"]["endpoints"] = list(ends.values())
+    with contextlib.ExitStack() as stack:
+        talkers = {by: stack.enter_context(opened(listener(end, keys, by))) for by, end in ends.items()}
+        ear = Ear(stack.enter_context(opened(json.dumps(changed))))
+        for by in CHAIN:
+            publisher = talkers[by].declare_publisher(f"aucamp/test/robot/{by}/state")
+            until(lambda publisher=publisher: publisher.matching_status.matching)
+        time.sleep(SETTLED_S)  # for those who are not to be linked, or linked and not heard
+        return come_through(ear, receiver, talkers)
+
+
+def test_each_certificate_is_believed_on_its_own_keys_and_on_no_other(secured: tuple[Fleet, Path]) -> None:
+    fleet, keys = secured
+    tried: set[Triple] = set()
+    for receiver in (*CHAIN, *WATCHERS):
+        if receiver in CHAIN:
+            found = told_to_robot(fleet, keys, receiver, peer_config(fleet, receiver, keys))
+        else:
+            found = told_to_watcher(fleet, keys, receiver, observer_config(fleet, receiver, keys))
+        wanted = {triple for triple in triples(receiver) if believed(*triple)}
+        assert found == wanted, (sorted(found - wanted), sorted(wanted - found))
+        tried |= triples(receiver)
+    assert len(tried) > 1000
+
+
+def without_rules(config: str) -> str:
+    changed: dict[str, Any] = json.loads(config)
+    del changed["access_control"]
+    return json.dumps(changed)
+
+
+def test_without_the_rules_certificates_alone_keep_nobody_from_saying_anything(secured: tuple[Fleet, Path]) -> None:
+    """The test above can fail: links are the same, and everything comes through."""
+    fleet, keys = secured
+    for receiver, told, config in (
+        ("r1", told_to_robot, peer_config(fleet, "r1", keys)),
+        ("recorder", told_to_watcher, observer_config(fleet, "recorder", keys)),
+    ):
+        found = told(fleet, keys, receiver, without_rules(config))
+        puts = {(by, to, key) for by, to, key in triples(receiver) if key in message_keys() and by in CHAIN}
+        assert puts <= found
+
+
+def test_each_certificate_hears_what_is_for_it_and_no_more(secured: tuple[Fleet, Path]) -> None:
+    """Robots hear what their neighbours have for them, observers and consoles everything, a stranger nothing."""
+    fleet, keys = secured
+    for speaker in ("r1", "r2"):
+        with contextlib.ExitStack() as stack:
+            session = stack.enter_context(opened(peer_config(fleet, speaker, keys)))
+            ears = {}
+            for by in CERTIFICATES:
+                if by != speaker:
+                    listening = stack.enter_context(opened(client(fleet.robot[speaker].listen, keys, by)))
+                    ears[by] = Ear(listening, (topics.EVERY_FLEET, "aucamp/test/**", *message_keys()))
+            for key in ("aucamp/test/robot/r1/state", f"aucamp/test/link/r1/{'r2' if speaker == 'r1' else 'r3'}"):
+                publisher = session.declare_publisher(key)
+                until(lambda publisher=publisher: publisher.matching_status.matching)
+            time.sleep(SETTLED_S)
+            kept = [session.put(key, "said") for key in message_keys()]
+            kept.append(session.liveliness().declare_token(f"aucamp/test/alive/{speaker}/0"))
+            time.sleep(SETTLED_S)
+            for by, ear in ears.items():
+                told = {key for key, _ in ear.heard}
+                token = {f"aucamp/test/alive/{speaker}/0"}
+                if by in ("recorder", *CONSOLES):
+                    assert told == {*message_keys(), *token}, by
+                elif by in CHAIN and by in CHAIN[speaker]:
+                    mine = {key for key in message_keys() if key.split("/")[2] in PAIRWISE and key.endswith(f"/{by}")}
+                    assert told == mine | token, by
+                else:
+                    assert told == set(), by
+
+
+def test_behind_the_router_observers_hear_everything_and_nobody_says_anything(secured: tuple[Fleet, Path]) -> None:
+    fleet, keys = secured
+    where = f"tls/127.0.0.1:{unused_port()}"
+    with contextlib.ExitStack() as stack:
+        r1 = stack.enter_context(opened(peer_config(fleet, "r1", keys)))
+        at_r1 = Ear(r1)
+        stack.enter_context(opened(router_config(fleet, where, keys)))
+        behind = {by: stack.enter_context(opened(client(where, keys, by))) for by in CERTIFICATES}
+        ears = {by: Ear(session) for by, session in behind.items()}
+        key = "aucamp/test/robot/r1/state"
+        publisher = r1.declare_publisher(key)
+        until(lambda: publisher.matching_status.matching)
+        until(lambda: publisher.put("said") or all((key, "said") in ears[by].heard for by in ("recorder", *CONSOLES)))
+        assert not any((key, "said") in ears[by].heard for by in (*CHAIN, STRANGER))
+        kept = [say_everything(session, by) for by, session in behind.items()]
+        time.sleep(SETTLED_S)
+        assert at_r1.heard == set()
+        del kept
