@@ -37,18 +37,21 @@ class Swarm:
         port: int = PORT,
         secured: bool = False,
         of_the_system: Path | None = None,
+        prefix: str = "",
     ) -> None:
-        """Robots r1, r2 ... in the relay's namespaces of these names; their clocks are wrong by so much.
+        """Robots r1, r2 ... in the relay's namespaces of these names, with the prefix; their clocks are wrong by so
+        much.
 
         `secured`: with certificates, in the folder `keys`. `of_the_system`: the library of wrong_clock.c, with which
         all of a process has the wrong time, its TLS too; without it the agent's own clock alone is wrong.
         """
         self.relay, self.clock_ahead_s, self.folder, self.of_the_system = relay, clock_ahead_s, folder, of_the_system
+        self.prefix = prefix
         self.path = folder / "fleet.toml"
         fleet = demo_fleet(len(clock_ahead_s), "evidence", 0.0, 0, False, folder)
         replace = msgspec.structs.replace
         robots = {
-            key: replace(robot, listen=f"{'tls' if secured else 'tcp'}/{relay.address[key]}:{port}")
+            key: replace(robot, listen=f"{'tls' if secured else 'tcp'}/{relay.address[prefix + key]}:{port}")
             for key, robot in fleet.robot.items()
         }
         access = Access(keys="keys") if secured else fleet.access
@@ -72,11 +75,13 @@ class Swarm:
             ahead, library = str(self.clock_ahead_s[name]), self.of_the_system
             wrong = {} if library is None else {"LD_PRELOAD": str(library), "CLOCK_AHEAD_S": ahead}
             arguments = (str(self.path), name, str(out), *(() if library else (ahead,)))
-            command = self.relay.command(name, *agent, *arguments)
+            command = self.relay.command(self.prefix + name, *agent, *arguments)
             self.processes[name] = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **wrong})
 
     def watch(self) -> None:
-        command = self.relay.command(WATCHER, sys.executable, "-m", "tests.network.watch_states", str(self.path))
+        command = self.relay.command(
+            self.prefix + WATCHER, sys.executable, "-m", "tests.network.watch_states", str(self.path)
+        )
         self.processes[WATCHER] = subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT)
         self._threads.append(threading.Thread(target=self._listen, args=(self.processes[WATCHER].stdout,)))
         self._threads[-1].start()
@@ -87,7 +92,8 @@ class Swarm:
             process.wait()
         for thread in self._threads:
             thread.join()
-        self.processes[WATCHER].stdout.close()
+        if WATCHER in self.processes:
+            self.processes[WATCHER].stdout.close()
 
     def until(self, what: str, true, timeout_s: float = 120.0) -> float:
         """Seconds that it took; fails after `timeout_s`."""
