@@ -6,7 +6,7 @@ On the way out the motors go off first, then the last state is shown, then links
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
@@ -35,6 +35,7 @@ from agent.transport import Transport
 from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
 from hw.stm32.driver import Stm32
+from hw.stm32.motors import Motors
 from hw.stm32.port import open_port_path
 from hw.twin.devices.twin_folder import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
@@ -43,7 +44,6 @@ from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 
 OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
-GIVEN_UP = "to start them, put right what stopped them, end this agent and start it again with --arm"
 
 
 class Setup(NamedTuple):
@@ -67,15 +67,18 @@ def run(
     lossless: bool = False,
     views: bool = True,
     behaviour: str | None = None,
+    doubts: Callable[[Fleet], str | None] = lambda fleet: None,
 ) -> None:
     """One agent process, from its fleet file until `stop` is set. Raises ConfigError or CameraError before anything
     moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
     `lossless` records frames bit by bit, `views` adds channels for viewers to the recording. `behaviour`: what the
-    robot does in place of what the file says, as the file would say it.
+    robot does in place of what the file says, as the file would say it. `doubts`: what will go wrong though it starts.
     """
     setup = load_setup(fleet_path, name, behaviour)
+    if (why := doubts(setup.fleet)) is not None:
+        tell(f"{name}: before the dive: {why}\n")
     if stop.is_set():
         return
     with ExitStack() as stack:
@@ -168,15 +171,14 @@ class AgentProcess:
 
     def runtime(self, arm: bool) -> Runtime:
         """The loop over all of this."""
-        keys = self._setup.keys
+        keys, motors = self._setup.keys, Motors(self._module, arm)
 
         def faults() -> tuple[str, ...]:
-            given_up = GIVEN_UP if arm and not self._module.wants_armed else None
             found = {
                 "not recording": self.log.fault,
                 "no camera": self._eyes.fault,
                 "frames frozen": self._eyes.frozen,
-                "motors off": given_up,
+                "motors off": motors.fault(),
                 "keys": keys.fault(),
             }
             return (*(f"{kind}: {what}" for kind, what in found.items() if what), *self._link.faults())
@@ -190,7 +192,7 @@ class AgentProcess:
             self._box.step,
             self._clock,
             faults=faults,
-            resume=self._module.arm if arm else lambda: None,
+            motors=motors,
             sign=keys.sign,
             keys=keys.changed,
             landmarks=self._landmarks.drain if self._landmarks else lambda: ((), ()),

@@ -10,7 +10,7 @@ import typer
 from agent.commands.options import FleetFile, FleetFiles, Port, RobotName, Speed, complain, terminal
 from agent.failure import Failed
 from agent.fleet_files import shipped_names
-from agent.kernel.config import Protocol
+from agent.kernel.config import Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.stop_signal import until_signal
 from router_config.session import ROUTER, ROUTER_LISTEN
@@ -73,8 +73,12 @@ def agent(
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
     with until_signal() as stop:
         from agent.agent_process import run
+        from agent.fleet_setup.check import before_dive
 
-        run(fleet, robot, out, arm, stop, lossless, view, behaviour)
+        def doubts(read: Fleet) -> str | None:
+            return before_dive(read, robot, fleet, out or Path())
+
+        run(fleet, robot, out, arm, stop, lossless, view, behaviour, doubts)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")

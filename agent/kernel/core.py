@@ -15,13 +15,15 @@ from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.control.target_scheduler import TargetScheduler
 from agent.kernel.coverage.conduct import Conduct
+from agent.kernel.desk.desk import Desk
+from agent.kernel.desk.showing import Showing
 from agent.kernel.estimation.choice import iteration_ns
 from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
 from agent.kernel.lamps.conduct import Lights
-from agent.kernel.messages import SCHEMA, Estimate, Level, Mode, State
+from agent.kernel.messages import SCHEMA, Estimate, Level
 from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.navigation.pursuit import Pursuit
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
@@ -36,7 +38,6 @@ from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepP
 from agent.kernel.target_state import TargetState
 from agent.kernel.topics import next_due_ns
 
-STATE_NS = 200_000_000  # 5 Hz to whoever looks
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -50,8 +51,6 @@ class Agent:
         robot = fleet.robot[name]
         self._fleet, self._robot, self._calibration = fleet, robot, calibration
         self._iteration_ns = {target: iteration_ns(fleet, target) for target in fleet.target}
-        self._say_ns = round(1e9 / fleet.link.send_hz)
-        self._show_ns = STATE_NS // len(fleet.target)
 
         shared = common(fleet)
         self.targets = {target: TargetState(fleet, name, target, incarnation, shared) for target in fleet.target}
@@ -66,10 +65,13 @@ class Agent:
         self.lights = Lights(fleet, name, calibration, incarnation, self.swimmer, self.status.log)
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours, self.survey, self.lights)
         self.net = Net()
+        shown = (self.targets, self.status, self.inbox, self.attitude, self.seek, self.swimmer, self.lights, self.net)
+        self.showing = Showing(*shown)
+        self.desk = Desk(fleet, name, incarnation, self.swimmer, self.lights, self.status.log)
         self._signed = False
 
-        self._iterated_ns = self._say_due_ns = self._show_due_ns = 0
-        self._said = self._shown = 0
+        self._iterated_ns = self._say_due_ns = 0
+        self._said = 0
 
     @property
     def current(self) -> TargetState:
@@ -82,9 +84,9 @@ class Agent:
         `now_ns` never decreases and is later than every time stamp in `inputs`.
         """
         outputs = self.net.step(self, self._step, inputs, now_ns)
-        if not self.net.holds:
-            return outputs
-        return msgspec.structs.replace(outputs, state=self._last_state(now_ns))
+        if self.net.holds:
+            outputs = msgspec.structs.replace(outputs, state=self.showing.last(self.current, now_ns))
+        return self.desk.complete(outputs, inputs.orders, now_ns)
 
     def _step(self, inputs: Inputs, now_ns: int) -> Outputs:
         if self._iterated_ns == 0:
@@ -95,6 +97,7 @@ class Agent:
             for each in self.targets.values():
                 each.estimator.trust(inputs.keys)
         self.inbox.receive(inputs.heard, inputs.refused, self.status, now_ns)
+        self.desk.take(inputs.orders, now_ns)
         for telemetry in inputs.telemetry:
             self.attitude.add(telemetry)
             self.seek.add_telemetry(telemetry)
@@ -115,7 +118,7 @@ class Agent:
         return Outputs(
             sweep=sweep,
             says=self._say(now_ns),
-            state=self._state(now_ns),
+            state=self.showing.state(self._signed, now_ns),
             log=self.status.log.fetch(now_ns),
             set_point=self._set_point(now_ns),
             near=UNSET if self.swimmer is None else self.swimmer.say(self.attitude, now_ns) or UNSET,
@@ -219,11 +222,13 @@ class Agent:
             pursues = self.pursuit.goes_with(self.current, self.seek)
             if self.swimmer.glance(self.seek, level, pursues, now_ns):
                 return None
-        surveys, plan = self.survey.act(self.seek, level, self.status, now_ns)
+        if self.desk.looks(self.seek, now_ns):
+            return None
+        surveys, plan = self.survey.act(self.seek, level, self.status, now_ns) if self.desk.surveys else (False, None)
         if surveys or self.pursuit.look(self.current, self.seek, level, now_ns):
             return plan
         calm = self.swimmer is None or (self.swimmer.calm(now_ns) and self.current.name != self.pursuit.target)
-        wanted = self.current.prior is None and not self._settling and calm
+        wanted = self.current.prior is None and not self._settling and calm and self.desk.wishes.sweeps
         wanted = self.lights.may_sweep(self.seek, self.current, level, wanted, now_ns)
         plan = self.seek.act(now_ns, self.scheduler.target, level, self.current.believed_m, wanted)
         if plan is not None:
@@ -235,43 +240,16 @@ class Agent:
     def _say(self, now_ns: int) -> tuple[Estimate, ...]:
         """Say to each neighbour what there is about each target; at once what was just concluded of one that swims."""
         fresh = self.pursuit.target is not None and self._iterated_ns == now_ns
-        if now_ns < self._say_due_ns - fresh * self._say_ns // 2:
+        say_ns = round(1e9 / (self.desk.wishes.send_hz or self._fleet.link.send_hz))
+        if now_ns < self._say_due_ns - fresh * say_ns // 2:
             return ()
-        self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), self._say_ns, now_ns)
+        self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), say_ns, now_ns)
         self._said += 1
         return tuple(
             target.say(neighbour, self._said, now_ns)
             for target in self.targets.values()
             for neighbour in self._robot.neighbours
         )
-
-    def _state(self, now_ns: int) -> State | None:
-        """One target after the other, so that each is shown at the same rate, however many there are."""
-        if now_ns < self._show_due_ns:
-            return None
-        self._show_due_ns = next_due_ns(self._show_due_ns, self._show_ns, now_ns)
-        target = tuple(self.targets.values())[self._shown % len(self.targets)]
-        self._shown += 1
-        gimbal_deg = self.seek.gimbal_deg()
-        state = self.status.state(target, self.inbox.refused, self.attitude, gimbal_deg, now_ns)
-        mode: Mode = "running" if self.net.fault(now_ns) is None else "degraded"
-        where = UNSET if self.swimmer is None else self.swimmer.localizer.shown(now_ns)
-        does = UNSET if self.swimmer is None else self.swimmer.does
-        target.last_state = msgspec.structs.replace(
-            state, mode=mode, signed=self._signed, whereabouts=where, behaviour=does, lamp=self.lights.shown()
-        )
-        return target.last_state
-
-    def _last_state(self, now_ns: int) -> State | None:
-        """What can be shown while no step succeeds: the newest state there was, and that it is no longer true."""
-        if now_ns < self._show_due_ns or self.current.last_state is None:
-            return None
-        self._show_due_ns = next_due_ns(self._show_due_ns, self._show_ns, now_ns)
-        last, why = self.current.last_state, self.net.fault(now_ns) or ""
-        self.current.last_state = msgspec.structs.replace(
-            last, seq=last.seq + 1, sent_ns=now_ns, mode="degraded", faults=(why,)
-        )
-        return self.current.last_state
 
     def _faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong by the kernel's own account."""
@@ -289,7 +267,8 @@ class Agent:
         light, lamp_us = self.lights.command or (0.0, (centre_us, centre_us))
         servos_us = (*self.seek.pointing.servos_us(now_ns), *lamp_us)
         if self.swimmer is None:
-            return SetPoint(depth_m=self._robot.depth_m, servos_us=servos_us, light=light)
+            depth_m = self.desk.wishes.depth_m or self._robot.depth_m
+            return SetPoint(depth_m=depth_m, servos_us=servos_us, light=light)
         ahead_n, left_n, moment_nm = self.swimmer.thrust(self.attitude.obeys(now_ns), self.current.believed_m, now_ns)
         return SetPoint(
             depth_m=self.swimmer.depth_m(now_ns),

@@ -15,9 +15,10 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.kernel.savepoint import Savepoint
-from agent.kernel.step_io import Heard, Inputs, Outputs, SetPoint
+from agent.kernel.step_io import Heard, Inputs, Ordered, Outputs, SetPoint
 
 Work = Callable[[Inputs, int], Outputs]
+Word = Heard | Ordered  # what others said
 
 REMEMBERED = 64  # payloads that broke a step
 GUILTY = 4  # of one step, at most; then all it heard is left out
@@ -60,7 +61,7 @@ class Net:
             inputs = replace(inputs, keys=self._keys)
         self._keys = UNSET
         if self._refused:
-            inputs = replace(inputs, heard=tuple(h for h in inputs.heard if digest(h) not in self._refused))
+            inputs = only(inputs, tuple(word for word in words(inputs) if digest(word) not in self._refused))
         before = Savepoint(state, apart=self)
         outputs: Outputs | None
         try:
@@ -78,16 +79,16 @@ class Net:
     ) -> Outputs | None:
         """The outputs of the same step without what broke it; None: nothing helped."""
 
-        def attempt(heard: tuple[Heard, ...]) -> Exception | None:
+        def attempt(heard: tuple[Word, ...]) -> Exception | None:
             try:
-                work(replace(inputs, heard=heard), now_ns)
+                work(only(inputs, heard), now_ns)
             except Exception as again:  # noqa: BLE001
                 return again
             finally:
                 before.restore()
             return None
 
-        heard, what = inputs.heard, error
+        heard, what = words(inputs), error
         for _ in range(GUILTY):
             if not heard or attempt(()) is not None:
                 break
@@ -98,10 +99,12 @@ class Net:
                 sound, broken, what = (middle, broken, what) if failure is None else (sound, middle, failure)
             guilty = heard[broken - 1]
             self._refuse(guilty)
-            self._tell(f"{named(what)}, by a message of {guilty.src} of {len(guilty.payload)} bytes, left out", now_ns)
+            self._tell(
+                f"{named(what)}, by a message of {speaker(guilty)} of {len(guilty.payload)} bytes, left out", now_ns
+            )
             heard = heard[: broken - 1] + heard[broken:]
             try:
-                return work(replace(inputs, heard=heard), now_ns)
+                return work(only(inputs, heard), now_ns)
             except Exception as another:  # noqa: BLE001
                 before.restore()
                 what = another
@@ -110,7 +113,7 @@ class Net:
     def _deaf(self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception) -> Outputs | None:
         """The outputs of the step without messages, then without devices; None: the kernel itself is broken."""
         self._tell(f"{named(error)}, in a step whose inputs were left out", now_ns)
-        deaf = replace(inputs, heard=())
+        deaf = only(inputs, ())
         blind = replace(deaf, sightings=(), landmarks=UNSET, flow=UNSET)
         for less in (deaf, blind, Inputs(faults=inputs.faults, keys=inputs.keys)):
             try:
@@ -127,7 +130,7 @@ class Net:
         self._set_point = replace(held, depth_m=SURFACE_M) if self._in_a_row >= SURFACE_AFTER else held
         return Outputs(set_point=self._set_point)
 
-    def _refuse(self, heard: Heard) -> None:
+    def _refuse(self, heard: Word) -> None:
         self._refused[digest(heard)] = None
         while len(self._refused) > REMEMBERED:
             del self._refused[next(iter(self._refused))]
@@ -142,5 +145,20 @@ def named(error: Exception) -> str:
     return f"{type(error).__name__}{': ' if text else ''}{text}"
 
 
-def digest(heard: Heard) -> bytes:
-    return sha256(heard.payload).digest()
+def digest(word: Word) -> bytes:
+    return sha256(word.payload).digest()
+
+
+def words(inputs: Inputs) -> tuple[Word, ...]:
+    """What others said, in the order in which a step takes it in."""
+    return (*inputs.heard, *(inputs.orders or ()))
+
+
+def only(inputs: Inputs, said: tuple[Word, ...]) -> Inputs:
+    """The same inputs with nothing of what others said but that."""
+    orders = tuple(word for word in said if isinstance(word, Ordered))
+    return replace(inputs, heard=tuple(word for word in said if isinstance(word, Heard)), orders=orders or UNSET)
+
+
+def speaker(word: Word) -> str:
+    return word.src if isinstance(word, Heard) else word.console

@@ -21,7 +21,7 @@ class QoS(NamedTuple):
 
 class Topic(NamedTuple):
     name: str
-    key: str  # {fleet}, {src}, {dst}, {robot}, {console} are filled in; [..] is left off where there is nothing to fill in
+    key: str  # {fleet}, {src}, {robot} and so on are filled in; [..] is left off where there is nothing to fill in
     message: type[Message]
     hz: float  # nominal; 0: on events
     qos: QoS

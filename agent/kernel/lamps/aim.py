@@ -37,7 +37,7 @@ class Aim(NamedTuple):
         limits = self.body.pan_limit_deg, self.body.tilt_limit_deg
         turned = [min(max(deg, low), high) for deg, (low, high) in zip((pan, tilt), limits, strict=True)]
         there = all(abs(to - deg) <= BEYOND_DEG for to, deg in zip(turned, (pan, tilt), strict=True))
-        pan_us, tilt_us = (self._us(deg) for deg in turned)
+        pan_us, tilt_us = (self.us(deg) for deg in turned)
         return (pan_us, tilt_us), there
 
     def deg(self, us: tuple[int, int]) -> tuple[float, float]:
@@ -45,7 +45,8 @@ class Aim(NamedTuple):
         pan, tilt = ((pulse - self.body.servo_centre_us) / self.body.servo_us_per_deg for pulse in us)
         return pan, tilt
 
-    def _us(self, deg: float) -> int:
+    def us(self, deg: float) -> int:
+        """The pulse of a servo of its gimbal that is turned so far, us."""
         pulse = round(self.body.servo_centre_us + self.body.servo_us_per_deg * deg)
         return min(max(pulse, LOWEST_US), HIGHEST_US)
 

@@ -55,15 +55,15 @@ class Lights:
         self._fleet, self._name, self._calibration, self._swimmer, self._log = fleet, name, calibration, swimmer, log
         lighting = fleet.lighting
         self._talk = None if lighting is None else Talk(fleet, name, incarnation)
-        self._own = None if lighting is None else OwnLamp(fleet, name, lighting, swimmer)
+        self.own = None if lighting is None else OwnLamp(fleet, name, lighting, swimmer)
         self._wishes: Wishes | None = None
         self._search: LightSearch | None = None
         self._follow: FollowLight | None = None
-        if lighting is not None and self._own is not None and self._talk is not None:
-            self._wishes = Wishes(fleet, name, calibration, swimmer, lighting, self._own, self._talk)
+        if lighting is not None and self.own is not None and self._talk is not None:
+            self._wishes = Wishes(fleet, name, calibration, swimmer, lighting, self.own, self._talk)
             self._search = LightSearch(fleet, name)
             if swimmer is not None and lighting.gain < len(fleet.robot):  # more than all followers are none
-                self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self._own.aim)
+                self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self.own.aim)
         self._granted_ns = self._served_ns = self._retry_ns = 0
         self._swept = False  # a sweep began by the lease
         self._own_shows = True  # the target, as far as it is known where that is
@@ -96,7 +96,7 @@ class Lights:
 
     def judged(self, result: Measurement | Rejected | None, seek: Seek, now_ns: int) -> Measurement | Rejected | None:
         """What became of sweeps: one that ended now waits until all lamps are known not to have changed in it."""
-        if self._talk is None or self._own is None:
+        if self._talk is None or self.own is None:
             return result
         if isinstance(result, Measurement):
             self._pending = result
@@ -106,7 +106,7 @@ class Lights:
             return result
         if (pending := self._pending) is None:
             return None
-        found = self._talk.verdict(self._own.now, now_ns)
+        found = self._talk.verdict(self.own.now, now_ns)
         if found is None:
             return None
         self._pending = None
@@ -140,7 +140,7 @@ class Lights:
 
     def tick(self, attitude: AttitudeLog, now_ns: int) -> None:
         """Leases end and are granted."""
-        if (talk := self._talk) is None or self._own is None:
+        if (talk := self._talk) is None or self.own is None:
             return
         self._served_ns = self._served_ns or now_ns
         before = talk.party.phase
@@ -152,11 +152,11 @@ class Lights:
             self._retry_ns = now_ns + RETRY_NS
         if phase == "holds" and not self._swept and now_ns - self._granted_ns > LOOK_NS:
             self._fail(now_ns)
-        self._own.tick(talk.party, attitude, now_ns)
+        self.own.tick(talk.party, attitude, now_ns)
 
     def may_sweep(self, seek: Seek, target: TargetState, level: Attitude | None, wanted: bool, now_ns: int) -> bool:
         """Whether a sweep may begin now, by light that is at rest; if not, light is asked for where one is wanted."""
-        if (talk := self._talk) is None or self._own is None or not wanted:
+        if (talk := self._talk) is None or self.own is None or not wanted:
             return wanted
         phase = talk.party.phase
         if phase == "holds":
@@ -173,13 +173,13 @@ class Lights:
 
     def began(self, now_ns: int) -> None:
         """A sweep of the target begins with this step."""
-        if (talk := self._talk) is None or self._own is None:
+        if (talk := self._talk) is None or self.own is None:
             return
-        talk.begin(self._own.now, now_ns)
+        talk.begin(self.own.now, now_ns)
         self._swept = True
-        self._assumed, self._burned = lit_by(talk.party), talk.burned(self._own.now)
+        self._assumed, self._burned = lit_by(talk.party), talk.burned(self.own.now)
         there = others(self._fleet, self._name, self._swimmer)
-        self._lamps_m = tuple(self._own.aim.place_m(*there[name]) for name in self._burned if name in there)
+        self._lamps_m = tuple(self.own.aim.place_m(*there[name]) for name in self._burned if name in there)
         if self._name in self._burned:  # from beside the camera: nothing of the disc is dark
             self._lamps_m = ()
 
@@ -187,12 +187,12 @@ class Lights:
         self, seek: Seek, target: TargetState, targets: Mapping[str, TargetState], attitude: AttitudeLog, now_ns: int
     ) -> None:
         """The own lamp as it shall burn from now on, and whether the camera sees by it. target: the camera's."""
-        if self._talk is None or self._own is None:
+        if self._talk is None or self.own is None:
             return
         level = None if attitude.newest is None else attitude.at(attitude.newest.t_ns)
-        keeps, party, now = seek.measuring or self.judging, self._talk.party, self._own.now
+        keeps, party, now = seek.measuring or self.judging, self._talk.party, self.own.now
         follows = None if self._follow is None else self._follow.tick(targets, party, now, seek, level, now_ns)
-        self._own.burn(party, seek, target.believed_m, follows, keeps, attitude, now_ns)
+        self.own.burn(party, seek, target.believed_m, follows, keeps, attitude, now_ns)
         seek.lit_from_ns = self._lit_from(seek.lit_from_ns, follows is not None, now_ns)
         seek.lit_m = None
         if self._search is not None and self._swimmer is None and target.believed_m is None:
@@ -201,20 +201,20 @@ class Lights:
 
     def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
         """What is told to neighbours in this step."""
-        if self._talk is None or self._own is None:
+        if self._talk is None or self.own is None:
             return UNSET
-        return self._talk.say(self._own.now, self._own.dark, now_ns) or UNSET
+        return self._talk.say(self.own.now, self.own.dark, now_ns) or UNSET
 
     @property
     def command(self) -> tuple[float, tuple[int, int]] | None:
         """Power of the own lamp, 0 to 1, and pulses of its gimbal, us; None: no lamps in this fleet."""
-        return None if self._own is None else (self._own.lamp.power, self._own.lamp.us)
+        return None if self.own is None else (self.own.lamp.power, self.own.lamp.us)
 
     def shown(self) -> LampState | UnsetType:
         """For whoever looks."""
-        if self._talk is None or self._own is None:
+        if self._talk is None or self.own is None:
             return UNSET
-        return lamp_state(self._talk.party, self._own.now, self._spoiled)
+        return lamp_state(self._talk.party, self.own.now, self._spoiled)
 
     # --- what it comes from -----------------------------------------------------------------------------------
 
@@ -237,19 +237,19 @@ class Lights:
 
     def _rests(self, now_ns: int) -> bool:
         """All lamps that this robot knows of are at rest, its own by the own lease."""
-        assert self._talk is not None and self._own is not None
-        return self._own.by_own_lease and self._talk.rests(self._own.now, now_ns)
+        assert self._talk is not None and self.own is not None
+        return self.own.by_own_lease and self._talk.rests(self.own.now, now_ns)
 
     def _lit_from(self, before: int | None, follows: bool, now_ns: int) -> int | None:
         """Since when the camera sees by light that is meant for it. follows: by whosever what swims is followed."""
-        assert self._talk is not None and self._own is not None
+        assert self._talk is not None and self.own is not None
         phase = self._talk.party.phase
         if phase == "holds":
             if not self._rests(now_ns):
                 return None
             return before if before is not None and before >= self._granted_ns else now_ns
-        shines = phase != "obeys" and (follows or (self._own.now.power > 0.0 and self._own_shows))
-        return self._own.lamp.steady_ns if shines else None
+        shines = phase != "obeys" and (follows or (self.own.now.power > 0.0 and self._own_shows))
+        return self.own.lamp.steady_ns if shines else None
 
     def _in_vain(self, seek: Seek, target: TargetState, now_ns: int) -> bool:
         """The place that it has had lit shows nothing."""

@@ -18,6 +18,14 @@ FULL_V, EMPTY_V = 14.8, 13.2  # of four cells under light load; the control modu
 LENDS_BELOW = 0.9  # of whichever load is more; above, a robot keeps its light for itself
 
 
+class Lit(NamedTuple):
+    """How somebody has ordered a lamp to burn, until he orders otherwise."""
+
+    light: float  # share of full power
+    pan_deg: float
+    tilt_deg: float
+
+
 class Lamp(NamedTuple):
     """As commanded. Pulses are those of its gimbal, pan and tilt, us."""
 

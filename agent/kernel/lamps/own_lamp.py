@@ -9,7 +9,7 @@ from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.lamps.aim import aim_of, looked_at
 from agent.kernel.lamps.follow_light import Wish
-from agent.kernel.lamps.lamp import LENDS_BELOW, Lamp, cannot, command, load, warmed
+from agent.kernel.lamps.lamp import LENDS_BELOW, Lamp, Lit, cannot, command, load, warmed
 from agent.kernel.lighting.lease import Bound, Party, lit_by
 from agent.kernel.lighting.settings import Lighting
 from agent.kernel.lighting.words import LampNow, Why
@@ -41,6 +41,7 @@ class OwnLamp:
         self._obeyed: Obeyed | None = None
         self._us: tuple[int, int] | None = None  # by the own lease
         self._woke = False
+        self.ordered: Lit | None = None  # by somebody; None: it burns as light is lent
         self.now = LampNow()
 
     @property
@@ -81,6 +82,8 @@ class OwnLamp:
         power, us = self.lamp.power, self.lamp.us
         if level is None or cannot(self.has, self.lamp, telemetry, attitude.silent(now_ns, 0)):
             power = 0.0
+        elif self.ordered is not None:
+            power, us = self._as_ordered(party, self.ordered)
         elif not keeps:
             power, us = self._wanted(party, seek, believed_m, follows, level, now_ns)
         self.lamp = command(self.lamp, power, us, now_ns)
@@ -115,6 +118,15 @@ class OwnLamp:
         power = 1.0 if follows is None or follows.burns else 0.0
         return power, self.lamp.us if near and self.lamp.power else us
 
+    def _as_ordered(self, party: Party, lit: Lit) -> tuple[float, tuple[int, int]]:
+        """It does not change for anybody's lease; whoever has one is told, and own sweeps are made as it burns."""
+        us = self.aim.us(lit.pan_deg), self.aim.us(lit.tilt_deg)
+        self._us = us if party.mine is not None and party.mine.granted else None
+        self._obeyed = None
+        if (bound := party.bound) is not None:
+            self._obeyed = Obeyed((bound.holder, bound.incarnation, bound.lease.number), lit.light, us, "busy")
+        return lit.light, us
+
     def _obey(self, bound: Bound, seek: Seek, level: Attitude) -> Obeyed:
         """By a neighbour's lease: decided once."""
         lease = bound.holder, bound.incarnation, bound.lease.number
@@ -135,6 +147,8 @@ class OwnLamp:
             why = "heat" if lamp.warm >= LENDS_BELOW else "battery"
         if not why and self._speed_m_s(now_ns) > STILL_M_S:
             why = "moves"
+        if not why and self.ordered is not None:
+            why = "busy"
         pan, tilt = self.aim.deg(lamp.us)
         whose = None if party.bound is None else party.bound.holder
         self.now = LampNow(lamp.power, pan, tilt, lamp.changes, lamp.steady(now_ns), used, why, whose)

@@ -30,7 +30,7 @@ def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     for name, robot in fleet.robot.items():
         if (wrong := _outside(fleet, robot.pose.x_m, robot.pose.y_m)) is not None:
             yield f"robot.{name}.pose", wrong
-        if robot.behaviour is not None and (wrong := _wrong_way(fleet, robot.behaviour)) is not None:
+        if robot.behaviour is not None and (wrong := wrong_way(fleet, robot.behaviour)) is not None:
             yield f"robot.{name}.behaviour", wrong
     for (a, one), (b, other) in combinations(fleet.robot.items(), 2):
         key = "behaviour" if isinstance(other.behaviour, Goto) else "pose"
@@ -46,7 +46,7 @@ def _goal(robot: Robot) -> tuple[float, float]:
     return there.x_m, there.y_m
 
 
-def _wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
+def wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
     """Why a robot cannot do that in this tank; None where it can."""
     if isinstance(what, Goto):
         if what.depth_m is not None and what.depth_m > fleet.tank.surface_m:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from agent.kernel.config import Behaviour, Fleet, Hold, Pose
+from msgspec.structs import replace
+
+from agent.kernel.config import Fleet, Pose
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.estimation.choice import pursued
@@ -13,7 +15,6 @@ from agent.kernel.estimation.interface import Posterior
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import STILL as AT_REST
 from agent.kernel.navigation.barrier import TARGET_M, Disc, Planar
-from agent.kernel.navigation.behaviours.behaviour import Progress, reference, start
 from agent.kernel.navigation.company import Company, direly_unsure, pace
 from agent.kernel.navigation.errand import Errand, about, kind
 from agent.kernel.navigation.gimbal_log import GimbalLog
@@ -40,6 +41,7 @@ from agent.kernel.navigation.pose.body_model import Wrench
 from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.navigation.tags.glance import Glance, Sure
 from agent.kernel.navigation.tags.layout import markers
+from agent.kernel.navigation.task import Task
 from agent.kernel.net import SURFACE_M
 from agent.kernel.presence import Presence
 from agent.kernel.ranging.calibration import Calibration, CameraFit
@@ -64,11 +66,9 @@ class Swimmer:
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         robot, self.company = fleet.robot[name], Company(fleet, name, incarnation)
-        self._limits, self._behaviour = fleet.navigation.limits, robot.behaviour or Hold()
+        self._limits, self.task = fleet.navigation.limits, Task(robot)
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
-        pose = robot.pose.x_m, robot.pose.y_m, math.radians(robot.pose.yaw_deg)
         self._swims = pursued(fleet)
-        self._home = pose if robot.behaviour is None else None  # what it holds; None: where it finds itself
         self._depth_m = robot.depth_m
         self._errand = Errand(fleet, calibration)
         self.localizer = Localizer(fleet, calibration)
@@ -77,7 +77,6 @@ class Swimmer:
         self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m, half_deg)
         self._glancing = False
         self._swept_ns = 0  # when a sweep was last seen under way
-        self._progress: Progress | None = None
         self.gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
@@ -98,12 +97,12 @@ class Swimmer:
         fault = None if self._gyro is None else self._gyro.fault(now_ns)
         return (*(() if fault is None else (fault,)), *self.company.neighbours.faults(now_ns))
 
-    def begin(self, behaviour: Behaviour, now_ns: int) -> None:
-        """Do that from now on."""
-        self._behaviour = behaviour
-        here = self.localizer.at(now_ns)
-        if here is not None and self._progress is not None:
-            self._progress = start(here.pose, self._progress.turned, now_ns)
+    def dive(self, depth_m: float) -> None:
+        """Hover there from now on."""
+        self._depth_m = depth_m
+
+    def limit_speed(self, most_m_s: float) -> None:
+        self._limits = replace(self._limits, speed_m_s=most_m_s)
 
     def survey(self, station: tuple[Planar, float] | None) -> None:
         """Where a survey looks from next, and how the body is turned there, rad; None: where it is."""
@@ -112,17 +111,17 @@ class Swimmer:
     @property
     def about(self) -> str | None:
         """The name of the target that its behaviour is about."""
-        return about(self._behaviour)
+        return about(self.task.behaviour)
 
     @property
     def does(self) -> str:
         """Its behaviour in effect, as the fleet file calls it."""
-        return kind(self._errand.does or self._behaviour)
+        return kind(self._errand.does or self.task.behaviour)
 
     def heed(self, target: TargetEstimate | None, seek: Seek, now_ns: int) -> None:
         """What the fleet knows of that target; `seek` is told whether to look everywhere for it."""
         neighbours = self.company.neighbours
-        self._errand.heed(self._behaviour, self._progress, target, neighbours, seek, self._depth_m, now_ns)
+        self._errand.heed(self.task.behaviour, self.task.progress, target, neighbours, seek, self._depth_m, now_ns)
 
     def see(
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
@@ -259,9 +258,8 @@ class Swimmer:
 
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
-        before = self._progress or start(own.pose, 0.0, now_ns, self._home)
         around = self._errand.around and self._errand.around._replace(velocity_m_s=(own.x[3], own.x[4]))
-        to, self._progress = reference(self._behaviour, before, own.pose, now_ns, watched_m, around, self._tank_m)
+        to = self.task.reference(own.pose, now_ns, watched_m, around, self._tank_m)
         if to.coast:
             return STILL
         share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)

@@ -6,6 +6,7 @@ rules of access see it. Observers cannot see queries: the same answer is publish
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 from msgspec import Meta
@@ -15,7 +16,7 @@ from agent.kernel.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, mean
 MAX_ORDER = 4096  # bytes; larger ones are turned away unread
 MAX_WORDS = 200  # characters of an order in words
 
-Arg = float | int | str
+Arg = bool | int | float | str
 
 
 class Order(Message, frozen=True, kw_only=True):
@@ -24,7 +25,7 @@ class Order(Message, frozen=True, kw_only=True):
     schema: Annotated[int, means(NUMBER)] = SCHEMA
     id: Annotated[Count, means("counts the orders of this console, from the ns of its start on")]
     verb: Annotated[str, Meta(max_length=16), means("what to do: docs/orders.md")]
-    args: Annotated[dict[str, Arg], Meta(max_length=16), means("how, by the names in docs/orders.md")] = {}
+    args: Annotated[Mapping[str, Arg], Meta(max_length=16), means("how, by the names in docs/orders.md")] = {}
     seen: Annotated[
         tuple[Count, Count] | None,
         means("incarnation and sent_ns of the robot's State that was looked at; null: for what may come late"),

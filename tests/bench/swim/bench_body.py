@@ -29,7 +29,7 @@ def swum(seed: int, gyro: bool = False) -> tuple[body_fit.Trial, dict[str, float
     with tempfile.TemporaryDirectory() as folder, drawn(of, Path(folder)) as one:
         for _ in range(round(20 * MOST_S)):
             one.step()
-            progress = one.agent.swimmer._progress
+            progress = one.agent.swimmer.task.progress
             if progress is not None:
                 given.append(planar_n(one))
                 asked.append(one.believed.force)
@@ -69,7 +69,7 @@ def gone(seed: int, body: BodyFit | None) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder, drawn(swimming(seed, TO, FROM), Path(folder), body) as one:
         for _ in range(400):  # until it knows where it is; it swims from then on
             one.step()
-            if one.agent.swimmer._progress is not None:
+            if one.agent.swimmer.task.progress is not None:
                 break
         path = one.run(14.0)
     along, off = path[:, 0] - TO.x_m, np.hypot(path[:, 0] - TO.x_m, path[:, 1] - TO.y_m)

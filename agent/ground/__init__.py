@@ -1,0 +1,1 @@
+"""For the people in charge of a running fleet."""
