@@ -54,7 +54,7 @@ class Swarm:
             key: replace(robot, listen=f"{'tls' if secured else 'tcp'}/{relay.address[prefix + key]}:{port}")
             for key, robot in fleet.robot.items()
         }
-        access = Access(keys="keys") if secured else fleet.access
+        access = Access(keys="keys", consoles=("ann",)) if secured else fleet.access
         estimation = replace(fleet.estimation, iteration_s=0.25)
         self.fleet = replace(fleet, fleet=name, robot=robots, access=access, estimation=estimation)
         self.path.write_text(dump(self.fleet))
