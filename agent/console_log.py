@@ -99,7 +99,7 @@ def standing(state: State) -> str:
         place += f", sigma {1e3 * state.posterior_sigma_m:.1f} mm" if state.posterior_sigma_m is not None else ""
     wrong = [fault_kind(fault) for fault in state.faults]  # the log has their words
     motors = [MOTORS[state.armed]] if state.armed is not None else []
-    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong])
+    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong, *(state.ordered or ())])
     return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(rest)}"
 
 

@@ -15,7 +15,18 @@ from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine, Mode
-from agent.kernel.step_io import BlockPeaks, Flow, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan, Telemetry
+from agent.kernel.step_io import (
+    BlockPeaks,
+    Flow,
+    Inputs,
+    Outputs,
+    SeenTags,
+    SetPoint,
+    Sighting,
+    SweepPlan,
+    TargetBox,
+    Telemetry,
+)
 from agent.kernel.step_io import Motors as MotorOrder
 
 STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
@@ -67,17 +78,20 @@ class Runtime:
         sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
         keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
         landmarks: Callable[[], Around] = lambda: ((), ()),
+        draw: Callable[[TargetBox], str | None] = lambda box: "nobody looks",
+        preview_hz: Callable[[float], None] = lambda hz: None,
     ) -> None:
         """`faults`: what is wrong now with what the agent does not see, each as "kind: what"; it goes into the step,
         and from there into State and the log. `motors`: who switches them as is ordered; None: nobody. `sign`: what it
         says as it shall leave; the recording has it as the kernel gave it. `keys`: the robots' public keys at the first
         call and when they have changed, else None. `landmarks`: what frames showed of tags, and how points of key
-        frames moved, since the last call.
+        frames moved, since the last call. `draw`: a box around a target, as somebody drew it; returns why not.
+        `preview_hz`: how often pictures are shown from now on.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
         self._faults, self._motors, self._sign, self._keys = faults, motors, sign, keys
-        self._landmarks = landmarks
+        self._landmarks, self._draw, self._preview_hz = landmarks, draw, preview_hz
         self._broken: dict[str, str] = {}  # parts that raised when they were last asked
 
     def run(self, stop: Event) -> None:
@@ -139,6 +153,12 @@ class Runtime:
             self._part("sweeps", lambda: self._eyes.plan(sweep))
         if (lens := outputs.lens) is not UNSET:
             self._part("lens", lambda: self._eyes.rest(lens))
+        if (drawn := outputs.box) is not UNSET:
+            why = self._part("box", lambda: self._draw(drawn))
+            if why is not None:
+                self._log("warning", f"box of '{drawn.target}': {why}", now_ns)
+        if (hz := outputs.preview_hz) is not UNSET:
+            self._part("previews", lambda: self._preview_hz(hz))
         if (answers := outputs.answers) is not UNSET:
             self._part("answers", lambda: self._network.answer(answers))
         self._part("words", lambda: self._say(outputs))

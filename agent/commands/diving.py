@@ -36,6 +36,7 @@ def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
+    secure: Annotated[bool, typer.Option("--secure", help="All links are TLS, with certificates of this run.")] = False,
 ) -> None:
     """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report.
 
@@ -48,7 +49,7 @@ def demo(
     from agent.progress import with_spinner
     from replay.report.report import report
 
-    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed)
+    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed, secure)
     with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
         page = report(run, depth=sweep_depth)
     terminal().print(f"{verdict(summary)}. Look at {page}; recordings are beside it")

@@ -106,7 +106,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")
     if not fleet.secured:
-        yield Finding("ok", "fleet", "open: who reaches a port can read it and speak as any robot; see docs/keys.md")
+        yield Finding("ok", "fleet", "open: who reaches a port can read it and speak as any robot; see docs/access.md")
 
 
 def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:

@@ -16,11 +16,11 @@ HANGS = (
 NO_TLS = "is no agent of a secured fleet: something else has that port; end it, or give the robot another port"
 
 PORT = {
-    errno.ECONNREFUSED: "nobody listens there: start its agent, or compare listen in its fleet file with ours",
-    errno.EHOSTUNREACH: "no way to that computer: is it on, is the cable in, is the address right",
-    errno.ENETUNREACH: "no way to that network: give this computer an address in it, or correct listen",
+    errno.ECONNREFUSED: "nobody listens there; start its agent, or compare listen in its fleet file with ours",
+    errno.EHOSTUNREACH: "no way to that computer; look whether it is on and its cable in, and compare the address",
+    errno.ENETUNREACH: "no way to that network; give this computer an address in it, or correct listen",
 }
-SILENT = "no answer in a second: its computer is off, a firewall drops the call, or the address in listen is wrong"
+SILENT = "no answer in a second; look whether its computer is on, a firewall is in between, or listen is wrong"
 
 # Of the robot's certificate, as we see it: a part of what OpenSSL says -> what is wrong with it.
 THEIRS = {
@@ -28,7 +28,7 @@ THEIRS = {
     "self-signed certificate": "its certificate is of another authority than our ca.pem; {copy}",
     "certificate signature failure": "its certificate is of another authority than our ca.pem; {copy}",
     "certificate has expired": "its certificate has expired by our clock ({now}); {renew}",
-    "certificate is not yet valid": "its certificate is not valid yet by our clock ({now}): set that, or {renew}",
+    "certificate is not yet valid": "its certificate is not valid yet by our clock ({now}); set that, or {renew}",
     "mismatch": "its certificate is not for {host}, where it listens; {renew}",
     "certificate purpose": "its certificate is not for listening (it lacks serverAuth); {renew}",
 }
@@ -40,7 +40,7 @@ OURS = {
     "CERTIFICATE_REQUIRED": "wants a certificate, and we showed none; copy one here, and name it with --as",
     "UNKNOWN_CA": "does not know the authority of our certificate; {copy}",
     "DECRYPT_ERROR": "our certificate is of another authority, of the same name as its own; {copy}",
-    "CERTIFICATE_EXPIRED": "holds our certificate for expired or not valid yet: set its clock, or renew ours",
+    "CERTIFICATE_EXPIRED": "holds our certificate for expired or not valid yet; set its clock, or renew ours",
     "UNSUPPORTED_CERTIFICATE": "our certificate is not for dialling (it lacks clientAuth); {renew}",
 }
 

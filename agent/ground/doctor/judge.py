@@ -25,13 +25,15 @@ def _robot(fleet: Fleet, facts: Facts, name: str, expected: Said) -> Iterator[Fi
         text = f"its port answers, but no link came about in {LISTEN_S:.0f} s: its agent hangs, or it is no agent"
         yield Finding("wrong", name, f"{text}; start it again, and look what listens there: ss -ltnp")
         return
-    if link is not None:
-        yield from _who(fleet, facts, name, link.session)
     shown = facts.shown.get(link.session) if link is not None else None
-    differs = list(_differences(name, shown, expected)) if shown else []
-    yield from differs
+    reasons = [
+        *(_who(fleet, facts, name, link.session) if link is not None else ()),
+        *(_differences(name, shown, expected) if shown is not None else ()),
+    ]
+    yield from reasons
     if state is None:
-        yield _mute(fleet, facts, name, shown, bool(differs))
+        if not any(reason.level == "wrong" for reason in reasons):  # else that is to be mended first
+            yield _mute(fleet, facts, name, shown)
         return
     if lost := facts.lost.get(name):
         times = "" if lost == 1 else f" {lost} times"
@@ -69,21 +71,17 @@ def _differences(name: str, shown: Shown, expected: Said) -> Iterator[Finding]:
         text = f"has other access rules (their digest is {said['rules']}, by our file {expected['rules']}): [access],"
         yield Finding("wrong", name, f"{text} neighbours or targets differ; {SAME}")
     if said.get("version") != expected["version"]:
-        text = (
-            f"runs version {said.get('version', 'before 0.1')}, this is {expected['version']}; install one everywhere"
-        )
-        yield Finding("warning", name, text)
+        theirs = f"version {said['version']}" if "version" in said else "an older version"
+        yield Finding("warning", name, f"runs {theirs}, and this is {expected['version']}; install one everywhere")
 
 
-def _mute(fleet: Fleet, facts: Facts, name: str, shown: Shown | None, differs: bool) -> Finding:
+def _mute(fleet: Fleet, facts: Facts, name: str, shown: Shown | None) -> Finding:
     """Linked, and nothing comes."""
     if name in facts.unreadable:
         text = f"its states cannot be read ({facts.unreadable[name]}); use one version of aucamp everywhere"
         return Finding("wrong", name, text)
     nothing = f"is linked, but showed nothing in {LISTEN_S:.0f} s"
     announced = any(agent.session == facts.links[name].session for agent in facts.agents)
-    if differs:
-        return Finding("wrong", name, f"{nothing}, which the line above explains")
     if shown is not None or not fleet.secured:
         what = "its loop hangs" if announced else "no agent of a robot, or one whose loop hangs"
         return Finding("wrong", name, f"{nothing}: {what}; start it again")
@@ -96,7 +94,5 @@ def _strangers(fleet: Fleet, facts: Facts) -> Iterator[Finding]:
     known = {link.session for link in facts.links.values()}
     for agent in sorted(facts.agents):
         if agent.session not in known and agent.robot not in fleet.robot and agent.fleet == fleet.fleet:
-            text = (
-                f"an agent calls itself {agent.robot} of this fleet, and the file has no such robot; end it, or add it"
-            )
+            text = f"an agent calls itself {agent.robot}, and the file has no such robot; end it, or add it"
             yield Finding("warning", "fleet", text)

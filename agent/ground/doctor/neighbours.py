@@ -54,7 +54,7 @@ def _why(fleet: Fleet, facts: Facts, a: str, b: str) -> str:
     ends = [facts.shown[facts.links[name].session] for name in (a, b) if _is_shown(facts, name)]
     sessions = {facts.links[name].session for name in (a, b) if name in facts.links}
     if not ends:
-        return f"compare their fleet files, and look from {b}'s computer: aucamp doctor FLEET --as {b}"
+        return f"they have no link, or other rules; look from {b}'s computer: aucamp doctor FLEET --as {b}"
     if any(end.linked & sessions for end in ends):
         return "they are linked, so their rules or fleet files differ; give both the same, and start them again"
     where = fleet.robot[a].listen

@@ -26,7 +26,6 @@ class Probed(NamedTuple):
     cause: str | None = None  # why nothing can come of a link, and what to do; None: it may be dialled
     name: str = ""  # whose certificate it is, by its common name; empty: none was shown
     ends: datetime | None = None  # when that expires
-    known: bool = True  # False: it could not be seen whether it takes our certificate, for we have none
 
 
 def context(authority: str, pair: tuple[str, str] | None) -> ssl.SSLContext:
@@ -63,7 +62,7 @@ def _shake_hands(dialled: socket.socket, host: str, trust: ssl.SSLContext, shown
             told: Any = link.getpeercert()  # it was verified, so it is there
             name = next((value for part in told["subject"] for key, value in part if key == "commonName"), "")
             ends = datetime.fromtimestamp(ssl.cert_time_to_seconds(told["notAfter"]), UTC)
-            return Probed(_refusal(link, shown, deadline_s), name, ends, known=shown)
+            return Probed(_refusal(link, shown, deadline_s), name, ends)
     except ssl.SSLCertVerificationError as error:
         return Probed(theirs(error.verify_message, host, datetime.now(UTC)))
     except TimeoutError:

@@ -158,6 +158,20 @@ def test_nobody_but_a_console_reads_who_is_linked_with_whom(either: tuple[Fleet,
             assert sessions and "links" in sessions[0]
 
 
+def test_people_are_told_of_those_who_are_linked_and_have_no_business_here(secured: Secured) -> None:
+    """What the rules turn away they turn away in silence; whom they turn it away from can be named."""
+    fleet, keys = secured
+    with Transport(fleet, "r1", time.time_ns, keys) as r1:
+        where = fleet.robot["r1"].listen
+        with opened(client(where, keys, "r2")), opened(client(where, keys, "recorder")):
+            with opened(client(where, keys, STRANGER)), opened(client(where, keys, "r3")):
+                until(lambda: len(r1.faults()) == 2)
+                eve, r3 = r1.faults()
+                assert eve.startswith("stranger: eve is linked to us, is believed nothing and told nothing: its cert")
+                assert r3.startswith("stranger: r3 is linked to us, is believed nothing and told nothing, for it is no")
+            until(lambda: r1.faults() == ())
+
+
 def _ask(session: zenoh.Session) -> list[str]:
     return [reply.ok.payload.to_string() for reply in session.get("@/*/peer", timeout=0.5) if reply.ok]
 
