@@ -57,6 +57,7 @@ class Facts(NamedTuple):
     lost: Mapping[str, int]  # links to a robot that went while we listened
     agents: frozenset[Agent]
     states: Mapping[str, State]  # the newest of each robot
+    missed: Mapping[tuple[str, str], int]  # messages that a robot missed of another while we listened
     late_ns: Mapping[str, int]  # arrival by our clock minus sending by the robot's, the smallest of all its states
     unreadable: Mapping[str, str]  # states that cannot be read: why
     shown: Mapping[str, Shown]  # by session
@@ -70,6 +71,7 @@ def listen(fleet: Fleet, looker: Looker, robots: Collection[str], now_ns: Callab
     tokens: deque[tuple[Agent, bool]] = deque(maxlen=4096)
     lost: list[Link] = []
     states, late_ns, unreadable = dict[str, State](), dict[str, int](), dict[str, str]()
+    gaps: dict[tuple[str, str, str], list[int]] = {}  # robot, target, neighbour -> at first, at last
 
     def state(sample: Sample) -> None:
         at_ns = now_ns()
@@ -90,6 +92,8 @@ def listen(fleet: Fleet, looker: Looker, robots: Collection[str], now_ns: Callab
             except Refusal as refusal:
                 unreadable[robot] = str(refusal)
                 continue
+            for near in said.neighbours:
+                gaps.setdefault((robot, said.target, near.robot), [near.gaps, 0])[1] = near.gaps
             late_ns[robot] = min(at_ns - said.sent_ns, late_ns.get(robot, at_ns - said.sent_ns))
 
     with Session(looker.config, f"fleet '{fleet.fleet}'") as session:
@@ -107,7 +111,10 @@ def listen(fleet: Fleet, looker: Looker, robots: Collection[str], now_ns: Callab
         links = _by_robot(fleet, session.links())
     whose = {address: name for name, robot in fleet.robot.items() for address in endpoints(robot.listen)}
     went = Counter(whose[link.address] for link in lost if link.address in whose)
-    return Facts(links, went, _there(tokens), states, late_ns, unreadable, shown, stamps)
+    missed = Counter[tuple[str, str]]()
+    for (robot, _, other), (first, last) in gaps.items():
+        missed[robot, other] += last - first
+    return Facts(links, went, _there(tokens), states, missed, late_ns, unreadable, shown, stamps)
 
 
 def endpoints(listen: str) -> list[str]:
