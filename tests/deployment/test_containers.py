@@ -3,7 +3,6 @@
 import re
 import shlex
 import tomllib
-from pathlib import Path
 
 import pytest
 import typer.main
@@ -12,8 +11,8 @@ import yaml
 from agent.__main__ import app
 from agent.fleet_setup.init import write_fleet
 from agent.kernel.fleet_reader import load_fleet
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))
 SERVICES = COMPOSE["services"]
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
