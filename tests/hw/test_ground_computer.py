@@ -10,8 +10,10 @@ import pytest
 import typer.main
 
 from agent.__main__ import app
+from agent.fleet_setup.files import OPEN_FILES
 from agent.fleet_setup.init import write_fleet
 from agent.kernel.fleet_reader import load_fleet
+from replay.files.log import CLOSE_S
 from tests.places import ROOT
 
 FOLDER = ROOT / "hw" / "ground_computer"
@@ -83,7 +85,8 @@ def test_it_writes_where_it_may_and_finds_its_devices(tmp_path: Path) -> None:
 def test_a_crash_starts_it_again_at_once_and_without_end() -> None:
     assert settings("Restart") == ["on-failure"] and settings("StartLimitIntervalSec") == ["0"]
     assert float(settings("RestartSec")[0]) < 3.0, "the control module surfaces after so long without its agent"
-    assert float(settings("TimeoutStopSec")[0]) > 10.0, "as long as a recording may take to end"
+    assert float(settings("TimeoutStopSec")[0]) > CLOSE_S, "as long as a recording may take to end"
+    assert int(settings("LimitNOFILE")[0]) >= OPEN_FILES
 
 
 def test_the_firewall_opens_the_ports_of_a_new_fleet(tmp_path: Path) -> None:

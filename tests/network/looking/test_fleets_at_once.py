@@ -12,10 +12,11 @@ import msgspec
 import pytest
 
 from agent.kernel.codec import decode
-from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.config import Access, ConfigError, Fleet
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
-from agent.observing.at_once import at_once, load_fleets, recordings_of
+from agent.keys.make import make_all
+from agent.observing.at_once import at_once, keys_of, load_fleets, recordings_of
 from agent.transport import Transport
 from replay.files.log import info, read
 from tests.places import ROOT
@@ -26,10 +27,12 @@ PAIR = {"r1": ("r2",), "r2": ("r1",)}
 
 @pytest.fixture
 def fleets(make_fleet, tmp_path: Path) -> dict[str, Fleet]:
-    """Three fleets whose robots have the same names, in files."""
+    """Three fleets whose robots have the same names, in files; "west" has certificates."""
     made = {}
     for name in ("east", "west", "empty"):
         made[name] = msgspec.structs.replace(make_fleet(PAIR), fleet=name)
+        if name == "west":
+            made[name] = secured(made[name], tmp_path / "west_keys")
         (tmp_path / f"{name}.toml").write_text(dump(made[name]))
     return made
 
@@ -44,8 +47,8 @@ def test_each_fleet_has_a_recording_of_its_own(fleets, state, tmp_path: Path) ->
         recorder = stack.enter_context(subprocess.Popen(command, cwd=ROOT, **piped))
         stack.callback(recorder.kill)
         robots = [
-            (name, stack.enter_context(Transport(fleets[name], robot, time.time_ns)), robot)
-            for name in ("east", "west")
+            (name, stack.enter_context(Transport(fleets[name], robot, time.time_ns, keys)), robot)
+            for name, keys in (("east", None), ("west", tmp_path / "west_keys"))
             for robot in PAIR
         ]
 
@@ -72,6 +75,25 @@ def test_each_fleet_has_a_recording_of_its_own(fleets, state, tmp_path: Path) ->
         keys = [channel for channel in about.channels if channel.startswith("/zenoh/")]
         assert keys and all(key.startswith(f"/zenoh/aucamp/{name}/") for key in keys)
         assert {decode(data, State).fleet for data in states(out / f"{name}.mcap")} == {name}
+
+
+def secured(fleet: Fleet, keys: Path) -> Fleet:
+    replace = msgspec.structs.replace
+    robots = {name: replace(robot, listen=robot.listen.replace("tcp/", "tls/")) for name, robot in fleet.robot.items()}
+    fleet = replace(fleet, robot=robots, access=Access(keys=keys.name))
+    make_all(fleet, keys)
+    return fleet
+
+
+def test_one_folder_of_keys_is_not_that_of_several_fleets(fleets, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("AUCAMP_KEYS", str(tmp_path / "west_keys"))
+    both = load_fleets([tmp_path / "east.toml", tmp_path / "west.toml"])
+    with pytest.raises(ConfigError, match="AUCAMP_KEYS names the keys of one fleet"):
+        keys_of(both, "recorder")
+    alone = load_fleets([tmp_path / "west.toml"])
+    assert keys_of(alone, "recorder") == {tmp_path / "west.toml": tmp_path / "west_keys"}
+    monkeypatch.delenv("AUCAMP_KEYS")
+    assert list(keys_of(both, "recorder").values()) == [None, tmp_path / "west_keys"]
 
 
 def states(path: Path) -> list[bytes]:
