@@ -39,7 +39,7 @@ ROUNDS = 7  # of each kind, one after the other
 PINGS, PUTS = 300, 1500
 SIZE, LARGE = 600, 25_000  # bytes: an estimate, a picture
 TEN = tuple(f"r{k}" for k in range(1, 11))
-STARTS = 7
+STARTS = 5
 
 Pair = tuple[zenoh.Session, zenoh.Session]
 
@@ -57,7 +57,8 @@ def run() -> dict[str, dict]:
         rows |= seconds("access_every_row", [every_row_s(*fleets["tls"]) for _ in range(ROUNDS)])
         rows |= seconds("access_renewed", [renewed_s(*fleets["tls"]) for _ in range(3)])
         tens = {kind: ten(Path(folder) / f"ten_{kind}", kind, ports) for kind in fleets}
-        return rows | figures("access_start_of_ten", "s", 1.0, in_turns(tens, start_s, STARTS))
+        rows |= figures("access_links_of_ten", "s", 1.0, in_turns(tens, partial(start_s, ready=True), STARTS))
+        return rows | figures("access_start_of_ten", "s", 1.0, in_turns(tens, partial(start_s, ready=False), STARTS))
 
 
 def in_turns(of: dict, measure: Callable, rounds: int = ROUNDS) -> dict[str, list[float]]:
@@ -207,15 +208,33 @@ def renewed_s(fleet: Fleet, keys: Path) -> float:
         return time.perf_counter() - began_s
 
 
-def start_s(path: Path) -> float:
-    """From the start of ten processes until each has heard all others."""
+def start_s(path: Path, ready: bool) -> float:
+    """Until each of ten processes has heard all others: from their start, or, `ready`, from when all have loaded what
+    they need and open their links."""
     began_s = time.perf_counter()
     command = [sys.executable, "-m", "tests.bench.network.one_of_ten", str(path)]
     pipe = subprocess.PIPE
     peers = [subprocess.Popen([*command, n], stdin=pipe, stdout=pipe, text=True, cwd=ROOT) for n in TEN]
-    try:
+
+    def told(word: str) -> None:
         for peer in peers:
-            assert peer.stdout is not None and peer.stdout.readline() == "all\n"
+            assert peer.stdout is not None and peer.stdout.readline() == f"{word}\n"
+
+    def go() -> None:
+        for peer in peers:
+            assert peer.stdin is not None
+            peer.stdin.write("go\n")
+            peer.stdin.flush()
+
+    try:
+        if ready:
+            told("ready")
+            began_s = time.perf_counter()
+            go()
+        else:
+            go()
+            told("ready")
+        told("all")
         return time.perf_counter() - began_s
     finally:
         for peer in peers:
