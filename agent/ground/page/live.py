@@ -1,0 +1,121 @@
+"""A running fleet on the page: what its robots show, orders to them, and a recording of it from this process."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Callable, Mapping
+from functools import partial
+from threading import Event
+from typing import Any
+
+import msgspec
+
+from agent.clock import machine
+from agent.clock.clock import Clock
+from agent.ground.page.board import Board
+from agent.ground.page.record import Recording
+from agent.ground.page.rows import LINES, Rows, text
+from agent.kernel.codec import Refusal
+from agent.kernel.config import Fleet
+from agent.kernel.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
+from agent.transport import Observer, Received
+
+logger = logging.getLogger(__name__)
+
+SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
+PERIOD_S = 0.05  # of the wall, between two looks at what has arrived
+CLOCK_S = 0.5  # of the wall, between two notes of what time it is in the fleet
+UNDER_WAY = 16  # orders that wait for answers at a time
+EVERYBODY = "*"
+
+
+class Wish(msgspec.Struct, frozen=True, kw_only=True):
+    """An order as a page asks for it."""
+
+    robot: str
+    verb: str
+    args: dict[str, bool | int | float | str] = {}
+    seen: tuple[str, str] | None = None  # incarnation and sent_ns of the State that was looked at, as they came
+
+
+Reply = tuple[str, bool, str]  # robot, whether it is done or under way, why not
+Give = Callable[[str, str, Mapping[str, Any], tuple[int, int] | None], list[Reply]]
+
+
+class Live:
+    """Takes what a fleet shows to the board, and what pages ask for to where it goes."""
+
+    def __init__(
+        self, fleet: Fleet, board: Board, clock: Clock, give: Give | None = None, recording: Recording | None = None
+    ) -> None:
+        """`give` gives an order and waits for the replies; None: nobody may. `recording`; None: nothing records."""
+        self._fleet, self._board, self._clock = fleet, board, clock
+        self._give, self._recording = give, recording
+        self._rows, self._numbers = Rows(fleet), itertools.count(1)
+        self._under_way: set[asyncio.Task[None]] = set()
+
+    async def run(self, observer: Observer, stop: Event) -> None:
+        """Until `stop` is set."""
+        said_s = machine.monotonic_s() - CLOCK_S
+        while not stop.is_set():
+            for received in observer.drain():
+                self._take(received)
+            if (now_s := machine.monotonic_s()) - said_s >= CLOCK_S:
+                said_s = now_s
+                self._say_time()
+            await asyncio.sleep(PERIOD_S)
+
+    def _take(self, received: Received) -> None:
+        topic, chunks, payload, _ = received
+        key = self._rows.key(topic, chunks)
+        if key is None:
+            return
+        if topic.message not in LINES:
+            self._board.show(key, partial(self._rows.message, topic, chunks, payload))
+            return
+        try:
+            self._board.say(self._rows.message(topic, chunks, payload))
+        except Refusal:
+            self._board.refused += 1
+
+    def _say_time(self) -> None:
+        note = {
+            "k": "clock",
+            "now_ms": self._clock.now_ns() * 1e-6,
+            "rate": self._clock.rate(),
+            "refused": self._board.refused,
+            "recording": self._recording.note() if self._recording else None,
+        }
+        self._board.show("clock", lambda: text(note))
+
+    async def heard(self, message: dict[str, Any]) -> None:
+        """What a page says. What none of ours would say is passed over."""
+        if self._recording and isinstance(on := message.get("record"), bool):
+            (self._recording.start if on else self._recording.stop)()
+            self._say_time()
+        if self._give is None or "order" not in message or len(self._under_way) >= UNDER_WAY:
+            return
+        try:
+            wish = msgspec.convert(message["order"], Wish)
+            seen = None if wish.seen is None else (int(wish.seen[0]), int(wish.seen[1]))
+        except (msgspec.ValidationError, ValueError):
+            return
+        if wish.robot == EVERYBODY or wish.robot in self._fleet.robot:
+            task = asyncio.create_task(self._order(self._give, wish, seen))
+            self._under_way.add(task)
+            task.add_done_callback(self._under_way.discard)
+
+    async def _order(self, give: Give, wish: Wish, seen: tuple[int, int] | None) -> None:
+        """Give it in a thread of its own, since it waits, and say on every page what came of it."""
+        asked = list(self._fleet.robot) if wish.robot == EVERYBODY else [wish.robot]
+        note = {"n": next(self._numbers), "verb": wish.verb, "args": wish.args, "asked": asked}
+        self._board.say(text({"k": "order", **note, "at_ms": self._clock.now_ns() * 1e-6}))
+        try:
+            replies, trouble = await asyncio.to_thread(give, wish.robot, wish.verb, wish.args, seen), ""
+        except Refusal as refusal:  # before it went out
+            replies, trouble = [], str(refusal)
+        answered = {robot for robot, *_ in replies}
+        silent = [] if trouble else [robot for robot in asked if robot not in answered]
+        self._board.say(text({"k": "outcome", **note, "replies": replies, "silent": silent, "trouble": trouble}))
