@@ -21,6 +21,7 @@ from agent.commands import (
     exporting,
     looking,
     operating,
+    ordering,
     reconstructing,
     replaying,
     seeing,
@@ -39,6 +40,7 @@ app = typer.Typer(
 )
 app.add_typer(diving.app)
 app.add_typer(operating.app)
+app.add_typer(ordering.app)
 app.add_typer(looking.app)
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")

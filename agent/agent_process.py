@@ -20,14 +20,15 @@ from agent.kernel.core import Agent
 from agent.kernel.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.kernel.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
 from agent.kernel.ranging.calibration import Calibration, load_calibration
-from agent.kernel.step_io import Sighting
+from agent.kernel.step_io import Sighting, TargetBox
 from agent.keys.fleet_certificates import credentials
 from agent.keys.robot_keys import RobotKeys, robot_keys
-from agent.perception.detection.detectors import Detector, colours_too_alike, load_detectors
+from agent.perception.detection.detectors import BoxDetector, Detector, colours_too_alike, load_detectors
 from agent.perception.enhancement.enhance import default
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.preview import Preview
+from agent.perception.tracking.box import Box
 from agent.perception.vision import Vision
 from agent.pictures.recorded_depth import sweep_depth
 from agent.runtime import Runtime, say_goodbye
@@ -35,6 +36,7 @@ from agent.transport import Transport
 from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
 from hw.stm32.driver import Stm32
+from hw.stm32.motors import Motors
 from hw.stm32.port import open_port_path
 from hw.twin.devices.twin_folder import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
@@ -43,7 +45,6 @@ from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 
 OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
-GIVEN_UP = "to start them, put right what stopped them, end this agent and start it again with --arm"
 
 
 class Setup(NamedTuple):
@@ -140,7 +141,8 @@ class AgentProcess:
         """The camera's thread, and previews of what it sees."""
         fleet, name = self._setup.fleet, self._setup.name
         enhancer = self._open_enhancer() if fleet.camera.enhance else None
-        self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer)
+        boxes = any(target.detector == "box" for target in fleet.target.values())
+        self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer, keep=boxes)
         swims, known = fleet.navigation, self._setup.calibration
         self._landmarks = LandmarkWatch(known.camera, known.focus, swims.follow_hz) if swims else None
         self._eyes = Vision(
@@ -168,15 +170,14 @@ class AgentProcess:
 
     def runtime(self, arm: bool) -> Runtime:
         """The loop over all of this."""
-        keys = self._setup.keys
+        keys, motors = self._setup.keys, Motors(self._module, arm)
 
         def faults() -> tuple[str, ...]:
-            given_up = GIVEN_UP if arm and not self._module.wants_armed else None
             found = {
                 "not recording": self.log.fault,
                 "no camera": self._eyes.fault,
                 "frames frozen": self._eyes.frozen,
-                "motors off": given_up,
+                "motors off": motors.fault(),
                 "keys": keys.fault(),
             }
             return (*(f"{kind}: {what}" for kind, what in found.items() if what), *self._link.faults())
@@ -190,11 +191,21 @@ class AgentProcess:
             self._box.step,
             self._clock,
             faults=faults,
-            resume=self._module.arm if arm else lambda: None,
+            motors=motors,
             sign=keys.sign,
             keys=keys.changed,
             landmarks=self._landmarks.drain if self._landmarks else lambda: ((), ()),
+            draw=self._draw,
+            preview_hz=self._preview.set_rate,
         )
+
+    def _draw(self, drawn: TargetBox) -> str | None:
+        """Have vision look for what is in a box of a frame that was shown. Returns why not."""
+        image, detector = self._preview.frame(drawn.frame), self._setup.detectors[drawn.target]
+        if image is None or not isinstance(detector, BoxDetector):
+            return f"frame {drawn.frame} was not shown, or too long ago; draw it in a newer picture"
+        detector.expect(image, Box(*drawn.box))
+        return None
 
     def _open_enhancer(self) -> OnDemandEnhancer:
         way = default()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from threading import Thread
 from types import TracebackType
@@ -14,9 +14,10 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Estimate, Image, LogLine, State
+from agent.kernel.orders.words import Answer
 from agent.kernel.presence import Presence
 from agent.kernel.status import fault_kind
-from agent.kernel.step_io import DroppedPayloads, Heard
+from agent.kernel.step_io import DroppedPayloads, Heard, Ordered
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands
@@ -29,6 +30,8 @@ class Network(Protocol):
     def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]: ...
     def say(self, message: Estimate | Presence | Claim | Keyframe | Light) -> None: ...
     def show(self, message: State | LogLine | Image) -> None: ...
+    def orders(self) -> tuple[Ordered, ...]: ...
+    def answer(self, answers: Sequence[Answer]) -> None: ...
 
 
 class ConsoleLog:
@@ -39,7 +42,7 @@ class ConsoleLog:
     """
 
     def __init__(self, network: Network, write: Callable[[str], object]) -> None:
-        self.drain, self.say = network.drain, network.say
+        self.drain, self.say, self.orders, self.answer = network.drain, network.say, network.orders, network.answer
         self._network, self._write = network, write
         self._lines: queue.Queue[str | None] = queue.Queue(WAITING)
         self._stood_ns: dict[str, int] = {}  # target -> when it was last said where we stand
@@ -96,7 +99,7 @@ def standing(state: State) -> str:
         place += f", sigma {1e3 * state.posterior_sigma_m:.1f} mm" if state.posterior_sigma_m is not None else ""
     wrong = [fault_kind(fault) for fault in state.faults]  # the log has their words
     motors = [MOTORS[state.armed]] if state.armed is not None else []
-    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong])
+    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong, *(state.ordered or ())])
     return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(rest)}"
 
 

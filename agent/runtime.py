@@ -15,9 +15,19 @@ from agent.console_log import Network
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
 from agent.kernel.messages import MAX_TEXT, Estimate, Level, LogLine, Mode
-from agent.kernel.step_io import BlockPeaks, Flow, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan, Telemetry
-from hw.firmware import wire
-from hw.firmware.failsafe import SURFACE
+from agent.kernel.step_io import (
+    BlockPeaks,
+    Flow,
+    Inputs,
+    Outputs,
+    SeenTags,
+    SetPoint,
+    Sighting,
+    SweepPlan,
+    TargetBox,
+    Telemetry,
+)
+from agent.kernel.step_io import Motors as MotorOrder
 
 STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 SLACK_S = 0.025  # how late a step may come before a dive's clock waits for it
@@ -43,6 +53,13 @@ class ControlModule(Protocol):
     def send(self, set_point: SetPoint, now_ns: int) -> None: ...
 
 
+class MotorSwitch(Protocol):
+    """Whether motors shall turn, and seeing to it; nothing waits."""
+
+    def feel(self, told: Sequence[Telemetry], now_ns: int) -> None: ...
+    def obey(self, ordered: MotorOrder, now_ns: int) -> None: ...
+
+
 class Runtime:
     """One robot's agent between its devices, its network and its recording."""
 
@@ -57,21 +74,24 @@ class Runtime:
         clock: Clock,
         *,
         faults: Callable[[], tuple[str, ...]] = tuple,
-        resume: Callable[[], None] = lambda: None,
+        motors: MotorSwitch | None = None,
         sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
         keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
         landmarks: Callable[[], Around] = lambda: ((), ()),
+        draw: Callable[[TargetBox], str | None] = lambda box: "nobody looks",
+        preview_hz: Callable[[float], None] = lambda hz: None,
     ) -> None:
         """`faults`: what is wrong now with what the agent does not see, each as "kind: what"; it goes into the step,
-        and from there into State and the log. `resume` is called when a robot rises for no other reason than our
-        silence. `sign`: what it says as it shall leave; the recording has it as the kernel gave it. `keys`: the
-        robots' public keys at the first call and when they have changed, else None. `landmarks`: what frames showed of
-        tags, and how points of key frames moved, since the last call.
+        and from there into State and the log. `motors`: who switches them as is ordered; None: nobody. `sign`: what it
+        says as it shall leave; the recording has it as the kernel gave it. `keys`: the robots' public keys at the first
+        call and when they have changed, else None. `landmarks`: what frames showed of tags, and how points of key
+        frames moved, since the last call. `draw`: a box around a target, as somebody drew it; returns why not.
+        `preview_hz`: how often pictures are shown from now on.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
-        self._faults, self._resume, self._sign, self._keys = faults, resume, sign, keys
-        self._landmarks = landmarks
+        self._faults, self._motors, self._sign, self._keys = faults, motors, sign, keys
+        self._landmarks, self._draw, self._preview_hz = landmarks, draw, preview_hz
         self._broken: dict[str, str] = {}  # parts that raised when they were last asked
 
     def run(self, stop: Event) -> None:
@@ -90,12 +110,13 @@ class Runtime:
     def step(self, number: int) -> None:
         """Once around the loop."""
         telemetry, lines = self._part("control module", self._module.drain) or ((), ())
-        if telemetry and surfacing_for_silence(telemetry[-1]):
-            self._resume()
+        if (motors := self._motors) is not None:
+            self._part("motors", lambda: motors.feel(telemetry, self._clock.now_ns()))
         heard, refused = self._part("links", self._network.drain) or ((), ())
         sightings = tuple(self._part("vision", self._eyes.drain) or ())
         blocks = tuple(self._part("views", self._eyes.views) or ())
         tags, flow = self._part("landmarks", self._landmarks) or ((), ())
+        orders = self._part("orders", self._network.orders) or ()
         now_ns = self._clock.now_ns()
         keys = self._part("keys", lambda: self._keys(now_ns))
         told = self._part("faults", self._faults) or ()
@@ -110,6 +131,7 @@ class Runtime:
             blocks=blocks or UNSET,
             faults=faults or UNSET,
             keys=UNSET if keys is None else keys,
+            orders=orders or UNSET,
         )
         try:
             outputs = self._agent.step(inputs, now_ns)
@@ -124,11 +146,21 @@ class Runtime:
     def _act(self, outputs: Outputs, now_ns: int) -> None:
         """Hand the outputs of a step to the devices and the network; nothing here waits. What a part is told has a name
         of its own: that it still answers does not mean that it takes orders."""
+        if (ordered := outputs.motors) is not UNSET and (motors := self._motors) is not None:
+            self._part("motors off or on", lambda: motors.obey(ordered, now_ns))
         self._part("set-points", lambda: self._module.send(outputs.set_point, now_ns))
         if (sweep := outputs.sweep) is not None:
             self._part("sweeps", lambda: self._eyes.plan(sweep))
         if (lens := outputs.lens) is not UNSET:
             self._part("lens", lambda: self._eyes.rest(lens))
+        if (drawn := outputs.box) is not UNSET:
+            why = self._part("box", lambda: self._draw(drawn))
+            if why is not None:
+                self._log("warning", f"box of '{drawn.target}': {why}", now_ns)
+        if (hz := outputs.preview_hz) is not UNSET:
+            self._part("previews", lambda: self._preview_hz(hz))
+        if (answers := outputs.answers) is not UNSET:
+            self._part("answers", lambda: self._network.answer(answers))
         self._part("words", lambda: self._say(outputs))
 
     def _say(self, outputs: Outputs) -> None:
@@ -164,10 +196,3 @@ def say_goodbye(agent: Agent, network: Network, clock: Clock, mode: Mode = "stop
     for target in agent.targets.values():
         if (state := target.last_state) is not None:
             network.show(msgspec.structs.replace(state, mode=mode, seq=state.seq + 1, sent_ns=clock.now_ns()))
-
-
-def surfacing_for_silence(telemetry: Telemetry) -> bool:
-    """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and who
-    started it with --arm wants the dive to go on; a leak, a low battery or a bad sensor is for a person to judge."""
-    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
-    return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own

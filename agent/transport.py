@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -21,10 +21,13 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
+from agent.kernel.orders.verbs import prepare_all
+from agent.kernel.orders.words import Answer
 from agent.kernel.presence import Presence
-from agent.kernel.step_io import DroppedPayloads, Heard
-from agent.kernel.topics import IMAGE, LINK, LOG, STATE, TOPICS, Topic
+from agent.kernel.step_io import DroppedPayloads, Heard, Ordered
+from agent.kernel.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
 from agent.links.inboxes import Inboxes, rows_of
+from agent.links.order_box import OrderBox
 from agent.links.tokens import Tokens
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
@@ -48,6 +51,7 @@ class Transport:
         self._fleet, self._robot, self._clock = fleet, robot, clock
         self._random = random.Random(f"{fleet.link.loss_seed} {robot}")
         self._inboxes, self._tokens = Inboxes(fleet, robot), Tokens(fleet, robot)
+        self._box = OrderBox(fleet, robot, clock)
         self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target
         self._tell: dict[tuple[str, type[Message]], Publish] = {}  # neighbour, what it is told beside estimates
         self._shows: dict[tuple[type[Message], str], Publish] = {}  # kind, target
@@ -57,6 +61,7 @@ class Transport:
         where = f"robot '{self._robot}': {self._fleet.robot[self._robot].listen}"
         names = {"fleet": self._fleet.fleet, "robot": self._robot}
         targets = self._fleet.target
+        prepare_all()
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(Session(peer_config(self._fleet, self._robot, self._keys), where))
             for target in targets:
@@ -71,6 +76,8 @@ class Transport:
             session.subscribe(heard, self._arrived)
             for row in rows_of(self._fleet):
                 self._tells(session, row)
+            session.answer(topics.ORDER.format(**names, console="*"), self._box.asked)
+            stack.callback(self._box.close)
             session.announce(topics.ALIVE.format(**names, session=session.id))
             session.watch_tokens(topics.ALIVE.format(fleet="*", robot="*", session="*"), self._token)
             session.watch_tokens(topics.TWICE.format(**names, witness="*"), self._token)
@@ -83,7 +90,20 @@ class Transport:
 
     def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]:
         """The newest link messages since the last call, neighbours in turn, and how many were turned away."""
-        return self._inboxes.drain(self._clock())
+        heard, refused = self._inboxes.drain(self._clock())
+        orders = (DroppedPayloads(reason=reason, count=count) for reason, count in self._box.refused())
+        return heard, (*refused, *orders)
+
+    def orders(self) -> tuple[Ordered, ...]:
+        """What people have ordered since the last call, in order of arrival."""
+        return self._box.take()
+
+    def answer(self, answers: Sequence[Answer]) -> None:
+        """Answer the orders that were taken last, one by one, and show the answers to whoever looks."""
+        self._box.answer(answers)
+        for answer in answers:
+            names = {"fleet": self._fleet.fleet, "robot": self._robot, "console": answer.console}
+            self._session.put(ANSWER, topics.key(ANSWER, **names), encode(answer))
 
     def _tells(self, session: Session, row: Topic) -> None:
         """What neighbours tell each other beside estimates: where one that swims is, what a survey saw,

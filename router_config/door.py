@@ -11,12 +11,14 @@ import logging
 import re
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import zenoh
+from zenoh.handlers import Callback
 
 from agent.kernel.codec import encoding
 from agent.kernel.config import ConfigError
+from agent.kernel.messages import Message
 from agent.kernel.topics import Topic
 
 logger = logging.getLogger(__name__)
@@ -62,7 +64,55 @@ class Sample:
         return self._sample.payload.to_bytes()
 
 
+class Query:
+    """What somebody asks. Whoever asked waits until it is dropped, or gives up: drop every one."""
+
+    __slots__ = ("_query",)
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+
+    @property
+    def key(self) -> str:
+        """What was asked for; it may have wildcards."""
+        return str(self._query.key_expr)
+
+    @property
+    def encoding(self) -> str:
+        return str(self._query.encoding)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the payload."""
+        return 0 if self._query.payload is None else len(self._query.payload)
+
+    def payload(self) -> bytes:
+        """A copy of the payload."""
+        return b"" if self._query.payload is None else self._query.payload.to_bytes()
+
+    def reply(self, kind: type[Message], key: str, payload: bytes) -> None:
+        """Answer under a key of one's own: access rules know no other."""
+        self._query.reply(key, payload, encoding=encoding(kind))
+
+    def refuse(self, why: str) -> None:
+        """Answer that there is no answer."""
+        self._query.reply_err(why)
+
+    def drop(self) -> None:
+        """Let go: whoever asked need not wait any longer."""
+        self._query.drop()  # type: ignore[no-untyped-call]  # of zenoh's own stubs
+
+
+class Reply(NamedTuple):
+    """One of the answers to a question."""
+
+    key: str  # empty: there is none
+    payload: bytes
+    error: str = ""  # why there is none
+
+
 Arrived = Callable[[Sample], None]
+Asked = Callable[[Query], None]
 Publish = Callable[[bytes], None]
 Withdraw = Callable[[], None]
 
@@ -126,6 +176,44 @@ class Session:
         """Have `arrived` called with every sample of other processes on `key`, which may have wildcards."""
         self._session.declare_subscriber(key, _direct(arrived), allowed_origin=zenoh.Locality.REMOTE)
 
+    def put(self, topic: Topic, key: str, payload: bytes) -> None:
+        """Publish once, where there is no publisher: as publisher() does."""
+        self._session.put(
+            key,
+            payload,
+            encoding=encoding(topic.message),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=getattr(zenoh.Priority, topic.qos.priority),
+        )
+
+    def answer(self, key: str, asked: Asked) -> None:
+        """Have `asked` called with every query of other processes on `key`, which may have wildcards."""
+        handler: Callback[zenoh.Query] = Callback(lambda query: asked(Query(query)), indirect=False)
+        self._session.declare_queryable(key, handler, allowed_origin=zenoh.Locality.REMOTE)
+
+    def ask(
+        self,
+        kind: type[Message],
+        key: str,
+        payload: bytes,
+        timeout_s: float,
+        replied: Callable[[Reply], None],
+        over: Callable[[], None],
+    ) -> None:
+        """Ask everybody who answers on `key`. Each answer goes to `replied`, and when there are no more, `over` is
+        called; both in Zenoh's thread, perhaps before this returns."""
+        handler: Callback[zenoh.Reply] = Callback(lambda reply: replied(_reply(reply)), over, indirect=False)
+        self._session.get(
+            key,
+            handler,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            timeout=timeout_s,
+            payload=payload,
+            encoding=encoding(kind),
+        )
+
     @property
     def id(self) -> str:
         """What tells this session from all others: hexadecimal digits, 32 at most."""
@@ -146,6 +234,13 @@ class Session:
         self._session.liveliness().declare_subscriber(key, _direct(arrived), history=True)
 
 
-def _direct(arrived: Arrived) -> zenoh.handlers.Callback[zenoh.Sample]:
+def _direct(arrived: Arrived) -> Callback[zenoh.Sample]:
     # Called in zenoh's own thread: a thread of Python's in between would stamp later, and keeps a process from ending.
-    return zenoh.handlers.Callback(lambda sample: arrived(Sample(sample)), indirect=False)
+    return Callback(lambda sample: arrived(Sample(sample)), indirect=False)
+
+
+def _reply(reply: zenoh.Reply) -> Reply:
+    if reply.ok is not None:
+        return Reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
+    why = b"" if reply.err is None else reply.err.payload.to_bytes()
+    return Reply("", b"", why.decode(errors="replace"))

@@ -19,6 +19,11 @@ class Shown:
 
     def say(self, estimate) -> None: ...
 
+    def orders(self) -> tuple:
+        return ()
+
+    def answer(self, answers) -> None: ...
+
     def show(self, message: State | LogLine) -> None:
         self.messages.append(message)
 

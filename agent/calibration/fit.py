@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.failure import Failed
-from agent.kernel.messages import upper
+from agent.kernel.estimation.matrix import upper
 from agent.kernel.ranging.calibration import FocusFit
 
 Array = NDArray[np.float64]

@@ -93,7 +93,8 @@ def progress_row(state: State | None) -> tuple[str, ...]:
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
         " ".join(hears(state)) or "-",
         *((whose_light(state.robot, state.lamp),) if state.lamp else ()),
-        ", ".join(map(fault_kind, state.faults)) or ("motors off" if state.armed is False else ""),
+        ", ".join((*map(fault_kind, state.faults), *(state.ordered or ())))
+        or ("motors off" if state.armed is False else ""),
     )
 
 

@@ -1,1 +1,1 @@
-"""What people hold in their hands: orders to robots, a page to stand at."""
+"""For the people in charge of a running fleet."""

@@ -118,7 +118,7 @@ class Agent:
         return Outputs(
             sweep=sweep,
             says=self._say(now_ns),
-            state=self.showing.state(self._signed, now_ns),
+            state=self.showing.state(self._signed, self.desk.ordered, now_ns),
             log=self.status.log.fetch(now_ns),
             set_point=self._set_point(now_ns),
             near=UNSET if self.swimmer is None else self.swimmer.say(self.attitude, now_ns) or UNSET,

@@ -11,7 +11,6 @@ What a field means stands here and nowhere else: `means` puts it into the JSON S
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -253,6 +252,9 @@ class State(Message, frozen=True, kw_only=True):
         str | UnsetType, means("what a robot that swims does now: the kind in the fleet file; left out: it is moored")
     ] = UNSET
     lamp: Annotated[LampState | UnsetType, means("left out: its fleet has no [lighting]")] = UNSET
+    ordered: Annotated[
+        tuple[str, ...] | UnsetType, means("what people ordered that holds, `console: order`; left out: nothing")
+    ] = UNSET
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
     faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()
@@ -292,9 +294,3 @@ def _finite(value: Any) -> bool:
     if isinstance(value, dict):
         return all(map(_finite, value.values()))
     return True
-
-
-def upper(matrix: Iterable[Iterable[float]]) -> Symmetric:
-    """The upper triangle of a symmetric 3x3 matrix, as it travels."""
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (tuple(map(float, row)) for row in matrix)
-    return (xx, xy, xz, yy, yz, zz)

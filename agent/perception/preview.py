@@ -8,6 +8,7 @@ young enough.
 from __future__ import annotations
 
 import math
+from collections import deque
 from itertools import count
 
 import cv2
@@ -19,6 +20,7 @@ from agent.kernel.step_io import Sighting
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from hw.camera.camera import Frame
 
+KEPT_BYTES = 32 * 1024 * 1024  # of frames that were shown: 640x480, twice a second, a quarter of a minute
 WIDTH_PX = 640  # at most: a panel on a screen, and what a frame of the usual cameras has
 QUALITIES = (80, 60, 40, 20)  # of JPEG: with the first a frame of the twin, 640x480, is 26 kB; the last is coarse
 
@@ -27,13 +29,31 @@ class Preview:
     """Makes the previews of one camera, at most `hz` a second; 0: none. Used by vision's thread.
 
     `whole`: (width, height) of a full frame, pixels. `enhancer`: what enhances the frames; None: nothing does.
+    `keep`: the frames that were shown, for a while, for whoever draws a box in one.
     """
 
-    def __init__(self, robot: str, whole: tuple[int, int], hz: float, enhancer: OnDemandEnhancer | None = None) -> None:
+    def __init__(
+        self,
+        robot: str,
+        whole: tuple[int, int],
+        hz: float,
+        enhancer: OnDemandEnhancer | None = None,
+        keep: bool = False,
+    ) -> None:
         self._robot, self._whole, self._enhancer = robot, whole, enhancer
         self._numbers = count()
+        self._keep = keep
+        self._shown: deque[tuple[int, NDArray[np.uint8]]] = deque()  # number of the frame, and it
+        self.set_rate(hz)
+
+    def set_rate(self, hz: float) -> None:
+        """At most so many from now on. From any thread."""
         self._period_ns = 1e9 / hz if hz else math.inf
         self._due_ns = 0.0 if hz else math.inf
+
+    def frame(self, number: int) -> NDArray[np.uint8] | None:
+        """A frame that was shown, as the camera gave it; None: it was not, or long ago. From any thread."""
+        return next((image for shown, image in tuple(self._shown) if shown == number), None)
 
     def of(self, frame: Frame, sighting: Sighting, now_ns: int) -> Image | None:
         """The preview of a frame, of which `sighting` says time and lens position; None: not of this one.
@@ -44,6 +64,10 @@ class Preview:
             return None
         self._due_ns = now_ns + self._period_ns
         shown = frame.image if self._enhancer is None else self._enhancer.view(frame, self._whole)
+        if self._keep:
+            self._shown.append((frame.seq, frame.image))
+            while len(self._shown) * frame.image.nbytes > KEPT_BYTES:
+                self._shown.popleft()
         small, jpeg = compressed(shown)
         return Image(
             robot=self._robot,

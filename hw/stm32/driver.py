@@ -108,6 +108,10 @@ class Stm32:
         """Motors off."""
         self._stop(wire.DISARM)
 
+    def surface(self) -> None:
+        """Go up, ahead of any other order; arm() calls the robot back."""
+        self._stop(wire.MODE, wire.SURFACE, 0)
+
     def emergency_stop(self) -> None:
         """Motors off, and no arming until the board was restarted."""
         self._stop(wire.ESTOP)

@@ -13,8 +13,8 @@ from agent.experiments.localization.cases import Case
 from agent.experiments.localization.draws import mean_score, score_draw
 from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
 from agent.kernel.estimation.fuse import Opinion, fuse, vote
-from agent.kernel.estimation.matrix import apply, inverse, invert, quadratic
-from agent.kernel.messages import Symmetric, Vector, upper
+from agent.kernel.estimation.matrix import apply, inverse, invert, quadratic, upper
+from agent.kernel.messages import Symmetric, Vector
 
 DRAWS = {3: 1500, 5: 1000, 10: 500}
 SAMPLES = (1, 10, 60)  # of each robot

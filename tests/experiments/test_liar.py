@@ -22,8 +22,8 @@ from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
 from agent.kernel.estimation.evidence_checks import Bounds, entry_fault
 from agent.kernel.estimation.evidence_table import opinion as opinion_of
 from agent.kernel.estimation.fuse import Opinion, fuse
-from agent.kernel.estimation.matrix import inverse
-from agent.kernel.messages import Epoch, Gossip, upper
+from agent.kernel.estimation.matrix import inverse, upper
+from agent.kernel.messages import Epoch, Gossip
 from agent.kernel.trust.signed import entry_bytes
 from tests.sample_messages import estimate
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from agent.kernel import messages, step_io
 from agent.kernel.codec import Refusal, decode, encode, encoding
-from agent.kernel.messages import MAX_PAYLOAD, SCHEMA, Estimate, LogLine, Message, NeighbourState, State, upper
+from agent.kernel.estimation.matrix import upper
+from agent.kernel.messages import MAX_PAYLOAD, SCHEMA, Estimate, LogLine, Message, NeighbourState, State
 from agent.kernel.step_io import (
     DroppedPayloads,
     Heard,

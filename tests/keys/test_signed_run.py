@@ -71,6 +71,9 @@ class Wire:
         self.inbox.clear()
         return heard, ()
 
+    def orders(self):
+        return ()
+
     def say(self, estimate: Estimate) -> None:
         self.sent.append(estimate)
         heard = Heard(arrived_ns=self.clock(), src=estimate.src, payload=encode(estimate))

@@ -23,6 +23,9 @@ class Still:
     def drain(self) -> tuple[tuple, tuple]:
         return (), ()
 
+    def orders(self) -> tuple:
+        return ()
+
     def send(self, set_point: SetPoint, now_ns: int) -> None: ...
 
     def show(self, message: State | LogLine) -> None: ...

@@ -35,6 +35,9 @@ class Around:
     def drain(self) -> tuple[tuple, tuple]:
         return (), ()
 
+    def orders(self) -> tuple:
+        return ()
+
     def send(self, set_point: SetPoint, now_ns: int) -> None: ...
 
 

@@ -26,8 +26,8 @@ from agent.experiments.localization.world import Array, draw_dive, draw_world
 from agent.kernel.config import Tank
 from agent.kernel.estimation.evidence_checks import MARGIN_M, R_FLOOR_M
 from agent.kernel.estimation.fuse import LOW
-from agent.kernel.estimation.matrix import apply
-from agent.kernel.messages import Entry, Estimate, Symmetric, Vector, upper
+from agent.kernel.estimation.matrix import apply, upper
+from agent.kernel.messages import Entry, Estimate, Symmetric, Vector
 
 FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on

@@ -17,7 +17,8 @@ from agent.kernel.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, 
 from agent.kernel.estimation.choice import estimator
 from agent.kernel.estimation.interface import Estimator, Prior, Update
 from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.messages import Estimate, Symmetric, upper
+from agent.kernel.estimation.matrix import upper
+from agent.kernel.messages import Estimate, Symmetric
 
 VALIDITY = 1.5  # iterations: the last round counts, the one before it does not
 TARGET = "ball"

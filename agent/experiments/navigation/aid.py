@@ -22,8 +22,8 @@ from agent.experiments.result import Row
 from agent.kernel.estimation.evidence_table import Table
 from agent.kernel.estimation.fuse import fuse
 from agent.kernel.estimation.interface import Posterior, Prior
-from agent.kernel.estimation.matrix import plus, times
-from agent.kernel.messages import Symmetric, Vector, upper
+from agent.kernel.estimation.matrix import plus, times, upper
+from agent.kernel.messages import Symmetric, Vector
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, within

@@ -20,10 +20,12 @@ from agent.kernel.desk.wishes import AtOnce, Wishes
 from agent.kernel.lamps.conduct import Lights
 from agent.kernel.logbook import Logbook
 from agent.kernel.navigation.swimmer import Swimmer
-from agent.kernel.orders.verbs import URGENT, Args, arguments, in_words
+from agent.kernel.orders.verbs import CLOCK, URGENT, Args, Resume, Set, arguments, in_words
 from agent.kernel.orders.words import MAX_ORDER, MAX_WORDS, Answer, Order
 from agent.kernel.step_io import Ordered, Outputs
 
+PARTS = {**dict.fromkeys(("stop", "disarm", "surface", "arm"), "motors"), "look": "camera", "lamp": "lamp"}
+PARTS |= {"target_box": "box"}
 STALE_NS = 3_000_000_000
 BROKE = "the step that it came with broke, and it was left out; order again"
 
@@ -37,6 +39,7 @@ class Desk:
         self._fleet, self._name, self._incarnation, self._log = fleet, name, incarnation, log
         self._doing, self._memory = Doing(fleet, name, swimmer, lights), Memory()
         self._halted_ns = -1  # when a stop or a surfacing was ordered last
+        self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by whom
         self._now: dict[tuple[str, bytes], Answer] = {}  # of this step
 
     @property
@@ -54,6 +57,11 @@ class Desk:
             return False
         seek.look(*self.wishes.gaze_deg, now_ns)
         return True
+
+    @property
+    def ordered(self) -> tuple[str, ...] | UnsetType:
+        """What people have ordered that holds, for whoever looks."""
+        return tuple(self._holds.values()) or UNSET
 
     def take(self, orders: tuple[Ordered, ...] | UnsetType, now_ns: int) -> None:
         """Judge and carry out what arrived since the last step."""
@@ -97,6 +105,7 @@ class Desk:
             if order is not None and said and not self._memory.again(console, order):
                 self._memory.keep(console, order, answer)
             return answer
+        self._note(order.verb, what, f"{console}: {said}")
         if order.verb in URGENT:
             self._halted_ns = now_ns
         self._log.note("warning" if order.verb in URGENT else "info", f"{console} orders: {said}", now_ns)
@@ -104,9 +113,16 @@ class Desk:
         self._memory.keep(console, order, answer)
         return answer
 
+    def _note(self, verb: str, what: Args, text: str) -> None:
+        """Of what concerns the same part the newest holds."""
+        if isinstance(what, Resume):
+            self._holds = {part: held for part, held in self._holds.items() if part == "motors"}
+        elif verb != CLOCK:
+            self._holds[what.name if isinstance(what, Set) else PARTS.get(verb, "body")] = text[:MAX_WORDS]
+
     def _too_old(self, order: Order, now_ns: int) -> str:
         """Why it comes too late; empty: it does not."""
-        if order.verb in URGENT or order.verb == "clock":
+        if order.verb in URGENT or order.verb == CLOCK:
             return ""
         if order.seen is None:
             return "it does not say which State of the robot was looked at"
@@ -126,9 +142,15 @@ class Desk:
             what: Args = arguments(order.verb, order.args)
         except Exception:  # noqa: BLE001 - whatever broke the step
             return self._said(ordered, None, "", BROKE, now_ns)
+        why: str | None = BROKE
         if order.verb in URGENT:
-            return self._answer(ordered, now_ns)  # needs nothing of what may have broken
-        return self._said(ordered, order, in_words(order.verb, what), BROKE, now_ns)
+            try:
+                return self._answer(ordered, now_ns)
+            except Exception:  # noqa: BLE001 - the motors go off whatever is broken
+                if not why_closed(self._fleet, ordered.console):
+                    self._doing.halt(order.verb)
+                    self._halted_ns, why = now_ns, None
+        return self._said(ordered, order, in_words(order.verb, what), why, now_ns)
 
     def _said(self, ordered: Ordered, order: Order | None, said: str, why: str | None, now_ns: int) -> Answer:
         """why: it is refused; None: it is done."""

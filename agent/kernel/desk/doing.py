@@ -41,10 +41,8 @@ class Doing:
     def carry_out(self, what: Args) -> None:
         """Raises Refusal for what this robot cannot do, and then does nothing."""
         match what:
-            case Stop() | Disarm():
-                self._motors("off")
-            case Surface():
-                self._motors("surface")
+            case Stop() | Disarm() | Surface():
+                self.halt("surface" if isinstance(what, Surface) else "stop")
             case Arm():
                 self._motors("arm")
             case Clock():
@@ -66,6 +64,10 @@ class Doing:
                 self._resume()
             case _:
                 self._swim(what)
+
+    def halt(self, verb: str) -> None:
+        """Stop, disarm or surface; nothing can be wrong with it."""
+        self._motors("surface" if verb == "surface" else "off")
 
     def _motors(self, ordered: Motors) -> None:
         self.at_once = self.at_once._replace(motors=prevailing(self.at_once.motors, ordered))

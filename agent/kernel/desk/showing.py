@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.kernel.control.attitude import AttitudeLog
@@ -40,7 +40,7 @@ class Showing:
         self._period_ns = STATE_NS // len(targets)
         self._due_ns = self._shown = 0
 
-    def state(self, signed: bool, now_ns: int) -> State | None:
+    def state(self, signed: bool, ordered: tuple[str, ...] | UnsetType, now_ns: int) -> State | None:
         """What is known of the target whose turn it is; None: it is not time."""
         if now_ns < self._due_ns:
             return None
@@ -51,8 +51,9 @@ class Showing:
         mode: Mode = "running" if self._net.fault(now_ns) is None else "degraded"
         where = UNSET if self._swimmer is None else self._swimmer.localizer.shown(now_ns)
         does = UNSET if self._swimmer is None else self._swimmer.does
+        lamp = self._lights.shown()
         target.last_state = replace(
-            state, mode=mode, signed=signed, whereabouts=where, behaviour=does, lamp=self._lights.shown()
+            state, mode=mode, signed=signed, whereabouts=where, behaviour=does, lamp=lamp, ordered=ordered
         )
         return target.last_state
 

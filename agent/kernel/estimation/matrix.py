@@ -5,6 +5,8 @@ A matrix is its upper triangle, xx xy xz yy yz zz. Inverses are closed forms (ad
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from agent.kernel.messages import Symmetric, Vector
 
 ZERO: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -13,6 +15,12 @@ SINGULAR = 1e-14  # determinant over (trace / 3)^3, the largest it can be: below
 
 
 WELL = 1e-6  # the same measure: from here on, an inverse is as good as the matrix to ten digits
+
+
+def upper(matrix: Iterable[Iterable[float]]) -> Symmetric:
+    """The upper triangle of a symmetric 3x3 matrix, as it travels."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (tuple(map(float, row)) for row in matrix)
+    return (xx, xy, xz, yy, yz, zz)
 
 
 def plus(a: Symmetric, b: Symmetric) -> Symmetric:

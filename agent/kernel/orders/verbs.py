@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
-from agent.kernel.codec import Refusal
+from agent.kernel.codec import Refusal, prepare
 from agent.kernel.config import Follow, Goto, Name, Orbit, Search, Struct, Survey, Trial, Turn
 from agent.kernel.orders.words import MAX_WORDS, Arg
 
@@ -105,6 +106,7 @@ VERBS: Mapping[str, type[Args]] = MappingProxyType(
         "clock": Clock,
     }
 )
+CLOCK = "clock"  # answered at once, and of no age
 URGENT = ("stop", "disarm", "surface")  # never refused for their age
 
 
@@ -141,6 +143,9 @@ def _plain(what: str) -> str:
     return what[0].lower() + what[1:100]
 
 
-def fields_of(verb: str) -> Any:
-    """The arguments of a verb, as msgspec describes them: for whoever asks a person."""
-    return msgspec.structs.fields(VERBS[verb])
+def prepare_all() -> None:
+    """Have msgspec look into every kind of message and order, before a second thread reads any (codec.prepare)."""
+    prepare()
+    for kind in VERBS.values():
+        with suppress(msgspec.ValidationError):
+            msgspec.convert(None, kind)

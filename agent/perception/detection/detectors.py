@@ -98,8 +98,16 @@ class BoxDetector:
 
     def __init__(self, follower: Follower) -> None:
         self._follower = follower
+        self._drawn: tuple[Image, Box] | None = None  # by somebody, and not yet looked for
+
+    def expect(self, image: Image, box: Box) -> None:
+        """Look for what is in this box of an earlier frame from the next one on. From any thread."""
+        self._drawn = image, box
 
     def find(self, image: Image, offset_px: tuple[int, int] = (0, 0), lens_position: int | None = None) -> Found | None:
+        if (drawn := self._drawn) is not None:
+            self._drawn = None
+            self._follower.expect(*drawn)
         now = self._follower.look(image)
         return None if now.lost else boxed(now.box, now.score, offset_px)
 

@@ -13,11 +13,11 @@ from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds, sample_fault
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.estimation.matrix import apply, times
+from agent.kernel.estimation.matrix import apply, times, upper
 from agent.kernel.estimation.tracks.dynamics import ROLLING, swimming
 from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.tracks.track import Track, begin, correct, nis_of_bearing, predict, summed
-from agent.kernel.messages import Sample, upper
+from agent.kernel.messages import Sample
 from hw.twin.creatures.school import School
 from hw.twin.scene import Creature, load_scene
 from tests.kernel.estimation.linked_robots import SECOND_NS, Net, line

@@ -9,11 +9,12 @@ from agent.kernel.estimation.evidence import Evidence
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.evidence_table import Table
 from agent.kernel.estimation.interface import Prior
+from agent.kernel.estimation.matrix import upper
 from agent.kernel.estimation.metropolis import Metropolis
 from agent.kernel.estimation.mode import Me
 from agent.kernel.estimation.paper import Paper
 from agent.kernel.estimation.static_target import StaticTarget
-from agent.kernel.messages import Epoch, Gossip, upper
+from agent.kernel.messages import Epoch, Gossip
 from agent.kernel.trust.authority import Authority
 
 S = 1_000_000_000

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from agent.kernel.estimation import fuse as fusing
 from agent.kernel.estimation.fuse import AGREE, HIGH, LOW, TEMPER, Opinion, doubts, fuse
-from agent.kernel.estimation.matrix import inverse
-from agent.kernel.messages import upper
+from agent.kernel.estimation.matrix import inverse, upper
 
 RNG = np.random.default_rng(5)
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.kernel.estimation import matrix
-from agent.kernel.messages import upper
+from agent.kernel.estimation.matrix import upper
 
 number = st.floats(-2.0, 2.0)
 square = st.lists(st.lists(number, min_size=3, max_size=3), min_size=3, max_size=3)

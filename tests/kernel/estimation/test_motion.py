@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Prior
-from agent.kernel.estimation.matrix import apply, inverse
+from agent.kernel.estimation.matrix import apply, inverse, upper
 from agent.kernel.estimation.motion import BATCH, Motion
 from agent.kernel.estimation.tracks.dynamics import ROLLING
 from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.tracks.track import begin, correct, nis, predict
 from agent.kernel.estimation.window import WINDOW, Window
-from agent.kernel.messages import MAX_PAYLOAD, Epoch, Sample, upper
+from agent.kernel.messages import MAX_PAYLOAD, Epoch, Sample
 from tests.kernel.estimation.linked_robots import NAMES, Net, line
 
 SECOND_NS = 1_000_000_000

@@ -11,11 +11,10 @@ import pytest
 from filterpy.kalman import InformationFilter, KalmanFilter
 
 from agent.kernel.estimation.fuse import Opinion, fuse
-from agent.kernel.estimation.matrix import apply, inverse, invert, plus, times
+from agent.kernel.estimation.matrix import apply, inverse, invert, plus, times, upper
 from agent.kernel.estimation.tracks.dynamics import ROLLING
 from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.tracks.track import begin, correct, nis, predict
-from agent.kernel.messages import upper
 
 SECOND_NS = 1_000_000_000
 WEAK = 1e12  # prior information of an oracle that needs one, as a divisor: nothing, to nine digits

@@ -109,9 +109,9 @@ class InTank:
             self.key = self.now_ns, slopes
         return Flow(t_ns=self.now_ns, since_ns=since_ns, pairs=tuple(map(tuple, pairs.tolist())))
 
-    def step(self, step_ns=STEP_NS, more=(), heard=(), pull=AT_REST):
+    def step(self, step_ns=STEP_NS, more=(), heard=(), pull=AT_REST, orders=()):
         """One step of the agent; more: landmarks beside those that are seen; heard: of neighbours; pull: on the body,
-        N, N, N m in the world."""
+        N, N, N m in the world; orders: of people."""
         self.now_ns += step_ns
         self.steps += 1
         arrived, flows = list(more), []
@@ -124,7 +124,11 @@ class InTank:
         rate = self.rate_rad_s(self.body)
         told = telemetry(self.now_ns, self.depth_m, armed=self.armed, ladder=self.ladder, rate_rad_s=rate)
         self.inputs = Inputs(
-            telemetry=(told,), heard=tuple(heard), landmarks=tuple(arrived) or UNSET, flow=tuple(flows) or UNSET
+            telemetry=(told,),
+            heard=tuple(heard),
+            landmarks=tuple(arrived) or UNSET,
+            flow=tuple(flows) or UNSET,
+            orders=tuple(orders) or UNSET,
         )
         self.outputs = self.agent.step(self.inputs, self.now_ns)
         self.state = self.outputs.state or self.state

@@ -25,8 +25,8 @@ from agent.kernel.codec import decode, encode
 from agent.kernel.config import Access, Fleet
 from agent.kernel.estimation.evidence_table import opinion
 from agent.kernel.estimation.fuse import Opinion, fuse
-from agent.kernel.estimation.matrix import apply
-from agent.kernel.messages import Entry, Estimate, Gossip, State, upper
+from agent.kernel.estimation.matrix import apply, upper
+from agent.kernel.messages import Entry, Estimate, Gossip, State
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import STATE
 from agent.keys.key_files import private_file, public_file, read_private

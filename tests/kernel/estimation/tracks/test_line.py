@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from agent.kernel.estimation.bearing import bearing
-from agent.kernel.estimation.matrix import apply, inverse
+from agent.kernel.estimation.matrix import apply, inverse, upper
 from agent.kernel.estimation.tracks.line import chord, line, placed
-from agent.kernel.messages import upper
 
 TANK_M = (3.0, 2.0, 0.5)
 

@@ -6,11 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.kernel.estimation.fuse import LOW, Opinion, doubts
-from agent.kernel.estimation.matrix import apply, inverse, invert
+from agent.kernel.estimation.matrix import apply, inverse, invert, upper
 from agent.kernel.estimation.tracks.track import begin, correct, predict
 from agent.kernel.estimation.tracks.track_distance import BOTH_LOW, Blocks, distances2
 from agent.kernel.estimation.tracks.track_distance import inverse as inverse_blocks
-from agent.kernel.messages import upper
 
 SECOND_NS = 1_000_000_000
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from agent.kernel.estimation.interface import Posterior
-from agent.kernel.messages import upper
+from agent.kernel.estimation.matrix import upper
 from agent.kernel.navigation.aid import Aid, Seen, offset_m
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench

@@ -15,7 +15,7 @@ from agent.kernel.codec import encode
 from agent.kernel.config import Pose
 from agent.kernel.core import Agent
 from agent.kernel.estimation.interface import Posterior
-from agent.kernel.messages import upper
+from agent.kernel.estimation.matrix import upper
 from agent.kernel.navigation.aid import Aid, Seen, aided, offset_m
 from agent.kernel.navigation.pose import corrections
 from agent.kernel.navigation.pose.body_model import Hull

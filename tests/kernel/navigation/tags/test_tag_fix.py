@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.kernel.control.attitude import Attitude
-from agent.kernel.messages import upper
+from agent.kernel.estimation.matrix import upper
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.tags.first_fix import first_fix
 from agent.kernel.navigation.tags.layout import survey_jacobian

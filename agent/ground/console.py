@@ -1,0 +1,191 @@
+"""A console's link to the robots of a fleet: it orders, and counts who answered."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from agent.clock import machine
+from agent.kernel import topics
+from agent.kernel.codec import Refusal, decode, encode
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.desk.rights import why_closed
+from agent.kernel.messages import State
+from agent.kernel.orders.verbs import CLOCK, URGENT, arguments, prepare_all
+from agent.kernel.orders.words import Answer, Arg, Order
+from agent.kernel.topics import STATE
+from router_config.door import Reply, Sample, Session, unusable
+from router_config.session import observer_config
+
+ANSWER_S = 1.0  # a robot answers with its next step: 50 ms
+HEARD_S = 2.0  # a link is there in less than one, and states come five times a second
+AGAIN_S = 0.05  # nobody was there to ask: the link has just come, or has just gone
+
+
+class Outcome(NamedTuple):
+    """What became of an order at one robot."""
+
+    answer: Answer | None  # none: it did not answer
+    why: str = ""  # then: what is known of that
+    took_s: float = 0.0  # from the order to the answer, or to giving up
+
+    @property
+    def ok(self) -> bool:
+        return self.answer is not None and self.answer.ok
+
+
+class Console:
+    """Context manager. Entering raises ConfigError, one line, where this console may not order, or has no keys."""
+
+    def __init__(self, fleet: Fleet, name: str, keys: Path | None = None) -> None:
+        """keys: folder of a secured fleet's certificates."""
+        self._fleet, self._name, self._keys = fleet, name, keys
+        self._ids = itertools.count(machine.unix_ns())
+        self._changed = threading.Condition()  # guards all below
+        self._states: dict[str, State] = {}  # the newest of each robot
+        self._there: set[str] = set()  # robots whose token is there
+        self._open = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        if why := why_closed(self._fleet, self._name):
+            raise ConfigError(why)
+        prepare_all()
+        with contextlib.ExitStack() as stack:
+            config = observer_config(self._fleet, self._name, self._keys)
+            self._session = stack.enter_context(Session(config, f"console '{self._name}'"))
+            anyone = {**topics.ANYBODY, "fleet": self._fleet.fleet}
+            self._session.subscribe(topics.key(STATE, **anyone), self._heard)
+            self._session.watch_tokens(topics.ALIVE.format(**anyone), self._token)
+            self._open = stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        self._open.close()
+
+    def states(self) -> dict[str, State]:
+        """The newest State of each robot that was heard, whichever target it is about."""
+        with self._changed:
+            return dict(self._states)
+
+    def order(
+        self,
+        robots: Collection[str],
+        verb: str,
+        args: Mapping[str, Arg] | None = None,
+        answer_s: float = ANSWER_S,
+        heard_s: float = HEARD_S,
+    ) -> dict[str, Outcome]:
+        """Order these robots, each as soon as it is heard, and wait for all: until `heard_s` for the first sign of a
+        robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be."""
+        arguments(verb, args or {})
+        number = next(self._ids)
+        start_s = machine.monotonic_s()
+        asked = {robot: _Asked() for robot in robots}
+        with self._changed:
+            while any(one.outcome is None for one in asked.values()):
+                now_s = machine.monotonic_s()
+                due = [robot for robot, one in asked.items() if one.due(now_s) and self._ready(robot, verb)]
+                for robot in due:
+                    asked[robot].sent(now_s)
+                    seen = self._states.get(robot)
+                    order = Order(
+                        id=number,
+                        verb=verb,
+                        args=args or {},
+                        seen=None if seen is None else (seen.incarnation, seen.sent_ns),
+                    )
+                    self._ask(robot, order, asked[robot], answer_s)
+                for one in asked.values():
+                    one.give_up(now_s, start_s, heard_s, answer_s)
+                self._changed.wait(AGAIN_S)
+        return {robot: one.outcome for robot, one in asked.items() if one.outcome is not None}
+
+    def _ready(self, robot: str, verb: str) -> bool:
+        """Whether it can be asked: what must not come late goes by a State."""
+        return robot in self._states or (robot in self._there and verb in (*URGENT, CLOCK))
+
+    def _ask(self, robot: str, order: Order, asked: _Asked, answer_s: float) -> None:
+        key = topics.ORDER.format(fleet=self._fleet.fleet, robot=robot, console=self._name)
+
+        def replied(reply: Reply) -> None:
+            with self._changed:
+                asked.hear(reply, machine.monotonic_s())
+                self._changed.notify()
+
+        def over() -> None:
+            with self._changed:
+                asked.over(machine.monotonic_s())
+                self._changed.notify()
+
+        # Not under the lock: zenoh may answer in this thread.
+        self._changed.release()
+        try:
+            self._session.ask(Order, key, encode(order), answer_s, replied, over)
+        finally:
+            self._changed.acquire()
+
+    def _heard(self, sample: Sample) -> None:
+        row = topics.match(sample.key)
+        if row is None or row[0] is not STATE or unusable(sample, STATE):
+            return
+        with contextlib.suppress(Refusal):
+            state = decode(sample.payload(), State)
+            if state.robot == row[1]["robot"]:
+                with self._changed:
+                    self._states[state.robot] = state
+                    self._changed.notify()
+
+    def _token(self, sample: Sample) -> None:
+        chunks = topics.chunks(topics.ALIVE, sample.key)
+        if chunks is not None:
+            with self._changed:
+                (self._there.add if sample.is_put else self._there.discard)(chunks["robot"])
+                self._changed.notify()
+
+
+class _Asked:
+    """One robot, while an order is under way."""
+
+    def __init__(self) -> None:
+        self.outcome: Outcome | None = None
+        self._first_s: float | None = None  # when it was asked first
+        self._again_s = 0.0
+        self._open = False  # a question is under way
+        self._error = ""
+
+    def due(self, now_s: float) -> bool:
+        return self.outcome is None and not self._open and now_s >= self._again_s
+
+    def sent(self, now_s: float) -> None:
+        self._first_s, self._open = self._first_s or now_s, True
+
+    def hear(self, reply: Reply, now_s: float) -> None:
+        try:
+            answer = decode(reply.payload, Answer) if reply.key else None
+        except Refusal as refusal:
+            answer, self._error = None, f"its answer cannot be read ({refusal}); use the same version of aucamp"
+        if answer is not None and self.outcome is None:
+            self.outcome = Outcome(answer, took_s=now_s - (self._first_s or now_s))
+        elif reply.error:
+            self._error = reply.error
+
+    def over(self, now_s: float) -> None:
+        """All answers have come; perhaps there was nobody to ask."""
+        self._open, self._again_s = False, now_s + AGAIN_S
+
+    def give_up(self, now_s: float, start_s: float, heard_s: float, answer_s: float) -> None:
+        """Say so where nothing is to be expected any more."""
+        if self.outcome is not None:
+            return
+        if self._first_s is None:
+            if now_s - start_s > heard_s:
+                self.outcome = Outcome(None, f"was not heard in {heard_s:g} s", now_s - start_s)
+        elif now_s - self._first_s >= answer_s:
+            why = "" if self._error in ("", "Timeout") else f": {self._error}"
+            text = f"did not answer within {answer_s:g} s{why}; the order may still act"
+            self.outcome = Outcome(None, text, now_s - self._first_s)
