@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Mapping
 from functools import partial
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -28,20 +28,28 @@ SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.05  # of the wall, between two looks at what has arrived
 CLOCK_S = 0.5  # of the wall, between two notes of what time it is in the fleet
 UNDER_WAY = 16  # orders that wait for answers at a time
-EVERYBODY = "*"
 
 
 class Wish(msgspec.Struct, frozen=True, kw_only=True):
     """An order as a page asks for it."""
 
-    robot: str
+    robots: list[str]
     verb: str
     args: dict[str, bool | int | float | str] = {}
-    seen: tuple[str, str] | None = None  # incarnation and sent_ns of the State that was looked at, as they came
+    seen: dict[str, tuple[str, str]] = {}  # of each robot incarnation and sent_ns of the State looked at, as they came
 
 
-Reply = tuple[str, bool, str]  # robot, whether it is done or under way, why not
-Give = Callable[[str, str, Mapping[str, Any], tuple[int, int] | None], list[Reply]]
+class Reply(NamedTuple):
+    """What became of an order at one robot."""
+
+    robot: str
+    ok: bool | None  # whether it is done, or under way; None: it did not answer
+    why: str
+    id: str  # of the order, as answers on the network say; empty: it did not answer
+
+
+Seen = dict[str, tuple[int, int]]
+Give = Callable[[list[str], str, Mapping[str, Any], Seen], list[Reply]]  # raises Refusal for what cannot be ordered
 
 
 class Live:
@@ -99,23 +107,21 @@ class Live:
             return
         try:
             wish = msgspec.convert(message["order"], Wish)
-            seen = None if wish.seen is None else (int(wish.seen[0]), int(wish.seen[1]))
+            seen = {robot: (int(start), int(sent)) for robot, (start, sent) in wish.seen.items()}
         except (msgspec.ValidationError, ValueError):
             return
-        if wish.robot == EVERYBODY or wish.robot in self._fleet.robot:
+        if wish.robots and set(wish.robots) <= set(self._fleet.robot):
             task = asyncio.create_task(self._order(self._give, wish, seen))
             self._under_way.add(task)
             task.add_done_callback(self._under_way.discard)
 
-    async def _order(self, give: Give, wish: Wish, seen: tuple[int, int] | None) -> None:
+    async def _order(self, give: Give, wish: Wish, seen: Seen) -> None:
         """Give it in a thread of its own, since it waits, and say on every page what came of it."""
-        asked = list(self._fleet.robot) if wish.robot == EVERYBODY else [wish.robot]
-        note = {"n": next(self._numbers), "verb": wish.verb, "args": wish.args, "asked": asked}
+        note = {"n": next(self._numbers), "verb": wish.verb, "args": wish.args, "asked": wish.robots}
         self._board.say(text({"k": "order", **note, "at_ms": self._clock.now_ns() * 1e-6}))
         try:
-            replies, trouble = await asyncio.to_thread(give, wish.robot, wish.verb, wish.args, seen), ""
-        except Refusal as refusal:  # before it went out
+            replies, trouble = await asyncio.to_thread(give, wish.robots, wish.verb, wish.args, seen), ""
+        except Refusal as refusal:  # nothing went out
             replies, trouble = [], str(refusal)
-        answered = {robot for robot, *_ in replies}
-        silent = [] if trouble else [robot for robot in asked if robot not in answered]
-        self._board.say(text({"k": "outcome", **note, "replies": replies, "silent": silent, "trouble": trouble}))
+        came = [reply._asdict() for reply in replies]
+        self._board.say(text({"k": "outcome", **note, "replies": came, "trouble": trouble}))

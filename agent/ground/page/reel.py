@@ -1,4 +1,4 @@
-"""A recording of a fleet, laid out so that any moment of it can be shown: rows in order of time, payloads on the disk."""
+"""A recording of a fleet, laid out so that any moment of it can be shown: rows by time, their payloads on the disk."""
 
 from __future__ import annotations
 
