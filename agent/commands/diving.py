@@ -60,8 +60,8 @@ def demo(
     limit_s = duration or (WITH_PAGE_S if page else ALONE_S)
     run, summary = dive(robots, protocol, loss, seed, limit_s, enhance, out, terminal(), fleet, speed, page)
     with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
-        page = report(run, depth=sweep_depth)
-    terminal().print(f"{verdict(summary)}. Look at {page}; recordings are beside it")
+        written = report(run, depth=sweep_depth)
+    terminal().print(f"{verdict(summary)}. Look at {written}; recordings are beside it")
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 

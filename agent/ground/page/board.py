@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import msgspec
 
@@ -29,8 +29,8 @@ class Item:
     __slots__ = ("_made", "_make")
 
     def __init__(self, make: Make) -> None:
-        self._make, self._made = make, None
-        self._made: Shown | None
+        self._make = make
+        self._made: Shown | None = None
 
     def made(self) -> Shown:
         if self._made is None:
@@ -51,8 +51,9 @@ class Viewer:
         """The key to send next; None: there is nothing, or the page has not drawn what it got."""
         return next((key for key in self.waiting if key not in self.owed), None)
 
-    def got(self, key: str) -> None:
-        self.owed.discard(key)
+    def got(self, keys: Iterable[str]) -> None:
+        """What the page has drawn."""
+        self.owed.difference_update(keys)
         self.news.set()
 
     def wants(self, key: str) -> None:
@@ -111,23 +112,23 @@ class Board:
     def leave(self, viewer: Viewer) -> None:
         self._viewers.discard(viewer)
 
-    def next_for(self, viewer: Viewer) -> Shown | None:
-        """The next message to this page, which owes an answer for it from now on; None: nothing for now."""
+    def next_for(self, viewer: Viewer) -> list[Shown]:
+        """The next messages to this page, which owes an answer for each from now on."""
+        found = []
         while (key := viewer.due()) is not None:
             del viewer.waiting[key]
-            if key == LINES:
-                lines = list(viewer.lines)
-                viewer.lines.clear()
-                message: Shown = text({"k": LINES, "lines": lines})
+            try:
+                found.append(self._lines_for(viewer) if key == LINES else self._newest[key].made())
+            except Refusal:
+                self.refused += 1
+                self._newest.pop(key)
+            except KeyError:  # refused to another page
+                continue
             else:
-                try:
-                    message = self._newest[key].made()
-                except Refusal:
-                    self.refused += 1
-                    self._newest.pop(key)
-                    continue
-                except KeyError:  # refused to another page
-                    continue
-            viewer.owed.add(key)
-            return message
-        return None
+                viewer.owed.add(key)
+        return found
+
+    def _lines_for(self, viewer: Viewer) -> Shown:
+        lines = list(viewer.lines)
+        viewer.lines.clear()
+        return text({"k": LINES, "lines": lines})

@@ -46,7 +46,7 @@ def run(what: Path, console: str | None, port: int, out: Path, stop: Event, say:
         )
         page_of_fleet(
             fleet,
-            Observer(fleet, clock.now_ns, SHOWN, name, keys),
+            Observer(fleet, clock.now_ns, SHOWN, name, keys, once=True),
             stop,
             clock,
             port,

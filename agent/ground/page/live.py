@@ -16,7 +16,7 @@ from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.ground.page.board import Board
 from agent.ground.page.record import Recording
-from agent.ground.page.rows import LINES, Rows, text
+from agent.ground.page.rows import LINES, SELDOM_NS, Rows, text
 from agent.kernel.codec import Refusal
 from agent.kernel.config import Fleet
 from agent.kernel.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
@@ -25,7 +25,7 @@ from agent.transport import Observer, Received
 logger = logging.getLogger(__name__)
 
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
-PERIOD_S = 0.05  # of the wall, between two looks at what has arrived
+PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often
 CLOCK_S = 0.5  # of the wall, between two notes of what time it is in the fleet
 UNDER_WAY = 16  # orders that wait for answers at a time
 
@@ -62,6 +62,7 @@ class Live:
         self._fleet, self._board, self._clock = fleet, board, clock
         self._give, self._recording = give, recording
         self._rows, self._numbers = Rows(fleet), itertools.count(1)
+        self._shown_ns: dict[str, int] = {}  # when, of what is not shown each time
         self._under_way: set[asyncio.Task[None]] = set()
 
     async def run(self, observer: Observer, stop: Event) -> None:
@@ -76,10 +77,14 @@ class Live:
             await asyncio.sleep(PERIOD_S)
 
     def _take(self, received: Received) -> None:
-        topic, chunks, payload, _ = received
+        topic, chunks, payload, arrived_ns = received
         key = self._rows.key(topic, chunks)
         if key is None:
             return
+        if seldom_ns := SELDOM_NS.get(topic.message):
+            if arrived_ns - self._shown_ns.get(key, 0) < seldom_ns:
+                return
+            self._shown_ns[key] = arrived_ns
         if topic.message not in LINES:
             self._board.show(key, partial(self._rows.message, topic, chunks, payload))
             return

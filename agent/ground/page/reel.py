@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from agent.ground.page.rows import LINES, Rows
+from agent.ground.page.rows import LINES, SELDOM_NS, Rows
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.topics import Topic
 from replay.check.black_box import recordings
@@ -49,7 +49,8 @@ class Reel:
                 continue
             is_line = row[0].message in LINES
             times, numbers = self._of.setdefault(key, ([], []))
-            if times and not is_line and record.log_time_ns - times[-1] < LEAST_NS:
+            least_ns = SELDOM_NS.get(row[0].message, LEAST_NS)
+            if times and not is_line and record.log_time_ns - times[-1] < least_ns:
                 continue
             at_ns = max(record.log_time_ns, self.times_ns[-1] if self.times_ns else 0)
             times.append(at_ns)

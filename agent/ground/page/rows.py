@@ -28,6 +28,7 @@ Fields = dict[str, Any]
 
 PICTURE = struct.Struct("<BIQ")  # robot, counted as in the fleet file; number of the frame; middle of its exposure, ns
 LINES: tuple[type[Message], ...] = (LogLine, Answer)  # of these every one counts, not the newest alone
+SELDOM_NS: Mapping[type[Message], int] = {Estimate: 450_000_000}  # so often is enough: of it the page takes an ellipse
 UNSHOWN = ("schema", "fleet", "seq")
 
 

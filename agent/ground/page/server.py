@@ -135,8 +135,12 @@ class Site:
         with suppress(ConnectionClosed):
             while True:
                 viewer.news.clear()
-                while (message := self._board.next_for(viewer)) is not None:
-                    await ws.send(message)
+                due = self._board.next_for(viewer)
+                if texts := [message for message in due if isinstance(message, str)]:
+                    await ws.send(f"[{','.join(texts)}]")
+                for picture in due:
+                    if isinstance(picture, bytes):
+                        await ws.send(picture)
                 await viewer.news.wait()
 
     async def _take(self, viewer: Viewer, said: str | bytes) -> None:
@@ -146,8 +150,9 @@ class Site:
             return
         if not isinstance(message, dict):
             return
-        if isinstance(got := message.get("got"), str):
-            viewer.got(got)
+        if "got" in message:
+            with suppress(TypeError):  # what a page says may be anything
+                viewer.got(message["got"])
         else:
             await self._heard(message)
 
