@@ -6,7 +6,7 @@ On the way out the motors go off first, then the last state is shown, then links
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
@@ -44,7 +44,7 @@ from replay.files.auto_recover import recovering, torn_files
 from replay.files.clock_rate import RateNotes
 from replay.files.environment import environment
 
-OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
+OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
 
 
 class Setup(NamedTuple):
@@ -68,15 +68,18 @@ def run(
     lossless: bool = False,
     views: bool = True,
     behaviour: str | None = None,
+    doubts: Callable[[Fleet], str | None] = lambda fleet: None,
 ) -> None:
     """One agent process, from its fleet file until `stop` is set. Raises ConfigError or CameraError before anything
     moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
     `lossless` records frames bit by bit, `views` adds channels for viewers to the recording. `behaviour`: what the
-    robot does in place of what the file says, as the file would say it.
+    robot does in place of what the file says, as the file would say it. `doubts`: what will go wrong though it starts.
     """
     setup = load_setup(fleet_path, name, behaviour)
+    if (why := doubts(setup.fleet)) is not None:
+        tell(f"{name}: before the dive: {why}\n")
     if stop.is_set():
         return
     with ExitStack() as stack:

@@ -28,6 +28,7 @@ from agent.kernel.step_io import DroppedPayloads, Heard, Ordered
 from agent.kernel.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
 from agent.links.inboxes import Inboxes, rows_of
 from agent.links.order_box import OrderBox
+from agent.links.strangers import Strangers
 from agent.links.tokens import Tokens
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
@@ -51,6 +52,7 @@ class Transport:
         self._fleet, self._robot, self._clock = fleet, robot, clock
         self._random = random.Random(f"{fleet.link.loss_seed} {robot}")
         self._inboxes, self._tokens = Inboxes(fleet, robot), Tokens(fleet, robot)
+        self._strangers = Strangers(fleet, robot)
         self._box = OrderBox(fleet, robot, clock)
         self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target
         self._tell: dict[tuple[str, type[Message]], Publish] = {}  # neighbour, what it is told beside estimates
@@ -129,7 +131,9 @@ class Transport:
 
     def faults(self) -> tuple[str, ...]:
         """What is wrong with who is linked to us, each as "kind: what to do". Never waits; for the loop."""
-        return self._tokens.faults(self._session.id, self._session.announce, machine.monotonic_s())
+        now_s = machine.monotonic_s()
+        tokens = self._tokens.faults(self._session.id, self._session.announce, now_s)
+        return (*tokens, *self._strangers.faults(self._session.links, now_s))
 
     def _token(self, sample: Sample) -> None:
         self._tokens.token(sample, machine.monotonic_s())  # links and their leases are the wall's

@@ -103,6 +103,14 @@ class Query:
         self._query.drop()  # type: ignore[no-untyped-call]  # of zenoh's own stubs
 
 
+class Link(NamedTuple):
+    """One link of a session, to another one."""
+
+    session: str  # of the other end
+    address: str  # where it is: of one that we dialled, as it listens
+    name: str  # common name of the other end's certificate; empty: it has shown none
+
+
 class Reply(NamedTuple):
     """One of the answers to a question."""
 
@@ -233,10 +241,33 @@ class Session:
         """Have `arrived` called with every token on `key` that is there, comes or goes."""
         self._session.liveliness().declare_subscriber(key, _direct(arrived), history=True)
 
+    def links(self) -> tuple[Link, ...]:
+        """The links that there are now."""
+        return tuple(map(_link, self._session.info.links()))
+
+    def watch_links(self, lost: Callable[[Link], None]) -> None:
+        """Have `lost` called with every link that goes from now on, in zenoh's thread."""
+
+        def event(changed: zenoh.LinkEvent) -> None:
+            if changed.kind != PUT:
+                lost(_link(changed.link))
+
+        self._watch = self._session.info.declare_link_events_listener(Callback(event, indirect=False))
+
+    def who_is_linked(self, timeout_s: float) -> tuple[bytes, ...]:
+        """What each linked session says of itself and its own links, as JSON, where it shows that to us. Waits until
+        all have answered, for `timeout_s` of the wall at most."""
+        replies = self._session.get("@/*/peer", timeout=timeout_s)
+        return tuple(reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None)
+
 
 def _direct(arrived: Arrived) -> Callback[zenoh.Sample]:
     # Called in zenoh's own thread: a thread of Python's in between would stamp later, and keeps a process from ending.
     return Callback(lambda sample: arrived(Sample(sample)), indirect=False)
+
+
+def _link(link: zenoh.Link) -> Link:
+    return Link(str(link.zid), str(link.dst), link.auth_identifier or "")
 
 
 def _reply(reply: zenoh.Reply) -> Reply:

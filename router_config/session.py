@@ -15,6 +15,7 @@ from typing import Any
 
 from agent.kernel.config import Fleet
 from router_config.access import access_control
+from router_config.metadata import metadata
 
 # Where consoles find the router. Below 32768, as every port of ours: those above are ephemeral source ports.
 ROUTER_LISTEN = "tcp/127.0.0.1:17447"
@@ -74,7 +75,7 @@ def _config(
 ) -> str:
     differences: dict[str, Any] = {
         "connect": {"endpoints": list(connect)},
-        "metadata": {"fleet": fleet.fleet, "name": name},
+        "metadata": metadata(fleet, name),
     }
     if listen is not None:
         differences["listen"] = {"endpoints": list(listen)}

@@ -10,7 +10,7 @@ import typer
 from agent.commands.options import FleetFile, Port, RobotName, Speed, complain, terminal
 from agent.failure import Failed
 from agent.fleet_files import shipped_names
-from agent.kernel.config import Protocol
+from agent.kernel.config import Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.run_folder import new_recording
 from agent.stop_signal import until_signal
@@ -42,6 +42,7 @@ def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
+    secure: Annotated[bool, typer.Option("--secure", help="All links are TLS, with certificates of this run.")] = False,
     page: Annotated[
         bool, typer.Option("--page", help="With a page to look at it and to give orders, in a browser; until Ctrl-C.")
     ] = False,
@@ -58,7 +59,7 @@ def demo(
     from replay.report.report import report
 
     limit_s = duration or (WITH_PAGE_S if page else ALONE_S)
-    run, summary = dive(robots, protocol, loss, seed, limit_s, enhance, out, terminal(), fleet, speed, page)
+    run, summary = dive(robots, protocol, loss, seed, limit_s, enhance, out, terminal(), fleet, speed, secure, page)
     with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
         written = report(run, depth=sweep_depth)
     terminal().print(f"{verdict(summary)}. Look at {written}; recordings are beside it")
@@ -83,8 +84,12 @@ def agent(
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
     with until_signal() as stop:
         from agent.agent_process import run
+        from agent.fleet_setup.check import before_dive
 
-        run(fleet, robot, out, arm, stop, lossless, view, behaviour)
+        def doubts(read: Fleet) -> str | None:
+            return before_dive(read, robot, fleet, out or Path())
+
+        run(fleet, robot, out, arm, stop, lossless, view, behaviour, doubts)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")

@@ -71,3 +71,28 @@ def keys(
 
     for line in fleet_keys(load_fleet(fleet), fleet, out, only, days):
         typer.echo(line)
+
+
+@app.command(epilog="Example: aucamp doctor fleet.toml --as ann")
+def doctor(
+    fleet: FleetFile,
+    name: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="As this console, observer or robot; else as one whose key is here."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Why robots of a running fleet do not hear each other, or us: ports, certificates, links, rules, clocks.
+
+    One line for each thing: ok, warning or wrong, and what to do. Exit 1 unless all are ok.
+    """
+    from agent.ground.doctor.doctor import examine
+
+    diagnosis = examine(fleet, name, Path())
+    if as_json:
+        typer.echo(json.dumps(diagnosis.as_json()))
+    else:
+        for finding in diagnosis.findings:
+            typer.echo(finding)
+        typer.echo(diagnosis.verdict)
+    raise typer.Exit(0 if diagnosis.well else 1)

@@ -38,8 +38,9 @@ def order(
 
     robots = load_fleet(fleet)
     told = typed(robots, fleet, verb.value, words or ())
-    outcomes = give(robots, fleet, console, told)
-    for robot, outcome in outcomes.items():
+    outcomes = {}
+    for robot, outcome in give(robots, fleet, console, told):
+        outcomes[robot] = outcome
         typer.echo(line(robot, outcome))
     typer.echo(f"{told.verb}: {verdict(outcomes)}")
     raise typer.Exit(0 if all(outcome.ok for outcome in outcomes.values()) else 1)

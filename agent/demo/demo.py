@@ -16,7 +16,6 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from rich.console import Console
 from rich.live import Live
 
@@ -25,7 +24,7 @@ from agent.demo.coverage import SurveyWatch
 from agent.demo.coverage_table import survey_table
 from agent.demo.display import how_to_look, progress_table, progress_title, result_table
 from agent.demo.endpoints import reserved
-from agent.demo.fleet import demo_fleet, listening
+from agent.demo.fleet import demo_fleet, listening, with_access
 from agent.demo.following import FOLLOW_S, followed_s, scored, swims
 from agent.demo.history import Histories, History
 from agent.demo.look import open_page
@@ -34,13 +33,13 @@ from agent.failure import Failed
 from agent.fleet_clock import fleet_clock
 from agent.fleet_files import fleet_file, with_pictures
 from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Access, Fleet, Protocol
+from agent.kernel.config import Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import CLAIM, STATE
-from agent.keys.make import FOLDER, make_keys
+from agent.keys.make import FOLDER, make_all
 from agent.keys.robot_keys import VARIABLE
 from agent.launch import Crew, crew, wait_for
 from agent.progress import with_spinner
@@ -67,6 +66,7 @@ def demo(
     console: Console,
     fleet_name: str = "tank",
     speed: float = 1.0,
+    secure: bool = False,
     page: bool = False,
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
@@ -77,17 +77,18 @@ def demo(
 
     The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's
     folder is given to others, and may lie where files have no modes. The fleet file as used names the folder `keys`
-    beside it, where whoever wants to run it again puts new ones.
+    beside it, where whoever wants to run it again puts new ones. `secure`, or a file that is so: all links are TLS.
     """
     started_s = machine.monotonic_s()
     file = fleet_file(fleet_name)
     with ExitStack() as stack:
         folder = stack.enter_context(temporary_folder())
         fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, file)
-        own = load_fleet(file).robot
-        fleet = listening(fleet, stack.enter_context(reserved([own[name].listen for name in fleet.robot])))
-        fleet = msgspec.structs.replace(fleet, access=Access(keys=FOLDER))
-        make_keys(fleet.robot, folder / FOLDER)
+        own = load_fleet(file)
+        wished = ["tcp/" + own.robot[name].listen.partition("/")[2] for name in fleet.robot]
+        fleet = listening(fleet, stack.enter_context(reserved(wished)))
+        fleet = with_access(fleet, own.access.consoles, secure or own.secured)
+        make_all(fleet, folder / FOLDER)
         run = run_folder(out)
         path = run / "fleet.toml"
         path.write_text(dump(with_pictures(fleet, run)), encoding="utf-8")
@@ -97,7 +98,7 @@ def demo(
         survey = SurveyWatch(fleet) if fleet.coverage is not None else None
         if page:
             console.print(open_page(fleet, path, processes), highlight=False, soft_wrap=True)
-        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console, survey, page)
+        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console, survey, folder / FOLDER, page)
     with with_spinner(console, "reading the recordings"):
         followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
     summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed, survey)
@@ -148,10 +149,12 @@ def dive(
     processes: Crew,
     console: Console,
     survey: SurveyWatch | None = None,
+    keys: Path | None = None,
     page: bool = False,
 ) -> tuple[Histories, dict[str, Any]]:
     """Twin, recorder and agents until they settle, or have surveyed, or time is up; returns what they showed, and the
-    truth. Where somebody looks at a page the dive ends by time alone, or as he interrupts it."""
+    truth. `keys`: the folder of this run's. Where somebody looks at a `page` the dive ends by time alone, or as he
+    interrupts it."""
     folder = twin_dir(fleet)
     with with_spinner(console, "starting the twin"):
         processes.start("twin", "twin", str(path), "--speed", "max" if speed == math.inf else str(speed))
@@ -166,7 +169,7 @@ def dive(
     clock = fleet_clock(fleet)
     start_ns = clock.now_ns()
     until_ns = start_ns + round(duration_s * 1e9)
-    for line in how_to_look(fleet, path):
+    for line in how_to_look(fleet, path, keys):
         console.print(line, highlight=False)
     ends = f"know where it is and {until(fleet)}" if survey is None else "know what is asked for, and the same"
     console.print(
@@ -176,7 +179,7 @@ def dive(
     )
     live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
     with (
-        Observer(fleet, clock.now_ns, (STATE,) if survey is None else (STATE, CLAIM)) as observer,
+        Observer(fleet, clock.now_ns, (STATE,) if survey is None else (STATE, CLAIM), keys=keys) as observer,
         live or nullcontext(),
         suppress(KeyboardInterrupt) if page else nullcontext(),
     ):

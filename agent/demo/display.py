@@ -21,27 +21,33 @@ from agent.kernel.config import Fleet
 from agent.kernel.messages import LampState, State
 from agent.kernel.status import fault_kind
 from agent.kernel.topics import EVERY_FLEET
+from agent.keys.fleet_certificates import CONSOLE_FILE
+from agent.keys.robot_keys import VARIABLE
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 
 
-def how_to_look(fleet: Fleet, path: Path) -> list[str]:
+def how_to_look(fleet: Fleet, path: Path, keys: Path | None = None) -> list[str]:
     """Commands that attach to a running fleet, each ready to paste into another terminal in this folder.
 
-    What has to be installed first stands above them: not every shell passes over a comment behind a command.
+    What has to be installed first stands above them: not every shell passes over a comment behind a command. `keys`:
+    the folder with the certificates of a secured fleet.
     """
     asked = next(iter(fleet.robot.values())).listen
     file = shlex.quote(str(path))
     missing = [] if shutil.which(program("zenoh")) else ["zenoh-cli"]
     missing += [] if importlib.util.find_spec("foxglove") else ["foxglove-sdk"]
     first = f" (first: {program('pip')} install {' '.join(missing)})" if missing else ""
-    console = f"{program('zenoh')} --mode client --connect {asked} subscribe -k '{EVERY_FLEET}' --decoder aucamp"
+    ours = f"{VARIABLE}={shlex.quote(str(keys))} " if fleet.secured and keys is not None else ""
+    as_whom = f"--config {shlex.quote(str(keys / CONSOLE_FILE))} " if fleet.secured and keys is not None else ""
+    attach = f"{program('zenoh')} --mode client {as_whom}--connect {asked}"
+    console = f"{attach} subscribe -k '{EVERY_FLEET}' --decoder aucamp"
     return [
         "look at it from a second terminal in this folder: every message; all in Foxglove; a router for consoles"
         + first,
         f"  {console} --line '{{key}} {{value}}'",
-        f"  {program('aucamp')} view {file}",
-        f"  {program('aucamp')} router {file}",
+        f"  {ours}{program('aucamp')} view {file}",
+        f"  {ours}{program('aucamp')} router {file}",
     ]
 
 

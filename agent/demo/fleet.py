@@ -11,6 +11,7 @@ import msgspec
 from agent.fleet_files import shipped_fleet
 from agent.kernel.config import Access, ConfigError, Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
+from agent.keys.make import FOLDER
 from agent.perception.detection.detectors import target_picture
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
 from agent.ports import free_ports
@@ -18,6 +19,7 @@ from hw.twin.scene import scene_of
 from hw.twin.targets import target_creatures, target_solids
 
 T = TypeVar("T", bound=msgspec.Struct)
+CONSOLE = "ann"  # who may order in a secured demo whose file names nobody
 OF_THE_TANK = 3  # of its five robots, unless more are asked for: two cores render no more cameras at real time
 
 
@@ -67,6 +69,14 @@ def listening(fleet: Fleet, endpoints: list[str]) -> Fleet:
         for (name, robot), endpoint in zip(fleet.robot.items(), endpoints, strict=True)
     }
     return msgspec.structs.replace(fleet, robot=robots)
+
+
+def with_access(fleet: Fleet, consoles: tuple[str, ...], secure: bool) -> Fleet:
+    """The fleet, signing with keys of its run; `secure`: with certificates too, and a console at the least."""
+    if secure:
+        endpoints = ["tls/" + robot.listen.partition("/")[2] for robot in fleet.robot.values()]
+        fleet, consoles = listening(fleet, endpoints), consoles or (CONSOLE,)
+    return msgspec.structs.replace(fleet, access=Access(keys=FOLDER, consoles=consoles))
 
 
 def _with(table: T, **asked: object) -> T:

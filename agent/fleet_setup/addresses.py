@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import ipaddress
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,6 +46,20 @@ def port_finding(name: str, listen: str) -> Finding:
         text = f"{listen} is in use: {name}'s agent runs already, or another program; end it, or take another port"
         return Finding("warning", name, text)
     return Finding("wrong", name, f"{listen}: {os.strerror(refused)}; take another port")
+
+
+def loopback_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Robots of several computers of which one listens where every computer finds itself."""
+    alone = {name: _is_loopback(robot.listen) for name, robot in fleet.robot.items()}
+    if any(alone.values()) and not all(alone.values()):
+        for name in (name for name, at_home in alone.items() if at_home):
+            text = f"{fleet.robot[name].listen} is every computer's own; write the address that others reach it by"
+            yield Finding("warning", name, f"{text}, for not all robots are there")
+
+
+def _is_loopback(listen: str) -> bool:
+    found = addresses_of(listen)
+    return bool(found) and all(ipaddress.ip_address(str(address[0])).is_loopback for _, address in found)
 
 
 def links(fleet: Fleet) -> Iterator[Finding]:

@@ -7,12 +7,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.fleet_setup.addresses import address_finding, is_here, links
+from agent.fleet_setup.addresses import address_finding, is_here, links, loopback_findings
+from agent.fleet_setup.certificates import certificate_findings, watchers_here
 from agent.fleet_setup.devices import device_findings
 from agent.fleet_setup.files import (
     calibration_finding,
     disk_finding,
     enhancement_findings,
+    files_finding,
     key_findings,
     target_findings,
     twin_findings,
@@ -70,6 +72,8 @@ def check(path: Path, robot: str | None, folder: Path) -> Checked:
     for name in fleet.robot if robot is None else [robot]:
         found.append(address_finding(fleet, name, path, asked=robot is not None))
         found += robot_findings(fleet, name, path) if name in here else ()
+    for name in watchers_here(fleet, path) if robot is None else ():
+        found += certificate_findings(fleet, name, path)
     return Checked((*found, *computer_findings(here, folder)), len(here))
 
 
@@ -95,17 +99,26 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     if (why := two_worlds(fleet)) is not None:
         yield Finding("wrong", "fleet", why)
     yield from links(fleet)
+    yield from loopback_findings(fleet)
     yield from twin_findings(fleet, path)
     yield from target_findings(fleet)
     yield from enhancement_findings(fleet)
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")
+    if not fleet.secured:
+        yield Finding("ok", "fleet", "open: who reaches a port can read it and speak as any robot; see docs/access.md")
 
 
 def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
     """What a robot of this computer needs here."""
     yield calibration_finding(fleet, name, path)
+    yield from running_findings(fleet, name, path)
+
+
+def running_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """What it needs to be here for as long as it runs."""
     yield from key_findings(fleet, name, path)
+    yield from certificate_findings(fleet, name, path)
     yield from device_findings(fleet, name)
 
 
@@ -113,6 +126,14 @@ def computer_findings(here: Sequence[str], folder: Path) -> Iterator[Finding]:
     """What the computer has for the robots that are here."""
     if here:
         yield disk_finding(folder)
+        yield files_finding()
     else:
         text = "no robot listens at an address of this computer: devices and files were not looked at"
         yield Finding("warning", "fleet", f"{text}; check on the robots' computers, or correct listen")
+
+
+def before_dive(fleet: Fleet, name: str, path: Path, folder: Path) -> str | None:
+    """What will go wrong in a dive of this robot though its agent starts, in one line; None: nothing is known to.
+    `folder`: where it records."""
+    found = (*running_findings(fleet, name, path), *computer_findings([name], folder))
+    return "; ".join(finding.text for finding in found if finding.level != "ok") or None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 from collections.abc import Iterator
 from functools import partial
@@ -24,6 +25,7 @@ from hw.twin.scene import scene_of
 from hw.twin.targets import target_solids
 from replay.files.log import Limits
 
+OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh took 119 of them
 HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
 
 
@@ -139,3 +141,12 @@ def disk_finding(folder: Path) -> Finding:
     if room <= 0:
         return Finding("wrong", "disk", f"{free / 1e9:.1f} GB free in {folder}: nothing would be recorded; make room")
     return Finding("ok" if room > HOUR_BYTES else "warning", "disk", hours)
+
+
+def files_finding() -> Finding:
+    """Whether a process here may open as many files as an agent with links to a whole fleet does."""
+    most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if most != resource.RLIM_INFINITY and most < OPEN_FILES:
+        text = f"a process may open {most} files here, and a link needs two; run: ulimit -n {OPEN_FILES}"
+        return Finding("warning", "computer", text)
+    return Finding("ok", "computer", "processes may open files enough")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import itertools
 import threading
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
+
+from msgspec.structs import replace
 
 from agent.clock import machine
 from agent.kernel import topics
@@ -80,34 +82,45 @@ class Console:
         answer_s: float = ANSWER_S,
         heard_s: float = HEARD_S,
     ) -> dict[str, Outcome]:
-        """Order these robots, each as soon as it is heard, and wait for all: until `heard_s` for the first sign of a
-        robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be."""
+        """Order these robots, and wait for all, as `orders` does."""
+        return dict(self.orders(robots, verb, args, answer_s, heard_s))
+
+    def orders(
+        self,
+        robots: Collection[str],
+        verb: str,
+        args: Mapping[str, Arg] | None = None,
+        answer_s: float = ANSWER_S,
+        heard_s: float = HEARD_S,
+    ) -> Iterator[tuple[str, Outcome]]:
+        """Order these robots, each as soon as it is heard; what became of it at each, as it comes: until `heard_s` for
+        the first sign of a robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be."""
         arguments(verb, args or {})
-        number = next(self._ids)
+        order = Order(id=next(self._ids), verb=verb, args=args or {})
         start_s = machine.monotonic_s()
         asked = {robot: _Asked() for robot in robots}
-        with self._changed:
-            while any(one.outcome is None for one in asked.values()):
-                now_s = machine.monotonic_s()
-                due = [robot for robot, one in asked.items() if one.due(now_s) and self._ready(robot, verb)]
-                for robot in due:
-                    asked[robot].sent(now_s)
-                    seen = self._states.get(robot)
-                    order = Order(
-                        id=number,
-                        verb=verb,
-                        args=args or {},
-                        seen=None if seen is None else (seen.incarnation, seen.sent_ns),
-                    )
-                    self._ask(robot, order, asked[robot], answer_s)
+        while asked:
+            for robot, one in asked.items():
+                if (seen := self._sign_of(robot, verb)) is not None and one.begin(machine.monotonic_s()):
+                    self._ask(robot, replace(order, seen=seen or None), one, answer_s)
+            now_s = machine.monotonic_s()
+            with self._changed:
                 for one in asked.values():
                     one.give_up(now_s, start_s, heard_s, answer_s)
-                self._changed.wait(AGAIN_S)
-        return {robot: one.outcome for robot, one in asked.items() if one.outcome is not None}
+                over = {robot: one.outcome for robot, one in asked.items() if one.outcome is not None}
+                if not over:
+                    self._changed.wait(AGAIN_S)
+            for robot, outcome in over.items():
+                del asked[robot]
+                yield robot, outcome
 
-    def _ready(self, robot: str, verb: str) -> bool:
-        """Whether it can be asked: what must not come late goes by a State."""
-        return robot in self._states or (robot in self._there and verb in (*URGENT, CLOCK))
+    def _sign_of(self, robot: str, verb: str) -> tuple[int, int] | tuple[()] | None:
+        """What an order to it says that was seen; None: nothing was, and it cannot be asked yet. What may come late
+        needs nothing but that it is there."""
+        with self._changed:
+            if (state := self._states.get(robot)) is not None:
+                return state.incarnation, state.sent_ns
+            return () if robot in self._there and verb in (*URGENT, CLOCK) else None
 
     def _ask(self, robot: str, order: Order, asked: _Asked, answer_s: float) -> None:
         key = topics.ORDER.format(fleet=self._fleet.fleet, robot=robot, console=self._name)
@@ -122,12 +135,7 @@ class Console:
                 asked.over(machine.monotonic_s())
                 self._changed.notify()
 
-        # Not under the lock: zenoh may answer in this thread.
-        self._changed.release()
-        try:
-            self._session.ask(Order, key, encode(order), answer_s, replied, over)
-        finally:
-            self._changed.acquire()
+        self._session.ask(Order, key, encode(order), answer_s, replied, over)
 
     def _heard(self, sample: Sample) -> None:
         row = topics.match(sample.key)
@@ -158,11 +166,12 @@ class _Asked:
         self._open = False  # a question is under way
         self._error = ""
 
-    def due(self, now_s: float) -> bool:
-        return self.outcome is None and not self._open and now_s >= self._again_s
-
-    def sent(self, now_s: float) -> None:
+    def begin(self, now_s: float) -> bool:
+        """Whether it is to be asked now, and then it is."""
+        if self.outcome is not None or self._open or now_s < self._again_s:
+            return False
         self._first_s, self._open = self._first_s or now_s, True
+        return True
 
     def hear(self, reply: Reply, now_s: float) -> None:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,12 +47,12 @@ def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Ty
     return Typed(tuple(fleet.robot) if everybody else tuple(dict.fromkeys(names)), verb, args)
 
 
-def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> dict[str, Outcome]:
-    """Order, and wait for every answer. Raises ConfigError where this console may not."""
+def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> Iterator[tuple[str, Outcome]]:
+    """Order, and say what became of it at each robot, as it comes. Raises ConfigError where this console may not."""
     if why := why_closed(fleet, console):
         raise ConfigError(f"{fleet_path}: {why}")
     with Console(fleet, console, credentials(fleet, console, fleet_path)) as link:
-        return link.order(order.robots, order.verb, order.args)
+        yield from link.orders(order.robots, order.verb, order.args)
 
 
 def line(robot: str, outcome: Outcome) -> str:
@@ -63,5 +63,5 @@ def line(robot: str, outcome: Outcome) -> str:
     return f"{robot}: {what} ({1e3 * outcome.took_s:.0f} ms)"
 
 
-def verdict(outcomes: dict[str, Outcome]) -> str:
+def verdict(outcomes: Mapping[str, Outcome]) -> str:
     return f"{sum(outcome.ok for outcome in outcomes.values())} of {len(outcomes)}"

@@ -21,8 +21,10 @@ from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
 from agent.kernel.lighting.words import Light
 from agent.kernel.messages import SCHEMA, Estimate
+from agent.kernel.orders.verbs import arguments, in_words
+from agent.kernel.orders.words import Order
 from agent.kernel.presence import Presence
-from agent.kernel.step_io import Heard, Inputs
+from agent.kernel.step_io import Heard, Inputs, Ordered
 from agent.kernel.topics import CLAIM, KEYFRAME, LIGHT, NEAR
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences, written
@@ -252,6 +254,15 @@ def heard_words(heard: Heard) -> str:
     return f"seq {e.seq}, iteration {e.t}, {'sees' if e.valid else 'does not see'} the target"
 
 
+def order_words(ordered: Ordered) -> str:
+    """What somebody ordered."""
+    try:
+        order = decode(ordered.payload, Order, accepted=READABLE)
+        return in_words(order.verb, arguments(order.verb, order.args))
+    except Refusal as refusal:
+        return f"refused: {refusal}"
+
+
 def describe_inputs(step: Step) -> tuple[str, ...]:
     """A line for each thing that went into a step: what, how old in ms, how large."""
 
@@ -269,5 +280,9 @@ def describe_inputs(step: Step) -> tuple[str, ...]:
         except Refusal as refusal:
             what = f"refused: {refusal}"
         lines.append(f"heard from {heard.src}, {age(heard.arrived_ns)}, {len(heard.payload)} bytes: {what}")
+    lines += [
+        f"order of {o.console}, {age(o.arrived_ns)}, {len(o.payload)} bytes: {order_words(o)}"
+        for o in inputs.orders or ()
+    ]
     lines += [f"refused by transport: {r.count} x {r.reason}" for r in inputs.refused]
     return tuple(lines)

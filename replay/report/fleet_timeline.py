@@ -16,6 +16,7 @@ import numpy as np
 from agent.kernel.codec import READABLE, Refusal, decode
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import Estimate, LogLine, State
+from agent.kernel.orders.words import Answer
 from replay.check.black_box import attached_toml, head, schema_of
 from replay.check.links import Link
 from replay.files.channels import network_topic
@@ -73,6 +74,8 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             robot.show(message, (message.sent_ns - start_ns) * 1e-9)
         elif isinstance(message, LogLine) and start_ns is not None:
             robot.log.append(((message.sent_ns - start_ns) * 1e-9, message))
+        elif isinstance(message, Answer) and start_ns is not None:
+            robot.answers.append(((message.sent_ns - start_ns) * 1e-9, message))
     found = [
         timeline
         for name, robot in robots.items()
@@ -91,6 +94,7 @@ class _Robot:
     def __init__(self) -> None:
         self.accounts: defaultdict[str, Account] = defaultdict(Account)
         self.log: list[tuple[float, LogLine]] = []
+        self.answers: list[tuple[float, Answer]] = []
         self._newest: dict[int, State] = {}  # by incarnation
         self._starts_s: list[float] = []
         self._postures: list[tuple[float, float, float, float]] = []  # t_s, depth, roll, pitch
@@ -133,6 +137,7 @@ class _Robot:
                 posture=posture,
                 set_depth_m=(),
                 log=tuple(self.log),
+                answers=tuple(self.answers),
             )
             for target in fleet.target
         ]

@@ -126,7 +126,7 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             "robot, a row for each robot: green is one that sees the target and counts in its estimate, orange "
             "one that knows the target from others only, grey one that knows nothing. From left to right rows should "
             "turn green.",
-            [table for table in (report_tables.events(run), report_tables.remarks(run)) if table]
+            [t for t in (report_tables.events(run), report_tables.orders(run), report_tables.remarks(run)) if t]
             if run.timelines
             else [],
             [svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Estimate, LogLine, State, Symmetric, Vector
+from agent.kernel.orders.words import Answer
 from agent.kernel.step_io import Inputs, Outputs, Sighting, SweepOutcome
 from replay.check.black_box import STEP_BYTES, BlackBox
 
@@ -75,6 +76,7 @@ class RobotTimeline(NamedTuple):
     posture: Posture
     set_depth_m: tuple[tuple[float, float], ...]  # (t_s, depth) where the set-point changed
     log: tuple[tuple[float, LogLine], ...]
+    answers: tuple[tuple[float, Answer], ...]  # to what people ordered
 
     @property
     def estimate(self) -> tuple[Vector, Symmetric | None] | None:
@@ -148,6 +150,7 @@ def _timelines(boxes: Sequence[BlackBox], start_ns: int) -> list[RobotTimeline]:
             posture=posture,
             set_depth_m=tuple(collected.set_depth_m),
             log=tuple(collected.log),
+            answers=tuple(collected.answers),
         )
         for target, account in collected.accounts(boxes[0].fleet).items()
     ]
@@ -186,6 +189,7 @@ class _Collected:
         self.sweeps: list[LoggedSweep] = []
         self.set_depth_m: list[tuple[float, float]] = []
         self.log: list[tuple[float, LogLine]] = []
+        self.answers: list[tuple[float, Answer]] = []
         self._telemetry: list[tuple[float, ...]] = []
         self._swept: dict[tuple[str, int], list[tuple[float, Sighting]]] = {}  # by target and number, since the start
         self._outcomes: dict[tuple[str, int], SweepOutcome] = {}
@@ -206,6 +210,7 @@ class _Collected:
 
     def take_out(self, outputs: Outputs, t_s: float) -> None:
         self.log += [(t_s, line) for line in outputs.log]
+        self.answers += [(t_s, answer) for answer in outputs.answers or ()]
         if not self.set_depth_m or self.set_depth_m[-1][1] != outputs.set_point.depth_m:
             self.set_depth_m.append((t_s, outputs.set_point.depth_m))
         for estimate in outputs.says:

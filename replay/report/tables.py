@@ -23,6 +23,7 @@ HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
 EVENTS = ["robot", "s", "event"]
 VIEW = re.compile(r"(^|: )(sees|told|blind) since iteration ")  # agent.kernel.core writes it
 OVER = "over: "  # agent.kernel.status: the end of a fault
+ORDERED = " orders: "  # agent.kernel.desk: orders have a table of their own
 REPEATS = re.compile(r" \((\d+) times more in [\d.]+ s\)$")  # agent.kernel.logbook
 NUMBER = re.compile(r"\d+(\.\d+)?")
 ERRORS = ["error mm", "% of |x*|", "% of range"]  # before all else: a phone shows the first columns
@@ -115,13 +116,32 @@ def events(run: Run) -> Table:
     return Table("When each robot came to know of the target (told) and when it saw it itself (sees).", [EVENTS, *rows])
 
 
+def orders(run: Run) -> Table | None:
+    """Who ordered what, and what became of it; one that came again stands once. None where nobody did."""
+    found: dict[tuple[str, str, int, str, bool], float] = {}
+    whys: dict[tuple[str, str, int, str, bool], str] = {}
+    for timeline in run.robots:
+        for t_s, answer in timeline.answers:
+            about = answer.robot, answer.console, answer.id, answer.order, answer.ok
+            found.setdefault(about, t_s)
+            whys.setdefault(about, answer.why)
+    if not found:
+        return None
+    rows = [
+        [robot, f"{t_s:.1f}", console, order or "cannot be read", "does it" if ok else f"refused: {whys[about]}"]
+        for about, t_s in sorted(found.items(), key=lambda item: item[1])
+        for robot, console, _, order, ok in (about,)
+    ]
+    return Table("What people ordered, and what the robots answered.", [["robot", "time, s", "who", "what", ""], *rows])
+
+
 def remarks(run: Run) -> Table | None:
     """What else the robots wrote to their logs, the same text once; None where there was nothing. Sweeps are left out:
     each has its figure."""
     found: dict[tuple[str, str], _Remark] = {}
     for timeline in run.robots:
         for t_s, line in timeline.log:
-            if _of_view(line.text) or "sweep" in line.text or line.text.startswith(OVER):
+            if _of_view(line.text) or "sweep" in line.text or line.text.startswith(OVER) or ORDERED in line.text:
                 continue
             again = REPEATS.search(line.text)
             text = line.text[: again.start()] if again else line.text

@@ -9,12 +9,16 @@ from typing import NamedTuple
 
 import cv2
 import msgpack
+import msgspec
 import numpy as np
 
 from agent import decoder
 from agent.kernel import messages, step_io, topics
 from agent.kernel.codec import Refusal, decode, encode
+from agent.kernel.core import Agent
 from agent.kernel.messages import Estimate, Image, LogLine, Message, State
+from agent.kernel.orders.verbs import VERBS
+from agent.kernel.orders.words import Order
 from agent.kernel.trust import signed
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
@@ -26,6 +30,7 @@ from replay.viewers.viewer_channels import ViewerChannels
 from tests.fuzz import mutate
 from tests.fuzz.kernel.swarm import Scene, fleet_of
 from tests.fuzz.values import integer, of_type
+from tests.network.scripted_agent import CALIBRATION
 
 LIMITS = {Image: topics.IMAGE.limit, step_io.Inputs: 10**6, step_io.Outputs: 10**6}  # bytes, where not the usual one
 WILDS = (0.0, 0.01, 0.05, 0.3)
@@ -41,7 +46,7 @@ class Decoder(NamedTuple):
 
 @cache
 def decoders() -> tuple[Decoder, ...]:
-    kinds = [kind for kind in (*vars(messages).values(), *vars(step_io).values()) if _is_message(kind)]
+    kinds = [kind for kind in (*vars(messages).values(), *vars(step_io).values(), Order) if _is_message(kind)]
     some = fleet_of(Scene())
     viewers = ViewerChannels(some)
     shown = ((topics.STATE, State), (topics.LOG, LogLine), (topics.IMAGE, Image), (topics.LINK, Estimate))
@@ -50,6 +55,7 @@ def decoders() -> tuple[Decoder, ...]:
             Decoder(f"codec.{kind.__name__}", partial(_codec, kind), partial(_payload, kind))
             for kind in sorted(set(kinds), key=str)
         ),
+        Decoder("order", partial(_order, Agent(some, "r1", CALIBRATION, 1)), _ordered),
         Decoder("shown", _shown, partial(_payload, State)),
         Decoder("request", partial(_socket, frame_socket.parse_request), _request),
         Decoder("reply", partial(_socket, frame_socket.parse_reply), _reply),
@@ -73,7 +79,7 @@ def bytes_for(one: Decoder, pool: list[bytes], rng: Random) -> bytes:
         pool.append(made) if len(pool) < POOL else pool.__setitem__(rng.randrange(POOL), made)
         return made
     payload = rng.choice(pool)
-    if pick < 0.45 and one.name.startswith(("codec", "viewer", "shown")):
+    if pick < 0.45 and one.name.startswith(("codec", "viewer", "shown", "order")):
         try:
             return bytes(msgpack.packb(mutate.fields(msgpack.unpackb(payload), rng, rng.choice((1, 1, 3)))))
         except (ValueError, OverflowError, TypeError, msgpack.UnpackException):
@@ -94,6 +100,28 @@ def _codec(kind: type[Message], payload: bytes) -> None:
         return
     again = encode(message)
     assert encode(decode(again, kind, 2 * len(again) + 9)) == again, "other bytes the second time"
+
+
+def _order(agent: Agent, payload: bytes) -> None:
+    ordered = step_io.Ordered(arrived_ns=1, console="ann", payload=payload)
+    agent.desk.take((ordered,), 10**9)
+    before = step_io.Outputs(set_point=step_io.SetPoint(depth_m=0.4))
+    (answer,) = agent.desk.complete(before, (ordered,), 10**9).answers
+    assert len(encode(answer)) <= topics.ANSWER.limit, "an answer that nobody takes in"
+    assert answer.ok is not bool(answer.why) and (answer.why + answer.order).isprintable(), "no line"
+    for line in agent.status.log.fetch(10**9):
+        assert line.text.isprintable(), "breaks the line"
+
+
+def _ordered(rng: Random) -> bytes:
+    """An order with about the right arguments."""
+    verb = rng.choice(tuple(VERBS))
+    args = {
+        field.name: rng.choice((integer(rng), rng.uniform(-1.0, 2.0), "ball", "sweeps", True))
+        for field in msgspec.structs.fields(VERBS[verb])
+        if rng.random() < 0.9
+    }
+    return encode(Order(id=rng.randrange(100), verb=verb, args=args, seen=(1, 10**9)))
 
 
 def _shown(payload: bytes) -> None:

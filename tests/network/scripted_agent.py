@@ -1,7 +1,7 @@
 """An agent process with real sessions, the real loop and the real recording, whose camera and motors are a script.
 
 The script knows where the targets are and answers each sweep with the clarity curve that a lens would give.
-It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much, and signs if its fleet does.
+It lives by its fleet's clock, or, with CLOCK_AHEAD_S, by the system's, wrong by so much, and has the keys of its fleet.
 Usage: python -m tests.network.scripted_agent FLEET ROBOT OUT [CLOCK_AHEAD_S]
 """
 
@@ -20,6 +20,7 @@ from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
 from agent.kernel.step_io import Sighting
 from agent.kernel.toml_files import dump
+from agent.keys.fleet_certificates import credentials
 from agent.keys.robot_keys import robot_keys
 from agent.runtime import Runtime, say_goodbye
 from agent.stop_signal import until_signal
@@ -140,7 +141,8 @@ def main(fleet_path: Path, name: str, out: Path, ahead_s: float | None = None) -
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         log = stack.enter_context(LogWriter(out / f"{name}.mcap", run_facts(fleet, name, incarnation), attachments))
-        network = stack.enter_context(Transport(fleet, name, clock.now_ns))
+        certificates = credentials(fleet, name, fleet_path)
+        network = stack.enter_context(Transport(fleet, name, clock.now_ns, certificates))
         stack.callback(say_goodbye, agent, network, clock)
         box = BlackBoxWriter(log, name, clock.now_ns)
         loop = Runtime(

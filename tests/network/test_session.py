@@ -3,13 +3,16 @@
 import json
 from collections.abc import Callable
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
+from msgspec.structs import replace
 
-from agent.kernel.config import Fleet
+from agent.kernel.config import Access, Fleet
 from router_config import session
+from router_config.metadata import metadata
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 
@@ -45,7 +48,7 @@ def test_of_two_neighbours_the_later_named_dials(make_fleet: Callable[..., Fleet
     assert accepted(text, "mode") == "peer"
     assert accepted(text, "listen/endpoints") == [fleet.robot["r2"].listen]
     assert accepted(text, "connect/endpoints") == [fleet.robot["r1"].listen]
-    assert accepted(text, "metadata") == {"fleet": "test", "name": "r2"}
+    assert accepted(text, "metadata") == metadata(fleet, "r2")
     assert accepted(session.peer_config(fleet, "r1"), "connect/endpoints") == []
     assert accepted(session.peer_config(fleet, "r3"), "connect/endpoints") == [fleet.robot["r2"].listen]
 
@@ -73,3 +76,35 @@ def test_who_looks_dials_every_robot(make_fleet: Callable[..., Fleet]) -> None:
     assert accepted(session.router_config(fleet, "tcp/127.0.0.1:17448"), "connect/endpoints") == everyone
     assert accepted(session.router_config(fleet, "tcp/127.0.0.1:17448"), "listen/endpoints") == ["tcp/127.0.0.1:17448"]
     assert accepted(session.router_config(fleet), "mode") == "router"
+
+
+def secured(fleet: Fleet) -> Fleet:
+    robots = {name: replace(robot, listen=robot.listen.replace("tcp/", "tls/")) for name, robot in fleet.robot.items()}
+    return replace(fleet, robot=robots, access=Access(keys="keys", consoles=("ann",)))
+
+
+def test_certificates_and_rules_are_as_zenoh_has_them(make_fleet: Callable[..., Fleet]) -> None:
+    fleet, keys = secured(make_fleet(CHAIN)), Path("/keys")
+    for text, name in (
+        (session.peer_config(fleet, "r2", keys), "r2"),
+        (session.observer_config(fleet, "ann", keys), "ann"),
+        (session.observer_config(fleet, "recorder", keys), "recorder"),
+        (session.router_config(fleet, "tls/127.0.0.1:17448", keys), "router"),
+    ):
+        ours, theirs = json.loads(text), accepted(text, "transport/link/tls")
+        assert {key: theirs[key] for key in ours["transport"]["link"]["tls"]} == ours["transport"]["link"]["tls"]
+        assert theirs["enable_mtls"] is True and theirs["close_link_on_expiration"] is False
+        assert theirs["connect_certificate"] == theirs["listen_certificate"] == f"/keys/{name}.pem"
+        rules, taken = ours["access_control"], accepted(text, "access_control")
+        assert (taken["enabled"], taken["default_permission"]) == (True, "deny")
+        for part in ("rules", "subjects", "policies"):
+            assert len(taken[part]) == len(rules[part]) > 0
+            for mine, its in zip(rules[part], taken[part], strict=True):
+                assert {key: its[key] for key in mine} == mine
+
+
+def test_a_secured_fleet_has_no_configuration_without_its_keys(make_fleet: Callable[..., Fleet]) -> None:
+    fleet = secured(make_fleet(CHAIN))
+    for keys in (None, Path("keys")):
+        with pytest.raises(ValueError, match="needs the full path of its folder of keys"):
+            session.peer_config(fleet, "r1", keys)

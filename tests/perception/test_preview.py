@@ -10,7 +10,7 @@ from agent.kernel.step_io import Sighting
 from agent.kernel.topics import IMAGE
 from agent.perception.enhancement.enhance import Enhancer
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
-from agent.perception.preview import Preview, compressed
+from agent.perception.preview import KEPT_BYTES, Preview, compressed
 from hw.camera.camera import Frame, Roi
 
 WHOLE = (640, 480)
@@ -118,3 +118,25 @@ def test_without_colours_a_preview_goes_out_raw_at_once() -> None:
         assert image is not None and not image.enhanced
         assert seen(image).mean() == pytest.approx(60, abs=1)
     assert clock_s == 4.0
+
+
+def test_frames_that_were_shown_are_kept_for_a_while_where_somebody_may_draw_in_them() -> None:
+    many = 3 * KEPT_BYTES // frame().image.nbytes
+    for keep in (False, True):
+        preview = Preview("r1", WHOLE, 2.0, keep=keep)
+        images = [np.full((480, 640, 3), i % 256, np.uint8) for i in range(many)]
+        for i, image in enumerate(images):
+            assert preview.of(Frame(0, i, image, ALL), sighting(), 500 * MS * i) is not None
+        assert (preview.frame(many - 1) is images[-1]) is keep and preview.frame(0) is None
+        kept = sum(preview.frame(i) is not None for i in range(many))
+        assert kept == (KEPT_BYTES // images[0].nbytes if keep else 0)
+
+
+def test_the_rate_can_be_changed_on_the_way() -> None:
+    preview = Preview("r1", WHOLE, 2.0)
+    assert preview.of(frame(), sighting(), 0) is not None
+    preview.set_rate(0.0)
+    assert preview.of(frame(), sighting(), 10_000 * MS) is None
+    preview.set_rate(5.0)
+    shown = [preview.of(frame(), sighting(), 10_000 * MS + 50 * MS * i) is not None for i in range(40)]
+    assert sum(shown) == 10

@@ -98,7 +98,7 @@ class Desk:
                 raise Refusal("content", why)
             self._doing.carry_out(what)
         except Refusal as refusal:
-            text = str(refusal)
+            text = "".join(letter if letter.isprintable() else "?" for letter in str(refusal))  # some are a stranger's
             about = f"refuses what {console[:16]} orders{f', {said}' if said else ''}: {text}"
             self._log.note_seldom("warning", f"order {console} {order.verb if order and said else ''}", about, now_ns)
             answer = self._said(ordered, order, said, text, now_ns)

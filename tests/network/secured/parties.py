@@ -42,7 +42,13 @@ def client(endpoint: str, keys: Path | None, name: str = "") -> zenoh.Config:
     return _config(config, keys, name)
 
 
-def listener(endpoint: str, keys: Path, name: str) -> zenoh.Config:
+def peer(endpoint: str, keys: Path | None, name: str = "") -> zenoh.Config:
+    """The same as a peer, as robots and observers are."""
+    connect = {"endpoints": [endpoint], "timeout_ms": -1, "exit_on_failure": False, "retry": {"period_init_ms": 100}}
+    return _config({"mode": "peer", "listen": {"endpoints": []}, "connect": connect}, keys, name)
+
+
+def listener(endpoint: str, keys: Path | None, name: str) -> zenoh.Config:
     """Whoever has a certificate, where a robot would listen."""
     return _config({"mode": "peer", "listen": {"endpoints": [endpoint]}}, keys, name)
 

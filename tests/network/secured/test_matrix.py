@@ -6,7 +6,6 @@ What is expected is spelled here a second time, from the keys alone; the rules t
 import contextlib
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from agent.kernel import topics
 from agent.kernel.config import Fleet
 from router_config.session import observer_config, peer_config, router_config
 from tests.network.conftest import unused_port
+from tests.network.secured.conftest import Secured
 from tests.network.secured.parties import (
     CHAIN,
     CONSOLES,
@@ -28,7 +28,6 @@ from tests.network.secured.parties import (
     opened,
     order_keys,
     say_everything,
-    secure,
     token_keys,
 )
 from tests.waiting import until
@@ -41,11 +40,6 @@ PAIRWISE = ("link", "near", "claim", "keyframe", "light")
 SETTLED_S = 0.5  # after the last thing that should come, what should not would have come too
 
 Triple = tuple[str, str, str]  # whose certificate, receiver, key
-
-
-@pytest.fixture
-def secured(make_fleet: Callable[..., Fleet], tmp_path: Path) -> tuple[Fleet, Path]:
-    return secure(make_fleet(CHAIN), tmp_path), tmp_path
 
 
 def triples(receiver: str) -> set[Triple]:
@@ -114,7 +108,7 @@ def told_to_watcher(fleet: Fleet, keys: Path, receiver: str, config: str) -> set
         return come_through(ear, receiver, talkers)
 
 
-def test_each_certificate_is_believed_on_its_own_keys_and_on_no_other(secured: tuple[Fleet, Path]) -> None:
+def test_each_certificate_is_believed_on_its_own_keys_and_on_no_other(secured: Secured) -> None:
     fleet, keys = secured
     tried: set[Triple] = set()
     for receiver in (*CHAIN, *WATCHERS):
@@ -134,7 +128,7 @@ def without_rules(config: str) -> str:
     return json.dumps(changed)
 
 
-def test_without_the_rules_certificates_alone_keep_nobody_from_saying_anything(secured: tuple[Fleet, Path]) -> None:
+def test_without_the_rules_certificates_alone_keep_nobody_from_saying_anything(secured: Secured) -> None:
     """The test above can fail: links are the same, and everything comes through."""
     fleet, keys = secured
     for receiver, told, config in (
@@ -146,7 +140,7 @@ def test_without_the_rules_certificates_alone_keep_nobody_from_saying_anything(s
         assert puts <= found
 
 
-def test_each_certificate_hears_what_is_for_it_and_no_more(secured: tuple[Fleet, Path]) -> None:
+def test_each_certificate_hears_what_is_for_it_and_no_more(secured: Secured) -> None:
     """Robots hear what their neighbours have for them, observers and consoles everything, a stranger nothing."""
     fleet, keys = secured
     for speaker in ("r1", "r2"):
@@ -176,7 +170,7 @@ def test_each_certificate_hears_what_is_for_it_and_no_more(secured: tuple[Fleet,
                     assert told == set(), by
 
 
-def test_behind_the_router_observers_hear_everything_and_nobody_says_anything(secured: tuple[Fleet, Path]) -> None:
+def test_behind_the_router_observers_hear_everything_and_nobody_says_anything(secured: Secured) -> None:
     fleet, keys = secured
     where = f"tls/127.0.0.1:{unused_port()}"
     with contextlib.ExitStack() as stack:

@@ -1,0 +1,267 @@
+"""Orders over real sessions: kept until the loop takes them, answered once, and nobody waits in vain."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+from msgspec.structs import replace
+
+from agent.ground.console import Console
+from agent.kernel import topics
+from agent.kernel.codec import decode, encode, encoding
+from agent.kernel.config import Access, ConfigError, Fleet
+from agent.kernel.messages import State
+from agent.kernel.orders.words import MAX_ORDER, Answer, Order
+from agent.kernel.step_io import Ordered
+from agent.kernel.topics import ANSWER
+from agent.links.order_box import WAITING
+from agent.transport import Observer, Transport
+from router_config.session import observer_config
+from tests.waiting import until
+
+PAIR = {"r1": ("r2",), "r2": ("r1",)}
+SLOW_S = 30.0  # of the wall: a machine may be busy
+
+
+class Loop(threading.Thread):
+    """A robot's loop that says yes to everything, for as long as `works` is set."""
+
+    def __init__(self, fleet: Fleet, name: str) -> None:
+        super().__init__(daemon=True)
+        self.name_, self.transport = name, Transport(fleet, name, time.time_ns)
+        self.taken: list[Ordered] = []
+        self.works, self.shows, self.ends = threading.Event(), True, threading.Event()
+        self.works.set()
+
+    def run(self) -> None:
+        seq = 0
+        while not self.ends.wait(0.05):
+            seq += 1
+            state = State(
+                fleet="test",
+                robot=self.name_,
+                incarnation=1,
+                seq=seq,
+                sent_ns=time.time_ns(),
+                target="ball",
+                knows="blind",
+                t=0,
+            )
+            if self.shows:
+                self.transport.show(state)
+            if self.works.is_set():
+                taken = self.transport.orders()
+                self.taken += taken
+                self.transport.answer([self.answer(ordered) for ordered in taken])
+
+    def answer(self, ordered: Ordered) -> Answer:
+        order = decode(ordered.payload, Order)
+        return Answer(
+            robot=self.name_,
+            console=ordered.console,
+            id=order.id,
+            order=order.verb,
+            ok=True,
+            arrived_ns=ordered.arrived_ns,
+            sent_ns=time.time_ns(),
+        )
+
+
+@pytest.fixture
+def loops(make_fleet: Callable[..., Fleet]) -> Iterator[dict[str, Loop]]:
+    fleet = make_fleet(PAIR)
+    loops = {name: Loop(fleet, name) for name in fleet.robot}
+    with contextlib.ExitStack() as stack:
+        for loop in loops.values():
+            stack.enter_context(loop.transport)
+            loop.start()
+        yield loops
+        for loop in loops.values():
+            loop.ends.set()
+            loop.join()
+
+
+def fleet_of(loops: dict[str, Loop]) -> Fleet:
+    return loops["r1"].transport._fleet
+
+
+@contextlib.contextmanager
+def console(loops: dict[str, Loop], name: str = "ann") -> Iterator[Console]:
+    """One that hears both."""
+    with Console(fleet_of(loops), name) as console:
+        until(lambda: len(console.states()) == len(loops))
+        yield console
+
+
+@contextlib.contextmanager
+def stranger(fleet: Fleet) -> Iterator[zenoh.Session]:
+    """A session of somebody's own program, linked to all."""
+    with zenoh.open(zenoh.Config.from_json5(observer_config(fleet))) as session:
+        until(lambda: len(list(session.info.peers_zid())) == len(fleet.robot))
+        yield session
+
+
+def ask(session: zenoh.Session, key: str, payload: bytes, kind: str = encoding(Order), timeout_s: float = 5.0) -> list:
+    return list(
+        session.get(
+            key,
+            payload=payload,
+            encoding=kind,
+            timeout=timeout_s,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+    )
+
+
+def order_key(robot: str, console: str = "ann") -> str:
+    return topics.ORDER.format(fleet="test", robot=robot, console=console)
+
+
+STOP = encode(Order(id=1, verb="stop"))
+
+
+def test_all_answer_and_the_order_says_which_state_was_seen(loops) -> None:
+    with console(loops) as ann:
+        outcomes = ann.order(["r1", "r2"], "hold", {"depth_m": 0.2})
+        assert all(outcome.ok for outcome in outcomes.values()) and set(outcomes) == {"r1", "r2"}
+        assert all(outcome.answer.robot == name for name, outcome in outcomes.items())
+        for loop in loops.values():
+            (ordered,) = loop.taken
+            order = decode(ordered.payload, Order)
+            assert ordered.console == "ann" and (order.verb, order.args) == ("hold", {"depth_m": 0.2})
+            assert order.seen[0] == 1 and abs(order.seen[1] - ordered.arrived_ns) < 5e9
+        again = ann.order(["r1"], "stop")
+        assert again["r1"].answer.id > outcomes["r1"].answer.id
+
+
+def test_one_that_hangs_is_named_and_holds_up_nobody(loops) -> None:
+    loops["r2"].works.clear()
+    with console(loops) as ann:
+        start_s = time.monotonic()
+        outcomes = ann.order(["r1", "r2"], "stop")
+        assert time.monotonic() - start_s < SLOW_S
+        assert outcomes["r1"].ok
+        assert outcomes["r2"].answer is None and "did not answer within 1 s" in outcomes["r2"].why
+        loops["r2"].works.set()
+        until(lambda: loops["r2"].taken)  # it may still act: whoever wakes stops
+
+
+def test_one_that_is_not_there_is_named(loops) -> None:
+    fleet = fleet_of(loops)
+    with_third = replace(fleet, robot={**fleet.robot, "r3": replace(fleet.robot["r1"], listen="tcp/127.0.0.1:29499")})
+    with Console(with_third, "ann") as ann:
+        outcomes = ann.order(["r3"], "stop", heard_s=0.3)
+        assert "was not heard" in outcomes["r3"].why
+
+
+def test_a_stop_needs_no_state(loops) -> None:
+    for loop in loops.values():
+        loop.shows = False
+    with Console(fleet_of(loops), "ann") as ann:
+        outcomes = ann.order(["r1", "r2"], "stop", heard_s=SLOW_S)
+        assert all(outcome.ok for outcome in outcomes.values())
+
+
+def test_a_wildcard_reaches_all_and_each_answers_on_its_own_key(loops) -> None:
+    with stranger(fleet_of(loops)) as session:
+        replies = ask(session, order_key("*"), STOP)
+    assert sorted(str(reply.ok.key_expr) for reply in replies) == [order_key("r1"), order_key("r2")]
+
+
+def test_whoever_looks_sees_the_answer(loops) -> None:
+    with Observer(fleet_of(loops), time.time_ns, (ANSWER,)) as observer, console(loops) as ann:
+        seen: list = []
+
+        def shown() -> set[str]:
+            ann.order(["r1"], "stop")
+            seen.extend(observer.drain())
+            return {item.chunks["console"] for item in seen}
+
+        assert until(shown) == {"ann"}
+        assert decode(seen[0].payload, Answer).order == "stop"
+
+
+def test_what_is_no_order_is_turned_away_at_once_and_counted(loops) -> None:
+    with stranger(fleet_of(loops)) as session:
+        for key, payload, kind, why in (
+            (order_key("r1"), STOP, "text/plain", "order in a wrong encoding"),
+            (order_key("r1"), bytes(MAX_ORDER + 1), encoding(Order), "order too large"),
+            (order_key("r1", "Ann"), STOP, encoding(Order), "order of nobody"),
+            (order_key("r1", "*"), STOP, encoding(Order), "order of nobody"),
+        ):
+            start_s = time.monotonic()
+            replies = ask(session, key, payload, kind, SLOW_S)
+            assert [bytes(reply.err.payload).decode() for reply in replies] == [why]
+            assert time.monotonic() - start_s < SLOW_S / 2
+            refused = {row.reason: row.count for row in loops["r1"].transport.drain()[1]}
+            assert refused == {why: 1}
+    assert loops["r1"].taken == []
+
+
+def test_a_console_cannot_fill_the_robot(loops) -> None:
+    loops["r1"].works.clear()
+    errors: list[str] = []
+    over = threading.Semaphore(0)
+    with stranger(fleet_of(loops)) as session:
+        for i in range(WAITING + 4):
+            session.get(
+                order_key("r1"),
+                zenoh.handlers.Callback(
+                    lambda reply: errors.append(bytes(reply.err.payload).decode()) if reply.err else None,
+                    over.release,
+                    indirect=False,
+                ),
+                payload=encode(Order(id=i, verb="stop")),
+                encoding=encoding(Order),
+                timeout=SLOW_S,
+            )
+        until(lambda: len(errors) == 4)
+        assert set(errors) == {"too many orders at once"}
+        assert ask(session, order_key("r1", "bob"), encode(Order(id=1, verb="clock")))[0].ok  # others are heard
+        loops["r1"].works.set()
+        for _ in range(WAITING + 4):
+            assert over.acquire(timeout=SLOW_S)  # and all are let go
+    assert len(loops["r1"].taken) == WAITING
+
+
+def test_a_step_that_breaks_leaves_nobody_waiting(loops) -> None:
+    """The next step drops the queries of the one before."""
+    loops["r1"].works.clear()
+    with stranger(fleet_of(loops)) as session:
+        asked = threading.Thread(target=lambda: replies.extend(ask(session, order_key("r1"), STOP, timeout_s=SLOW_S)))
+        replies: list = []
+        start_s = time.monotonic()
+        asked.start()
+        assert until(loops["r1"].transport.orders)
+        loops["r1"].transport.orders()
+        asked.join()
+        assert replies == [] and time.monotonic() - start_s < SLOW_S / 2
+
+
+def test_what_time_it_is_needs_no_step(loops) -> None:
+    for loop in loops.values():
+        loop.works.clear()
+    with console(loops) as ann:
+        before_ns = time.time_ns()
+        outcomes = ann.order(["r1", "r2"], "clock")
+        for outcome in outcomes.values():
+            assert outcome.ok
+            assert before_ns <= outcome.answer.arrived_ns <= outcome.answer.sent_ns <= time.time_ns()
+
+
+@pytest.mark.parametrize(
+    ("listen", "consoles", "why"),
+    [
+        ("tcp/192.168.7.11:17401", (), "secure the fleet"),
+        ("tcp/127.0.0.1:17401", ("bob",), "names bob"),
+    ],
+)
+def test_a_console_that_may_not_order_does_not_even_try(make_fleet, listen: str, consoles, why: str) -> None:
+    fleet = make_fleet({"r1": ()})
+    fleet = replace(fleet, robot={"r1": replace(fleet.robot["r1"], listen=listen)}, access=Access(consoles=consoles))
+    with pytest.raises(ConfigError, match=why), Console(fleet, "ann"):
+        pass
