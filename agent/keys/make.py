@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
-from agent.kernel.config import Access, ConfigError, Fleet
+from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.fleet_reader import load_robot
 from agent.keys.certificates import AUTHORITY, LEAF_DAYS, certificate_file, key_file
 from agent.keys.fleet_certificates import (
@@ -74,7 +74,7 @@ def fleet_keys(fleet: Fleet, path: Path, out: Path, only: str | None = None, day
     beside = out.resolve().parent == path.resolve().parent
     named = fleet.access.keys or (out.resolve().name if beside else FOLDER)
     lines = where_to(fleet, made, named)
-    if fleet.access == Access():
+    if fleet.access.keys is None:
         lines += ["", f"Every copy of {path.name} has to say so:", "", "[access]", f'keys = "{named}"']
     return lines
 

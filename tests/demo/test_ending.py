@@ -9,7 +9,7 @@ from rich.console import Console
 import agent.demo.demo
 from agent.demo.demo import calibrate, keeping
 from agent.demo.display import how_to_look, program
-from agent.demo.fleet import demo_fleet
+from agent.demo.fleet import demo_fleet, with_access
 from agent.failure import Failed
 from agent.kernel.config import ConfigError
 
@@ -74,6 +74,18 @@ def test_how_to_look_is_ready_to_paste(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     words, *_ = how_to_look(fleet, Path("fleet.toml"))
     assert words.endswith("(first: pip install zenoh-cli foxglove-sdk)")
+
+
+def test_how_to_look_at_a_secured_demo_names_its_keys(tmp_path: Path) -> None:
+    keys = tmp_path / "its keys"
+    fleet = with_access(demo_fleet(2, "evidence", 0.0, 0, False, tmp_path), (), secure=True)
+    assert fleet.secured and fleet.access.consoles == ("ann",)
+    _, console, view, router = how_to_look(fleet, Path("fleet.toml"), keys)
+    assert f"--config '{keys}/zenoh-cli.json5' --connect tls/127.0.0.1:" in console
+    assert view.strip().startswith(f"AUCAMP_KEYS='{keys}' ") and router.strip().startswith(f"AUCAMP_KEYS='{keys}' ")
+    plain = with_access(demo_fleet(2, "evidence", 0.0, 0, False, tmp_path), ("bob",), secure=False)
+    assert not plain.secured and plain.access.consoles == ("bob",)
+    assert not any("keys" in line for line in how_to_look(plain, Path("fleet.toml"), keys))
 
 
 def test_a_program_is_named_as_a_shell_here_finds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

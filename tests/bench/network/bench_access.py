@@ -24,10 +24,9 @@ from msgspec.structs import replace
 from agent.demo.fleet import demo_fleet, listening
 from agent.kernel import topics
 from agent.kernel.config import Access, Fleet
-from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.toml_files import dump
 from agent.keys.certificates import certificate_file, issue, key_file, write
-from agent.keys.fleet_certificates import authority, credentials
+from agent.keys.fleet_certificates import authority
 from agent.keys.make import make_all
 from agent.ports import free_ports
 from replay.recorder import Arrivals, receiving
@@ -58,7 +57,8 @@ def run() -> dict[str, dict]:
         rows |= seconds("access_every_row", [every_row_s(*fleets["tls"]) for _ in range(ROUNDS)])
         rows |= seconds("access_renewed", [renewed_s(*fleets["tls"]) for _ in range(3)])
         tens = {kind: ten(Path(folder) / f"ten_{kind}", kind, ports) for kind in fleets}
-        return rows | figures("access_start_of_ten", "s", 1.0, in_turns(tens, start_s, STARTS))
+        rows |= figures("access_links_of_ten", "s", 1.0, in_turns(tens, partial(start_s, ready=True), STARTS))
+        return rows | figures("access_start_of_ten", "s", 1.0, in_turns(tens, partial(start_s, ready=False), STARTS))
 
 
 def in_turns(of: dict, measure: Callable, rounds: int = ROUNDS) -> dict[str, list[float]]:
@@ -208,37 +208,34 @@ def renewed_s(fleet: Fleet, keys: Path) -> float:
         return time.perf_counter() - began_s
 
 
-def start_s(path: Path) -> float:
-    """From the start of ten processes until each has heard all others."""
+def start_s(path: Path, ready: bool) -> float:
+    """Until each of ten processes has heard all others: from their start, or, `ready`, from when all have loaded what
+    they need and open their links."""
     began_s = time.perf_counter()
-    command = [sys.executable, "-m", "tests.bench.bench_access", str(path)]
+    command = [sys.executable, "-m", "tests.bench.network.one_of_ten", str(path)]
     pipe = subprocess.PIPE
     peers = [subprocess.Popen([*command, n], stdin=pipe, stdout=pipe, text=True, cwd=ROOT) for n in TEN]
-    try:
+
+    def told(word: str) -> None:
         for peer in peers:
-            assert peer.stdout is not None and peer.stdout.readline() == "all\n"
+            assert peer.stdout is not None and peer.stdout.readline() == f"{word}\n"
+
+    def go() -> None:
+        for peer in peers:
+            assert peer.stdin is not None
+            peer.stdin.write("go\n")
+            peer.stdin.flush()
+
+    try:
+        if ready:
+            told("ready")
+            began_s = time.perf_counter()
+            go()
+        else:
+            go()
+            told("ready")
+        told("all")
         return time.perf_counter() - began_s
     finally:
         for peer in peers:
             peer.communicate()
-
-
-def one_of_ten(path: Path, name: str) -> None:
-    """A process of `start_s`: speaks to all others 20 times a second, and says when it has heard them all."""
-    fleet, heard = load_fleet(path), set()
-    with Session(peer_config(fleet, name, credentials(fleet, name, path)), name) as door:
-        door.subscribe(link(fleet, "*", name), lambda sample: heard.add(sample.key.split("/")[-2]))
-        says = [door.publisher(topics.LINK, link(fleet, name, other)) for other in TEN if other != name]
-        told = threading.Event()
-        threading.Thread(target=lambda: (sys.stdin.read(), told.set()), daemon=True).start()
-        said = False
-        while not told.wait(0.05):
-            for say in says:
-                say(b"q" * SIZE)
-            if not said and len(heard) == len(TEN) - 1:
-                said = True
-                print("all", flush=True)
-
-
-if __name__ == "__main__":
-    one_of_ten(Path(sys.argv[1]), sys.argv[2])

@@ -1,0 +1,43 @@
+"""A process of bench_access: one of ten robots, all neighbours.
+
+It prints "ready", waits for a line, opens its links, speaks to all others 20 times a second, prints "all" once it has
+heard them all, and ends with its standard input.
+python -m tests.bench.network.one_of_ten FLEET NAME
+"""
+
+import sys
+import threading
+from pathlib import Path
+
+from agent.kernel import topics
+from agent.kernel.fleet_reader import load_fleet
+from agent.keys.fleet_certificates import credentials
+from router_config.door import Session
+from router_config.session import peer_config
+
+SIZE = 600  # bytes: an estimate
+
+
+def main(path: Path, name: str) -> None:
+    fleet, heard, over = load_fleet(path), set(), threading.Event()
+    others = fleet.robot[name].neighbours
+    config = peer_config(fleet, name, credentials(fleet, name, path))
+    print("ready", flush=True)
+    sys.stdin.readline()
+    with Session(config, name) as door:
+        mine = topics.key(topics.LINK, fleet=fleet.fleet, src="*", dst=name)
+        door.subscribe(mine, lambda sample: heard.add(sample.key.split("/")[-2]))
+        keys = [topics.key(topics.LINK, fleet=fleet.fleet, src=name, dst=other) for other in others]
+        says = [door.publisher(topics.LINK, key) for key in keys]
+        threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+        told = False
+        while not over.wait(0.05):
+            for say in says:
+                say(b"q" * SIZE)
+            if not told and heard >= set(others):
+                told = True
+                print("all", flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2])
