@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from threading import Event
 from typing import Any, NamedTuple
@@ -49,7 +49,8 @@ class Reply(NamedTuple):
 
 
 Seen = dict[str, tuple[int, int]]
-Give = Callable[[list[str], str, Mapping[str, Any], Seen], list[Reply]]  # raises Refusal for what cannot be ordered
+# Gives what came of it as it comes, and waits in between; raises Refusal for what cannot be ordered.
+Give = Callable[[list[str], str, Mapping[str, Any], Seen], Iterator[Reply]]
 
 
 class Live:
@@ -121,12 +122,16 @@ class Live:
             task.add_done_callback(self._under_way.discard)
 
     async def _order(self, give: Give, wish: Wish, seen: Seen) -> None:
-        """Give it in a thread of its own, since it waits, and say on every page what came of it."""
-        note = {"n": next(self._numbers), "verb": wish.verb, "args": wish.args, "asked": wish.robots}
-        self._board.say(text({"k": "order", **note, "at_ms": self._clock.now_ns() * 1e-6}))
+        """Give it in a thread of its own, since it waits, and say on every page what comes of it."""
+        loop, note = asyncio.get_running_loop(), {"n": next(self._numbers)}
+        order = {"verb": wish.verb, "args": wish.args, "asked": wish.robots, "at_ms": self._clock.now_ns() * 1e-6}
+        self._board.say(text({"k": "order", **note, **order}))
+
+        def give_it() -> None:
+            for reply in give(wish.robots, wish.verb, wish.args, seen):
+                loop.call_soon_threadsafe(self._board.say, text({"k": "outcome", **note, **reply._asdict()}))
+
         try:
-            replies, trouble = await asyncio.to_thread(give, wish.robots, wish.verb, wish.args, seen), ""
+            await asyncio.to_thread(give_it)
         except Refusal as refusal:  # nothing went out
-            replies, trouble = [], str(refusal)
-        came = [reply._asdict() for reply in replies]
-        self._board.say(text({"k": "outcome", **note, "replies": came, "trouble": trouble}))
+            self._board.say(text({"k": "outcome", **note, "trouble": str(refusal)}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from agent.ground.console import Console
@@ -14,8 +14,9 @@ from agent.kernel.orders.verbs import CLOCK, URGENT
 BEHIND_NS = 3_000_000_000  # robots refuse what goes by an older State, too
 
 
-def give(console: Console, robots: list[str], verb: str, args: Mapping[str, Any], seen: Seen) -> list[Reply]:
-    """Order, and wait for every answer. Raises Refusal for what cannot be ordered, or was decided by an old page.
+def give(console: Console, robots: list[str], verb: str, args: Mapping[str, Any], seen: Seen) -> Iterator[Reply]:
+    """Order, and tell what comes of it at each robot as it comes. Raises Refusal for what cannot be ordered, or was
+    decided by an old page.
 
     The console goes by the newest State that has reached this process. What a page shows may be older: it was frozen,
     or its browser is far away.
@@ -25,14 +26,12 @@ def give(console: Console, robots: list[str], verb: str, args: Mapping[str, Any]
         for robot, looked_at in seen.items():
             if robot in newest and _is_behind(looked_at, newest[robot]):
                 raise Refusal("clock", f"the page showed {robot} as it was seconds ago; look at it, and order again")
-    replies = []
-    for robot, outcome in console.order(robots, verb, args).items():
+    for robot, outcome in console.orders(robots, verb, args):
         answer = outcome.answer
         if answer is None:
-            replies.append(Reply(robot, None, outcome.why, ""))
+            yield Reply(robot, None, outcome.why, "")
         else:
-            replies.append(Reply(robot, answer.ok, answer.why, str(answer.id)))
-    return replies
+            yield Reply(robot, answer.ok, answer.why, str(answer.id))
 
 
 def _is_behind(looked_at: tuple[int, int], newest: State) -> bool:
