@@ -25,6 +25,7 @@ from agent.kernel.fleet_reader import load_fleet, load_robot, read_fleet
 from agent.kernel.fleet_rules import broken_rules, two_worlds
 from agent.kernel.toml_files import read_toml
 
+OPEN = "open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
 MARKS = ("MEASURE", "SURVEY")  # that `aucamp init` leaves in the comments of a file of real robots
 
 
@@ -106,7 +107,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")
     if not fleet.secured:
-        yield Finding("ok", "fleet", "open: who reaches a port can read it and speak as any robot; see docs/access.md")
+        yield Finding("ok", "fleet", OPEN)
 
 
 def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:

@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from agent import stop_signal
 from agent.__main__ import app
 from agent.fleet_files import shipped_fleet, with_pictures
 from agent.fleet_setup import devices, files
@@ -184,3 +186,22 @@ def test_a_disk_that_is_full_or_may_not_be_written(tmp_path: Path, monkeypatch: 
     assert files.disk_finding(tmp_path).level == "wrong"
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert "you may not write here" in files.disk_finding(tmp_path).text
+
+
+def test_an_agent_says_in_one_line_what_will_go_wrong_and_starts(real: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_signal, "_asked", [signal.SIGTERM])  # it came while the command was starting
+    monkeypatch.setattr(devices, "camera", lambda fleet, name: "a camera")
+    monkeypatch.setattr(files, "OPEN_FILES", 1 << 40)
+    changed(real, serial='"/dev/ttyNONE"')
+    done = CliRunner().invoke(app, ["agent", str(real), "--robot", "r1", "--out", str(real.parent)])
+    assert done.exit_code == 0, done.output
+    (told,) = (line for line in done.stderr.splitlines() if line.startswith("r1: before the dive: "))
+    assert "/dev/ttyNONE: no such serial port" in told and "run: ulimit -n" in told
+
+
+def test_an_address_that_every_computer_has_is_told_of(real: Path, tmp_path: Path) -> None:
+    (told,) = (line for line in lines(check(real, None, tmp_path), "warning") if "is every computer's own" in line)
+    assert told.startswith("r1: tcp/127.0.0.1:17401 ")
+    real.write_text(real.read_text().replace("192.168.7.12", "127.0.0.2"))
+    at_home = check(real, None, tmp_path)
+    assert at_home.robots == 2 and not any("every computer's own" in line for line in lines(at_home, "warning"))

@@ -30,9 +30,10 @@ class Links(NamedTuple):
     jitter_s: float = 0.0  # uniform on top of the delay, each packet by itself: later ones overtake
     duplicate: float = 0.0
     sides: tuple[frozenset[str], ...] = ()  # nothing passes from one to another
+    apart: frozenset[str] = frozenset()  # nothing passes between these, and all reach the others
 
     def cut(self, src: str, dst: str) -> bool:
-        return any((src in side) != (dst in side) for side in self.sides)
+        return {src, dst} <= self.apart or any((src in side) != (dst in side) for side in self.sides)
 
 
 class Relay:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from agent.__main__ import app
 from agent.kernel.codec import decode, encode
 from agent.kernel.messages import MAX_JPEG, SCHEMA, Image, LogLine, State
+from agent.kernel.orders.words import Answer, Order
 from agent.kernel.step_io import Inputs, Outputs
 from agent.kernel.topics import TOPICS
 from agent.observing.schemas import INDEX, texts
@@ -24,6 +25,7 @@ IMAGE = Image(
     robot="r1", seq=1, sent_ns=3, t_ns=2, frame=4, width_px=640, height_px=480, enhanced=False, jpeg=bytes(MAX_JPEG)
 )
 STATE = State(fleet="tank", robot="r1", incarnation=1, seq=1, sent_ns=2, target="ball", knows="told", t=3)
+ANSWER = Answer(robot="r1", console="ann", id=1, order="stop", ok=True, arrived_ns=1, sent_ns=2)
 LINE = LogLine(robot="r1", sent_ns=1, level="info", text="here")
 
 
@@ -62,7 +64,7 @@ def test_what_robots_said_in_the_golden_dives_is_what_the_schemas_say(case: str)
 
 
 @pytest.mark.parametrize(
-    "message", [IMAGE, STATE, LINE, estimate(), presence()], ids=lambda message: type(message).__name__
+    "message", [IMAGE, STATE, LINE, ANSWER, estimate(), presence()], ids=lambda message: type(message).__name__
 )
 def test_a_message_that_a_robot_would_refuse_is_wrong(message: Any) -> None:
     name = type(message).__name__
@@ -87,3 +89,11 @@ def test_they_can_be_written_and_nothing_is_overwritten(tmp_path) -> None:
     assert {path.name: path.read_text() for path in (tmp_path / "new").iterdir()} == texts()
     again = CliRunner().invoke(app, ["schemas", "--out", str(tmp_path / "new")])
     assert again.exit_code != 0 and "not empty" in str(again.exception)
+
+
+def test_an_order_is_as_its_schema_says() -> None:
+    order = Order(id=1, verb="follow", args={"target": "ball", "standoff_m": 0.5, "search": True}, seen=(1, 2))
+    assert not wrong("Order", encode(order)) and not wrong("Order", encode(Order(id=1, verb="stop")))
+    fields = msgpack.unpackb(encode(order))
+    for change in ({"schema": SCHEMA + 1}, {"id": -1}, {"args": {"x_m": [1]}}, {"seen": [1]}, {"verb": "x" * 17}):
+        assert wrong("Order", msgpack.packb({**fields, **change})), change

@@ -9,7 +9,7 @@ from pathlib import Path
 from agent.fleet_clock import fleet_clock
 from agent.fleet_setup.addresses import is_here, loopback_findings
 from agent.fleet_setup.certificates import certificate_findings
-from agent.fleet_setup.check import computer_findings, running_findings
+from agent.fleet_setup.check import OPEN, computer_findings, running_findings
 from agent.fleet_setup.finding import Finding
 from agent.ground.doctor.clocks import Offset, best, clock_finding
 from agent.ground.doctor.diagnosis import Diagnosis
@@ -23,8 +23,6 @@ from agent.kernel.desk.rights import why_closed
 from agent.kernel.fleet_reader import load_fleet
 from router_config.metadata import metadata
 from router_config.session import observer_config
-
-OPEN = "open: who reaches a port can read it and speak as any robot; docs/keys.md says how to secure it"
 
 
 def examine(path: Path, name: str | None, folder: Path) -> Diagnosis:
@@ -80,6 +78,11 @@ def _from_outside(fleet: Fleet, who: Who) -> Iterator[Finding]:
     yield from (_in_order(facts, name, offsets.get(name)) for name in there if name in facts.states and name not in ill)
 
 
+def _measured(offset: Offset, late_ns: int) -> Iterator[str]:
+    yield f"there and back {offset.way_s * 1e3:.1f} ms, a state takes {late_ns * 1e-6 + offset.ahead_s * 1e3:.1f} ms"
+    yield f"clock {offset.ahead_s * 1e3:+.1f} ms"
+
+
 def _in_order(facts: Facts, name: str, offset: Offset | None) -> Finding:
     """What there is to say of a robot that is heard."""
     state = facts.states[name]
@@ -88,7 +91,7 @@ def _in_order(facts: Facts, name: str, offset: Offset | None) -> Finding:
         "is linked and heard",
         f"hears {', '.join(hears)}" if hears else "hears nobody",
         *((f"motors {'on' if state.armed else 'off'}",) if state.armed is not None else ()),
-        *((f"there and back {offset.way_s * 1e3:.1f} ms, clock {offset.ahead_s * 1e3:+.1f} ms",) if offset else ()),
+        *(_measured(offset, facts.late_ns[name]) if offset else ()),
         *((f"believed not: {', '.join(f'{n} {kind}' for kind, n in state.refused.items())}",) if state.refused else ()),
     )
     return Finding("ok", name, "; ".join(said))

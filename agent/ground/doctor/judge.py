@@ -83,8 +83,8 @@ def _mute(fleet: Fleet, facts: Facts, name: str, shown: Shown | None) -> Finding
     nothing = f"is linked, but showed nothing in {LISTEN_S:.0f} s"
     announced = any(agent.session == facts.links[name].session for agent in facts.agents)
     if shown is not None or not fleet.secured:
-        what = "its loop hangs" if announced else "no agent of a robot, or one whose loop hangs"
-        return Finding("wrong", name, f"{nothing}: {what}; start it again")
+        what = "its loop hangs, or is about to begin" if announced else "it is no agent, or is about to begin"
+        return Finding("wrong", name, f"{nothing}: {what}; look again, then start it again")
     text = "its rules do not know us, or its loop hangs; give it this fleet file's [access], and start it again"
     return Finding("wrong", name, f"{nothing}: {text}")
 

@@ -22,10 +22,12 @@ from agent.kernel.topics import STATE
 from agent.ports import addresses_of
 from router_config.door import Link, Sample, Session, unusable
 
-LISTEN_S = 3.0  # of the wall, for who stays silent; states come five times a second
+LISTEN_S = 3.0  # of the wall and of the fleet's own time, for who stays silent; states come five times a second
+SLOWEST_S = 15.0  # of the wall, for a dive in the twin whose time hardly passes
 ENOUGH_S = 1.0  # for a fleet in which all are heard: links that come and go need a while to show
 ADMIN_S = 0.5  # for what robots say of their own links, which takes a millisecond
 LOOK_S = 0.02
+KEPT = 4096  # of what arrives between two looks
 
 
 class Agent(NamedTuple):
@@ -57,6 +59,7 @@ class Facts(NamedTuple):
     lost: Mapping[str, int]  # links to a robot that went while we listened
     agents: frozenset[Agent]
     states: Mapping[str, State]  # the newest of each robot
+    missed: Mapping[tuple[str, str], int]  # messages that a robot missed of another while we listened
     late_ns: Mapping[str, int]  # arrival by our clock minus sending by the robot's, the smallest of all its states
     unreadable: Mapping[str, str]  # states that cannot be read: why
     shown: Mapping[str, Shown]  # by session
@@ -64,50 +67,84 @@ class Facts(NamedTuple):
 
 
 def listen(fleet: Fleet, looker: Looker, robots: Collection[str], now_ns: Callable[[], int]) -> Facts:
-    """Link to all robots of a fleet and note what shows until all of `robots` were heard, LISTEN_S at most. `now_ns`
-    stamps what arrives."""
-    arrived: deque[tuple[str, bytes, int]] = deque(maxlen=4096)
-    tokens: deque[tuple[Agent, bool]] = deque(maxlen=4096)
-    lost: list[Link] = []
-    states, late_ns, unreadable = dict[str, State](), dict[str, int](), dict[str, str]()
+    """Link to all robots of a fleet and note what shows until all of `robots` were heard; as a rule for LISTEN_S at
+    most. `now_ns` stamps what arrives."""
+    ears = _Ears(now_ns)
+    with Session(looker.config, f"fleet '{fleet.fleet}'") as session:
+        session.watch_links(ears.lost.append)
+        session.subscribe(topics.key(STATE, fleet=fleet.fleet, **topics.ANYBODY), ears.state)
+        session.watch_tokens(topics.ALIVE.format(fleet="*", **topics.ANYBODY), ears.token)
+        began_s, began_ns = machine.monotonic_s(), now_ns()
+        while True:
+            machine.sleep(LOOK_S)
+            ears.read()
+            waited_s, lived_s = machine.monotonic_s() - began_s, (now_ns() - began_ns) * 1e-9
+            if waited_s >= ENOUGH_S and ears.states.keys() | ears.unreadable.keys() >= set(robots):
+                break
+            if (waited_s >= LISTEN_S and lived_s >= LISTEN_S) or waited_s >= SLOWEST_S:
+                break
+        shown = _shown(session.who_is_linked(ADMIN_S)) if looker.asks else {}
+        stamps = ask_clocks(session, fleet, looker.name, ears.states.keys(), now_ns) if looker.orders else {}
+        links = _by_robot(fleet, session.links())
+    whose = {address: name for name, robot in fleet.robot.items() for address in endpoints(robot.listen)}
+    return Facts(
+        links=links,
+        lost=Counter(whose[link.address] for link in ears.lost if link.address in whose),
+        agents=frozenset(agent for agent, is_there in dict(ears.tokens).items() if is_there),
+        states=ears.states,
+        missed=ears.missed(),
+        late_ns=ears.late_ns,
+        unreadable=ears.unreadable,
+        shown=shown,
+        stamps=stamps,
+    )
 
-    def state(sample: Sample) -> None:
-        at_ns = now_ns()
+
+class _Ears:
+    """What arrives, put down in Zenoh's threads and read in ours."""
+
+    def __init__(self, now_ns: Callable[[], int]) -> None:
+        self.states: dict[str, State] = {}
+        self.late_ns: dict[str, int] = {}
+        self.unreadable: dict[str, str] = {}
+        self.tokens: deque[tuple[Agent, bool]] = deque(maxlen=KEPT)  # and whether it came or went
+        self.lost: deque[Link] = deque(maxlen=KEPT)
+        self._now_ns = now_ns
+        self._arrived: deque[tuple[str, bytes, int]] = deque(maxlen=KEPT)
+        self._gaps: dict[tuple[str, str, str], tuple[int, int]] = {}  # robot, target, neighbour -> at first, at last
+
+    def state(self, sample: Sample) -> None:
+        at_ns = self._now_ns()
         if not unusable(sample, STATE):
-            arrived.append((sample.key, sample.payload(), at_ns))
+            self._arrived.append((sample.key, sample.payload(), at_ns))
 
-    def token(sample: Sample) -> None:
+    def token(self, sample: Sample) -> None:
         if (chunks := topics.chunks(topics.ALIVE, sample.key)) is not None:
-            tokens.append((Agent(**chunks), sample.is_put))
+            self.tokens.append((Agent(**chunks), sample.is_put))
 
-    def read() -> None:
-        while arrived:
-            key, payload, at_ns = arrived.popleft()
+    def read(self) -> None:
+        """Take in what has arrived since the last call."""
+        while self._arrived:
+            key, payload, at_ns = self._arrived.popleft()
             row = topics.match(key)
             robot = row[1]["robot"] if row else ""
             try:
-                states[robot] = said = decode(payload, State)
+                said = decode(payload, State)
             except Refusal as refusal:
-                unreadable[robot] = str(refusal)
+                self.unreadable[robot] = str(refusal)
                 continue
-            late_ns[robot] = min(at_ns - said.sent_ns, late_ns.get(robot, at_ns - said.sent_ns))
+            self.states[robot] = said
+            self.late_ns[robot] = min(at_ns - said.sent_ns, self.late_ns.get(robot, at_ns - said.sent_ns))
+            for near in said.neighbours:
+                stream = robot, said.target, near.robot
+                self._gaps[stream] = self._gaps.get(stream, (near.gaps, 0))[0], near.gaps
 
-    with Session(looker.config, f"fleet '{fleet.fleet}'") as session:
-        session.watch_links(lost.append)
-        session.subscribe(topics.key(STATE, fleet=fleet.fleet, **topics.ANYBODY), state)
-        session.watch_tokens(topics.ALIVE.format(fleet="*", **topics.ANYBODY), token)
-        began_s = machine.monotonic_s()
-        while (waited_s := machine.monotonic_s() - began_s) < LISTEN_S:
-            machine.sleep(LOOK_S)
-            read()
-            if waited_s >= ENOUGH_S and states.keys() | unreadable.keys() >= set(robots):
-                break
-        shown = _shown(session.who_is_linked(ADMIN_S)) if looker.asks else {}
-        stamps = ask_clocks(session, fleet, looker.name, states.keys(), now_ns) if looker.orders else {}
-        links = _by_robot(fleet, session.links())
-    whose = {address: name for name, robot in fleet.robot.items() for address in endpoints(robot.listen)}
-    went = Counter(whose[link.address] for link in lost if link.address in whose)
-    return Facts(links, went, _there(tokens), states, late_ns, unreadable, shown, stamps)
+    def missed(self) -> Counter[tuple[str, str]]:
+        """Messages by who missed them, and of whom."""
+        counts = Counter[tuple[str, str]]()
+        for (robot, _, other), (first, last) in self._gaps.items():
+            counts[robot, other] += last - first
+        return counts
 
 
 def endpoints(listen: str) -> list[str]:
@@ -124,11 +161,6 @@ def _by_robot(fleet: Fleet, links: Collection[Link]) -> dict[str, Link]:
         for name, robot in fleet.robot.items()
     }
     return {name: link for name, link in found.items() if link is not None}
-
-
-def _there(tokens: Collection[tuple[Agent, bool]]) -> frozenset[Agent]:
-    newest = dict(tokens)
-    return frozenset(agent for agent, came in newest.items() if came)
 
 
 def _shown(replies: Collection[bytes]) -> dict[str, Shown]:

@@ -31,9 +31,11 @@ def _pair(fleet: Fleet, facts: Facts, a: str, b: str) -> Iterator[Finding]:
         return
     for one, other in ((a, b), (b, a)):
         heard = _of(facts, one, other)
-        if heard is not None and heard.heard >= FEW and heard.gaps / (heard.heard + heard.gaps) > LOSSY:
-            share = heard.gaps / (heard.heard + heard.gaps)
-            text = f"misses {share:.0%} of {other}'s messages since both run: a thin or bad link, or [link] loss"
+        if heard is None or not facts.missed.get((one, other)) or heard.heard < FEW:
+            continue  # what was missed once is history
+        share = heard.gaps / (heard.heard + heard.gaps)
+        if share > LOSSY:
+            text = f"misses messages of {other}, {share:.0%} since both run: a thin or bad link, or [link] loss"
             yield Finding("warning", one, f"{text}; look at the network between them")
 
 

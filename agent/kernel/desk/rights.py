@@ -6,7 +6,7 @@ import re
 
 from agent.kernel.config import Fleet
 
-LOOPBACK = ("127.", "localhost", "[::1]")
+LOOPBACK = re.compile(r"127(\.\d{1,3}){3}|localhost|\[::1\]")
 CONSOLE = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
@@ -24,4 +24,4 @@ def why_closed(fleet: Fleet, console: str) -> str:
 
 
 def _on_loopback(listen: str) -> bool:
-    return listen.partition("/")[2].startswith(LOOPBACK)
+    return LOOPBACK.fullmatch(listen.partition("/")[2].rpartition(":")[0]) is not None

@@ -48,6 +48,7 @@ def facts(**changed: object) -> Facts:
         lost={},
         agents=frozenset(Agent("test", name, f"0{name}") for name in NAMES),
         states={name: state(name) for name in NAMES},
+        missed={},
         late_ns=dict.fromkeys(NAMES, 0),
         unreadable={},
         shown={f"0{name}": Shown(SAID[name], frozenset({"0r1", "0r2"}) - {f"0{name}"}) for name in NAMES},
@@ -86,12 +87,13 @@ def test_versions() -> None:
 
 
 def test_who_hears_whom() -> None:
-    def lines(**changed: object) -> list[str]:
-        return said(facts(states={"r1": state("r1", **changed), "r2": state("r2")}))
+    def lines(missed: int = 1, **changed: object) -> list[str]:
+        return said(facts(states={"r1": state("r1", **changed), "r2": state("r2")}, missed={("r1", "r2"): missed}))
 
     assert not lines(heard=95, gaps=5) and not lines(heard=5, gaps=5)
     (line,) = lines(heard=180, gaps=20)
-    assert line.startswith("warning  r1: misses 10% of r2's messages since both run")
+    assert line.startswith("warning  r1: misses messages of r2, 10% since both run")
+    assert not lines(heard=180, gaps=20, missed=0)  # of a link that is whole again
     assert not lines(age_s=1.9)
     for age_s in (2.1, None):
         (line,) = lines(age_s=age_s)

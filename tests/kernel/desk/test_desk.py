@@ -150,6 +150,7 @@ def listening(*endpoints: str, consoles: tuple[str, ...] = ()) -> Fleet:
 
 HERE = ("tcp/127.0.0.1:17401", "tcp/localhost:17402", "tcp/[::1]:17403")
 THERE = ("tcp/127.0.0.1:17401", "tcp/192.168.7.12:17401", "tcp/127.0.0.1:17403")
+NEARLY = ("tcp/127.0.0.1:17401", "tcp/127.0.0.1.example.org:17401", "tcp/localhost.example.org:17403")
 SECURED = tuple(f"tls/192.168.7.1{i}:17401" for i in range(3))
 
 
@@ -159,6 +160,7 @@ SECURED = tuple(f"tls/192.168.7.1{i}:17401" for i in range(3))
         (listening(*HERE), "anybody", ""),
         (listening(*HERE, consoles=("ann",)), "anybody", "[access] consoles names ann"),
         (listening(*THERE), "ann", "secure the fleet"),
+        (listening(*NEARLY), "ann", "secure the fleet"),
         (listening(*THERE, consoles=("ann",)), "ann", "secure the fleet"),
         (listening(*SECURED, consoles=("ann",)), "ann", ""),
         (listening(*SECURED, consoles=("ann",)), "bob", "[access] consoles names ann"),

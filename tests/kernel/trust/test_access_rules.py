@@ -33,6 +33,7 @@ def test_a_fleet_is_secured_when_every_robot_listens_on_tls(tmp_path: Path) -> N
         (TANK.replace("tcp/", "tls/"), "key 'access.keys': .* write keys = \"keys\", and make them with aucamp keys"),
         (SECURED.replace("tls/", "tcp/", 1), "key 'robot.r1.listen': open, while r2 listens on tls/; write all"),
         (SECURED.replace("tls/", "udp/", 1), "key 'robot.r1.listen': .* write tcp/HOST:PORT, or tls/HOST:PORT"),
+        (SECURED.replace("127.0.0.1", "[::1]", 1), "key 'robot.r1.listen': no address of IPv6 can be dialled by TLS"),
         (SECURED + 'consoles = ["r2"]\n', "key 'access.consoles': 'r2' is a robot already; give each"),
         (SECURED + 'consoles = ["view"]\n', "key 'access.consoles': 'view' is an observer already; give each"),
         (SECURED + 'consoles = ["ann", "ann"]\n', "key 'access.consoles': 'ann' is a console already; give each"),
