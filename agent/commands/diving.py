@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
-from agent.commands.options import FleetFile, Port, RobotName, Speed, complain, terminal
+from agent.commands.options import FleetFile, FleetFiles, Port, RobotName, Speed, complain, terminal
 from agent.failure import Failed
 from agent.fleet_files import shipped_names
 from agent.kernel.config import Fleet, Protocol
 from agent.kernel.fleet_reader import load_fleet
-from agent.run_folder import new_recording
 from agent.stop_signal import until_signal
 from router_config.session import ROUTER, ROUTER_LISTEN
 
@@ -108,27 +107,22 @@ def twin(
 
 @app.command(epilog="Example: aucamp record fleet.toml --out fleet.mcap")
 def record(
-    fleet: FleetFile,
-    out: Annotated[Path, typer.Option(help="File to write: NAME.mcap.")],
+    fleet: FleetFiles,
+    out: Annotated[Path, typer.Option(help="File to write: NAME.mcap. Of several fleets a folder: FLEET.mcap in it.")],
     view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
-    """Record all traffic of a fleet until Ctrl-C or SIGTERM. The robots do not notice.
+    """Record all traffic of a fleet, or of several, until Ctrl-C or SIGTERM. The robots do not notice.
 
     Where nothing was heard nothing is written, and the exit code is 1.
     """
     with until_signal() as stop:
-        from agent.fleet_clock import fleet_clock
-        from agent.keys.fleet_certificates import credentials
-        from replay.recorder import record as run
+        from agent.observing.recording import record_fleets
 
-        robots = load_fleet(fleet)
-        keys, file = credentials(robots, "recorder", fleet), new_recording(out)
-        clock = fleet_clock(robots)
-        complain(f"recording fleet '{robots.fleet}'; Ctrl-C ends it")
-        counts = run(robots, file, stop, clock, complain, views=view, keys=keys)
-    if not any(counts.values()):
-        raise Failed(f"nobody of fleet '{robots.fleet}' was heard, so {file} was not kept: nothing is in it")
-    terminal().print("recorded: " + ", ".join(f"{name} {count}" for name, count in counts.items() if count))
+        recorded = record_fleets(fleet, out, stop, complain, view)
+    for line in recorded.done:
+        terminal().print(line)
+    if recorded.failed:
+        raise Failed("; ".join(recorded.failed))
 
 
 @app.command(epilog="Example: aucamp router fleet.toml")
@@ -150,14 +144,14 @@ def router(
 
 @app.command(epilog="Example: aucamp view fleet.toml")
 def view(
-    fleet: FleetFile,
+    fleet: FleetFiles,
     port: Port = 8765,
 ) -> None:
-    """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C."""
-    with until_signal() as stop:
-        from agent.fleet_clock import fleet_clock
-        from agent.keys.fleet_certificates import credentials
-        from replay.view import view as serve
+    """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C.
 
-        robots = load_fleet(fleet)
-        serve(robots, stop, fleet_clock(robots), port, typer.echo, credentials(robots, "view", fleet))
+    Of several fleets each has a port of its own: PORT, PORT + 1 and so on.
+    """
+    with until_signal() as stop:
+        from agent.observing.viewing import view_fleets
+
+        view_fleets(fleet, port, stop, typer.echo)

@@ -12,6 +12,7 @@ from rich.console import Console
 from agent.plain_console import plain_console
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
+FleetFiles = Annotated[list[Path], typer.Argument(metavar="FLEET...", help="Fleet file (TOML), or several.")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
 Seed = Annotated[int, typer.Option(min=0, help="Which world of the twin.")]
 Port = Annotated[int, typer.Option(min=1024, max=65535, help="WebSocket port on this machine.")]

@@ -97,9 +97,7 @@ def test_one_more_needs_the_authority(made: tuple[Fleet, Path, Path]) -> None:
         fleet_keys(fleet, path, keys, only="r1")
     for name in ("ca.key", "r1.pem", "r1.key"):
         (keys / name).unlink()
-    with pytest.raises(
-        ConfigError, match=r"ca.key: no such file; give --out the folder in which the fleet's"
-    ):
+    with pytest.raises(ConfigError, match=r"ca.key: no such file; give --out the folder in which the fleet's"):
         fleet_keys(fleet, path, keys, only="r1")
 
 

@@ -14,6 +14,7 @@ import struct
 import subprocess
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,6 +45,7 @@ class Relay:
         self.namespace = {name: f"aucamp-{os.getpid()}-{name}" for name in hosts}
         self.links = Links()
         self.count = dict.fromkeys(("passed", "lost", "cut", "doubled", "overtaken"), 0)
+        self.sent: Counter[tuple[str, str]] = Counter()  # packets by who sent them and to whom, or to which address
         self._host = {address: name for name, address in self.address.items()}
         self._among, self._random = among, random.Random(seed)
         self._tun: dict[str, int] = {}
@@ -111,9 +113,13 @@ class Relay:
     def _fate(self, src: str, packet: bytes) -> list[tuple[float, str]]:
         """When and where this packet arrives: nowhere, once or twice."""
         now_s, links = time.monotonic(), self.links
-        dst = self._host.get(".".join(map(str, packet[16:20]))) if packet[0] >> 4 == 4 else None
+        if packet[0] >> 4 != 4:
+            return []  # IPv6 chatter of the kernel
+        address = ".".join(map(str, packet[16:20]))
+        dst = self._host.get(address)
+        self.sent[src, dst or address] += 1
         if dst is None:
-            return []  # IPv6 and multicast chatter of the kernel
+            return []
         if not {src, dst} <= self._among:
             return [(now_s, dst)]
         if links.cut(src, dst):

@@ -1,6 +1,7 @@
 """A swarm of scripted agents, each a process in a network namespace of its own, watched from outside."""
 
 import math
+import os
 import subprocess
 import sys
 import threading
@@ -10,8 +11,10 @@ from pathlib import Path
 import msgspec
 
 from agent.demo.fleet import demo_fleet
+from agent.kernel.config import Access
 from agent.kernel.messages import State
 from agent.kernel.toml_files import dump
+from agent.keys.make import make_all
 from tests.network.relay import Relay
 from tests.network.scripted_agent import TARGET_M
 from tests.places import ROOT
@@ -25,17 +28,39 @@ WATCHER = "eye"
 class Swarm:
     """Agents by robot, and the newest state that each of them showed."""
 
-    def __init__(self, relay: Relay, clock_ahead_s: dict[str, float], folder: Path) -> None:
-        """Robots r1, r2 ... in the relay's namespaces of these names; their clocks are wrong by so much."""
-        self.relay, self.clock_ahead_s, self.folder = relay, clock_ahead_s, folder
+    def __init__(
+        self,
+        relay: Relay,
+        clock_ahead_s: dict[str, float],
+        folder: Path,
+        name: str = "tank",
+        port: int = PORT,
+        secured: bool = False,
+        of_the_system: Path | None = None,
+        prefix: str = "",
+    ) -> None:
+        """Robots r1, r2 ... in the relay's namespaces of these names, with the prefix; their clocks are wrong by so
+        much.
+
+        `secured`: with certificates, in the folder `keys`. `of_the_system`: the library of wrong_clock.c, with which
+        all of a process has the wrong time, its TLS too; without it the agent's own clock alone is wrong.
+        """
+        self.relay, self.clock_ahead_s, self.folder, self.of_the_system = relay, clock_ahead_s, folder, of_the_system
+        self.prefix = prefix
         self.path = folder / "fleet.toml"
         fleet = demo_fleet(len(clock_ahead_s), "evidence", 0.0, 0, False, folder)
         replace = msgspec.structs.replace
         robots = {
-            name: replace(robot, listen=f"tcp/{relay.address[name]}:{PORT}") for name, robot in fleet.robot.items()
+            key: replace(robot, listen=f"{'tls' if secured else 'tcp'}/{relay.address[prefix + key]}:{port}")
+            for key, robot in fleet.robot.items()
         }
-        self.fleet = replace(fleet, robot=robots, estimation=replace(fleet.estimation, iteration_s=0.25))
+        access = Access(keys="keys", consoles=("ann",)) if secured else fleet.access
+        estimation = replace(fleet.estimation, iteration_s=0.25)
+        self.fleet = replace(fleet, fleet=name, robot=robots, access=access, estimation=estimation)
         self.path.write_text(dump(self.fleet))
+        self.keys = folder / "keys"
+        if secured:
+            make_all(self.fleet, self.keys)
         self.processes: dict[str, subprocess.Popen] = {}
         self.state: dict[str, State] = {}
         self.boxes: list[tuple[str, Path]] = []  # robot and its recording, every start of it
@@ -47,11 +72,16 @@ class Swarm:
             out.mkdir()
             self.boxes.append((name, out / f"{name}.mcap"))
             agent = (sys.executable, "-m", "tests.network.scripted_agent")
-            command = self.relay.command(name, *agent, str(self.path), name, str(out), str(self.clock_ahead_s[name]))
-            self.processes[name] = subprocess.Popen(command, cwd=ROOT)
+            ahead, library = str(self.clock_ahead_s[name]), self.of_the_system
+            wrong = {} if library is None else {"LD_PRELOAD": str(library), "CLOCK_AHEAD_S": ahead}
+            arguments = (str(self.path), name, str(out), *(() if library else (ahead,)))
+            command = self.relay.command(self.prefix + name, *agent, *arguments)
+            self.processes[name] = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **wrong})
 
     def watch(self) -> None:
-        command = self.relay.command(WATCHER, sys.executable, "-m", "tests.network.watch_states", str(self.path))
+        command = self.relay.command(
+            self.prefix + WATCHER, sys.executable, "-m", "tests.network.watch_states", str(self.path)
+        )
         self.processes[WATCHER] = subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT)
         self._threads.append(threading.Thread(target=self._listen, args=(self.processes[WATCHER].stdout,)))
         self._threads[-1].start()
@@ -62,7 +92,8 @@ class Swarm:
             process.wait()
         for thread in self._threads:
             thread.join()
-        self.processes[WATCHER].stdout.close()
+        if WATCHER in self.processes:
+            self.processes[WATCHER].stdout.close()
 
     def until(self, what: str, true, timeout_s: float = 120.0) -> float:
         """Seconds that it took; fails after `timeout_s`."""

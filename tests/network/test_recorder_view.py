@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
@@ -22,8 +23,12 @@ import replay.view
 from agent.clock.clock import SystemClock
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import MAX_JPEG, Image, State
+from agent.kernel.toml_files import dump
+from agent.observing.viewing import view_fleets
+from agent.ports import is_free
 from agent.transport import Transport
 from replay.view import view
+from tests.network.conftest import unused_port
 from tests.waiting import until
 
 foxglove = pytest.importorskip("foxglove", reason="the extra `view` is not installed")
@@ -121,6 +126,50 @@ def subscribed(client: Client, count: int) -> set[str]:
             if len(seen) == count:
                 return seen
     raise AssertionError("the server hung up")
+
+
+def test_each_of_several_fleets_has_a_port_of_its_own(
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], tmp_path: Path
+) -> None:
+    fleets = {
+        name: replace(make_fleet({robot: ()}), fleet=name) for name, robot in {"east": "r1", "west": "w1"}.items()
+    }
+    for name, fleet in fleets.items():
+        (tmp_path / f"{name}.toml").write_text(dump(fleet))
+    first = next(port for port in iter(unused_port, None) if all(is_free(f"tcp/127.0.0.1:{port + k}") for k in (0, 1)))
+    paths, lines, stop = [tmp_path / f"{name}.toml" for name in fleets], [], threading.Event()
+    with contextlib.ExitStack() as stack, ThreadPoolExecutor(1) as pool:
+        serving = pool.submit(view_fleets, paths, first, stop, lines.append)
+        stack.callback(stop.set)
+        robots = [
+            (name, stack.enter_context(Transport(fleet, robot, time.time_ns)), robot)
+            for name, fleet in fleets.items()
+            for robot in fleet.robot
+        ]
+        until(lambda: sum("ws://" in line for line in lines) == 2 or serving.done())
+        for port, (name, transport, robot) in enumerate(robots, start=first):
+            assert any(line.startswith(f"fleet '{name}'") and f"ws://127.0.0.1:{port}" in line for line in lines)
+            with contextlib.closing(Client(port)) as client:
+                ours = showing_again(transport, replace(state(robot), fleet=name), stack)
+                assert subscribed(client, 2) == {f"/{robot}/plot/protocol", "/plot/clock"}
+                ours.set()
+        stop.set()
+        serving.result(timeout=60)
+
+
+def showing_again(transport: Transport, shown: State, stack: contextlib.ExitStack) -> threading.Event:
+    """Show this again and again until the event is set, or the stack is left."""
+    stop = threading.Event()
+
+    def show() -> None:
+        while not stop.wait(0.05):
+            transport.show(shown)
+
+    thread = threading.Thread(target=show)
+    thread.start()
+    stack.callback(thread.join)
+    stack.callback(stop.set)
+    return stop
 
 
 def test_a_port_that_is_taken_is_one_line(make_fleet: Callable[..., Fleet]) -> None:

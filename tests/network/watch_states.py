@@ -10,11 +10,13 @@ from agent.kernel.codec import decode
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.messages import State
 from agent.kernel.topics import STATE
-from agent.transport import Observer
+from agent.keys.fleet_certificates import credentials
+from agent.transport import LOOKER, Observer
 
 
 def main(fleet_path: Path) -> None:
-    with Observer(load_fleet(fleet_path), time.monotonic_ns, (STATE,)) as observer:
+    fleet = load_fleet(fleet_path)
+    with Observer(fleet, time.monotonic_ns, (STATE,), keys=credentials(fleet, LOOKER, fleet_path)) as observer:
         while True:
             for seen in observer.drain():
                 sys.stdout.write(msgspec.json.encode(decode(seen.payload, State)).decode() + "\n")

@@ -3,7 +3,6 @@
 import re
 import shlex
 import tomllib
-from pathlib import Path
 
 import pytest
 import typer.main
@@ -12,8 +11,8 @@ import yaml
 from agent.__main__ import app
 from agent.fleet_setup.init import write_fleet
 from agent.kernel.fleet_reader import load_fleet
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))
 SERVICES = COMPOSE["services"]
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
@@ -89,11 +88,21 @@ def test_the_robot_has_its_devices_and_its_own_keys_alone(tmp_path):
         assert [filled_in(each) for each in agent["devices"]] == [robot.serial, robot.camera.removeprefix("v4l2:")]
         assert robot.calibration.startswith("calibration/")  # beside the fleet file, in ./fleet
     assert [filled_in(each) for each in agent["group_add"]] == ["dialout", "video"]
-    assert agent["environment"] == {"AUCAMP_KEYS": "/keys"}
-    (keys,) = [volume for volume in agent["volumes"] if volume["target"] == "/keys"]
-    assert keys["read_only"] is True
-    others = [name for name in SERVICES if name != "agent"]
-    assert not any(volume["target"] == "/keys" for name in others for volume in SERVICES[name]["volumes"])
+
+
+def test_each_service_sees_its_own_keys_alone():
+    seen = {}
+    for name, service in SERVICES.items():
+        for volume in service["volumes"]:
+            if volume["target"] == "/keys":
+                assert volume["type"] == "bind" and volume["read_only"] is True
+                seen[name] = filled_in(volume["source"], ROBOT="r2")
+            else:
+                assert "keys" not in volume["source"]
+    assert seen == {"agent": "./keys/r2", "recorder": "./keys/recorder", "router": "./keys/router"}
+    assert all(SERVICES[name]["environment"] == {"AUCAMP_KEYS": "/keys"} for name in seen)
+    told = (ROOT / "docs" / "containers.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"`keys/(\w+)/`", told)) == {"r1", "recorder", "router"}
 
 
 def test_the_image_is_made_of_what_is_packaged_and_nothing_else():
