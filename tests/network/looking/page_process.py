@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from agent.kernel.config import Fleet, Target
 from agent.kernel.toml_files import dump
 from tests.network.conftest import unused_port
+from tests.places import ROOT
 from tests.waiting import until
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -42,7 +43,7 @@ class PageProcess:
 @contextlib.contextmanager
 def page_process(what: Path, *arguments: str) -> Iterator[PageProcess]:
     command = [sys.executable, "-m", "agent", "page", str(what), "--port", str(unused_port()), *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         try:
             line = process.stdout.readline()
             yield PageProcess(process, re.search(r"http://\S+", line)[0])

@@ -5,6 +5,7 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -22,15 +23,15 @@ STEP_S = 0.05
 class Scripted:
     """One robot: says a state ten times and shows a picture five times a second; does nothing but note its orders."""
 
-    def __init__(self, fleet: Fleet, name: str) -> None:
+    def __init__(self, fleet: Fleet, name: str, keys: Path | None) -> None:
         self.orders: list[Order] = []
         self.hangs = False  # orders stay unanswered
         self.armed = True
-        self.name, self._fleet = name, fleet
+        self.name, self._fleet, self._keys = name, fleet, keys
         self._started_ns = time.time_ns()
 
     def run(self, stop: threading.Event) -> None:
-        with Transport(self._fleet, self.name, time.time_ns) as link:
+        with Transport(self._fleet, self.name, time.time_ns, self._keys) as link:
             for step in itertools.count():
                 if step % 20 == 0:
                     link.show(self._line())
@@ -117,9 +118,9 @@ JPEG = _jpeg()
 
 
 @contextlib.contextmanager
-def scripted(fleet: Fleet) -> Iterator[dict[str, Scripted]]:
-    """All robots of a fleet, in threads of this process."""
-    robots, stop = {name: Scripted(fleet, name) for name in fleet.robot}, threading.Event()
+def scripted(fleet: Fleet, keys: Path | None = None) -> Iterator[dict[str, Scripted]]:
+    """All robots of a fleet, in threads of this process. `keys`: folder of a secured fleet's certificates."""
+    robots, stop = {name: Scripted(fleet, name, keys) for name in fleet.robot}, threading.Event()
     threads = [threading.Thread(target=robot.run, args=(stop,)) for robot in robots.values()]
     for thread in threads:
         thread.start()
