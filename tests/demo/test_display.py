@@ -2,9 +2,10 @@
 
 import io
 
+import msgspec
 from rich.console import Console
 
-from agent.demo.display import progress_table, progress_title, result_table, verdict
+from agent.demo.display import progress_row, progress_table, progress_title, result_table, verdict
 from agent.demo.following import score
 from agent.demo.history import History
 from agent.fleet_files import fleet_file
@@ -94,3 +95,9 @@ def test_a_survey_is_judged_by_what_is_known_not_by_targets() -> None:
     summary = {"coverage": {"wanted_share": 0.5}, "verdict": "pass", "reasons": [], "targets": {"ball": {}}}
     assert verdict(summary) == "pass: every robot knows 50.0 % of what is wanted at least, and all maps are the same"
     assert verdict(summary | {"verdict": "fail", "reasons": ["the maps differ"]}) == "fail: the maps differ"
+
+
+def test_what_people_ordered_stands_with_the_faults() -> None:
+    assert progress_row(msgspec.structs.replace(STATE, faults=(), armed=False))[-1] == "motors off"
+    ordered = msgspec.structs.replace(STATE, faults=("no frames",), armed=False, ordered=("ann: stop",))
+    assert progress_row(ordered)[-1] == "no frames, ann: stop"

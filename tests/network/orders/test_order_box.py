@@ -13,61 +13,16 @@ from agent.ground.console import Console
 from agent.kernel import topics
 from agent.kernel.codec import decode, encode, encoding
 from agent.kernel.config import Access, ConfigError, Fleet
-from agent.kernel.messages import State
 from agent.kernel.orders.words import MAX_ORDER, Answer, Order
-from agent.kernel.step_io import Ordered
 from agent.kernel.topics import ANSWER
 from agent.links.order_box import WAITING
-from agent.transport import Observer, Transport
+from agent.transport import Observer
 from router_config.session import observer_config
+from tests.network.orders.answering import Loop
 from tests.waiting import until
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
 SLOW_S = 30.0  # of the wall: a machine may be busy
-
-
-class Loop(threading.Thread):
-    """A robot's loop that says yes to everything, for as long as `works` is set."""
-
-    def __init__(self, fleet: Fleet, name: str) -> None:
-        super().__init__(daemon=True)
-        self.name_, self.transport = name, Transport(fleet, name, time.time_ns)
-        self.taken: list[Ordered] = []
-        self.works, self.shows, self.ends = threading.Event(), True, threading.Event()
-        self.works.set()
-
-    def run(self) -> None:
-        seq = 0
-        while not self.ends.wait(0.05):
-            seq += 1
-            state = State(
-                fleet="test",
-                robot=self.name_,
-                incarnation=1,
-                seq=seq,
-                sent_ns=time.time_ns(),
-                target="ball",
-                knows="blind",
-                t=0,
-            )
-            if self.shows:
-                self.transport.show(state)
-            if self.works.is_set():
-                taken = self.transport.orders()
-                self.taken += taken
-                self.transport.answer([self.answer(ordered) for ordered in taken])
-
-    def answer(self, ordered: Ordered) -> Answer:
-        order = decode(ordered.payload, Order)
-        return Answer(
-            robot=self.name_,
-            console=ordered.console,
-            id=order.id,
-            order=order.verb,
-            ok=True,
-            arrived_ns=ordered.arrived_ns,
-            sent_ns=time.time_ns(),
-        )
 
 
 @pytest.fixture

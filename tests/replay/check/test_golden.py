@@ -78,7 +78,7 @@ def test_each_shows_what_it_is_kept_for() -> None:
 
 MUTATIONS = {
     "agent.kernel.core.LATEST_ITERATION": 1.4,
-    "agent.kernel.core.STATE_NS": 250_000_000,
+    "agent.kernel.desk.showing.STATE_NS": 250_000_000,
     "agent.kernel.control.seek.CENTRED": 1.0,
     "agent.kernel.control.sweep.TRACK_SPAN": 1.6,
     "agent.kernel.control.pointing.SETTLE_NS": 10**6,
