@@ -10,7 +10,7 @@ run: .venv/ready
 
 # More workers would wait for the one that has tests/network (tests/conftest.py).
 test: .venv/ready-test lint
-	$(BIN)/pytest -n auto --maxprocesses 4
+	$(BIN)/pytest -n auto --maxprocesses 4 -rs
 
 bench: .venv/ready-test
 	$(BIN)/python -m tests.bench

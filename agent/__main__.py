@@ -22,6 +22,7 @@ from agent.commands import (
     looking,
     operating,
     ordering,
+    paging,
     reconstructing,
     replaying,
     seeing,
@@ -42,6 +43,7 @@ app.add_typer(diving.app)
 app.add_typer(operating.app)
 app.add_typer(ordering.app)
 app.add_typer(looking.app)
+app.add_typer(paging.app)
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(boards.app, name="board")

@@ -154,7 +154,8 @@ class Received(NamedTuple):
 class Observer:
     """Looks at every robot of a fleet without being known to any. Context manager; `rows` choose what it hears.
 
-    In a secured fleet it looks as `name`, an observer or a console, whose certificate lies in the folder `keys`.
+    In a secured fleet it looks as `name`, an observer or a console, whose certificate lies in the folder `keys`. What a
+    robot tells each of its neighbours alike it hears once where `once` is set: a fleet of five says it four times.
     """
 
     def __init__(
@@ -164,9 +165,10 @@ class Observer:
         rows: tuple[Topic, ...] = TOPICS,
         name: str = LOOKER,
         keys: Path | None = None,
+        once: bool = False,
     ) -> None:
         self._config = observer_config(fleet, name, keys)
-        self._fleet, self._clock, self._rows = fleet, clock, rows
+        self._fleet, self._clock, self._rows, self._once = fleet, clock, rows, once
         self._received: deque[Received] = deque(maxlen=OBSERVED)
         self._open = contextlib.ExitStack()
 
@@ -174,9 +176,17 @@ class Observer:
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(Session(self._config, f"fleet '{self._fleet.fleet}'"))
             for row in self._rows:
-                session.subscribe(topics.key(row, fleet=self._fleet.fleet, **topics.ANYBODY), self._arrived)
+                for key in self._keys_of(row):
+                    session.subscribe(key, self._arrived)
             self._open = stack.pop_all()
         return self
+
+    def _keys_of(self, row: Topic) -> list[str]:
+        anyone = {"fleet": self._fleet.fleet, **topics.ANYBODY}
+        if not self._once or row.writer != "src":
+            return [topics.key(row, **anyone)]
+        told = ((name, robot.neighbours[0]) for name, robot in self._fleet.robot.items() if robot.neighbours)
+        return [topics.key(row, **{**anyone, "src": src, "dst": dst}) for src, dst in told]
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self._open.close()

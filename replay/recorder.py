@@ -51,14 +51,15 @@ def record(
     views: bool = True,
     limits: Limits = Limits(),  # noqa: B008 - a NamedTuple cannot change
     keys: Path | None = None,
+    name: str = "recorder",
 ) -> dict[str, int]:
     """Record into `out` until `stop` is set; returns messages per topic, and what was not recorded by reason.
 
     Where a recording of that name was torn, it is mended meanwhile and the new one is NAME.2.mcap. Where nothing at all
     was heard, no file is left. Log times are the clock's. `warn` takes lines for a person, one at a time, `views` adds
-    channels for viewers, `keys` is the folder of a secured fleet's certificates. Raises ConfigError if the file cannot
-    be written, or no longer, as on a disk that has become full, and if no session can be opened. What no message of a
-    fleet may do is counted, and recorded.
+    channels for viewers, `keys` is the folder of a secured fleet's certificates, where `name` has one. Raises
+    ConfigError if the file cannot be written, or no longer, as on a disk that has become full, and if no session can be
+    opened. What no message of a fleet may do is counted, and recorded.
     """
     arrivals, rate, roll = Arrivals(clock.now_ns), RateNotes(clock), RollCall(fleet, warn)
     stuck = False
@@ -69,7 +70,7 @@ def record(
     log = LogWriter(
         out, facts(fleet), {"fleet.toml": dump(fleet)}, limits, derive=ViewerChannels(fleet) if views else None
     )
-    with log, recovering(torn, warn), receiving(fleet, arrivals, "recorder", keys):
+    with log, recovering(torn, warn), receiving(fleet, arrivals, name, keys):
         while not machine.wait(stop, PERIOD_S):
             for entry in (*arrivals.drain(), *rate.due()):
                 log.put(entry)

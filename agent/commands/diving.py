@@ -15,6 +15,8 @@ from agent.kernel.fleet_reader import load_fleet
 from agent.stop_signal import until_signal
 from router_config.session import ROUTER, ROUTER_LISTEN
 
+ALONE_S, WITH_PAGE_S = 120.0, 1800.0  # time limits of a dive that nobody looks at, and of one with a page
+
 SHIPPED = ", ".join(shipped_names())
 
 app = typer.Typer()
@@ -31,12 +33,18 @@ def demo(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Which world of the twin: hidden parameters and noise.")
     ] = None,
-    duration: Annotated[float, typer.Option(min=1.0, help="Time limit in seconds of the dive.")] = 120.0,
+    duration: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Time limit in seconds of the dive.  [default: 120; with --page 1800]"),
+    ] = None,
     enhance: Annotated[bool | None, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
     secure: Annotated[bool, typer.Option("--secure", help="All links are TLS, with certificates of this run.")] = False,
+    page: Annotated[
+        bool, typer.Option("--page", help="With a page to look at it and to give orders, in a browser; until Ctrl-C.")
+    ] = False,
 ) -> None:
     """Robots find a target in the twin's tank within two minutes; a table at the end, recordings and a report.
 
@@ -49,10 +57,11 @@ def demo(
     from agent.progress import with_spinner
     from replay.report.report import report
 
-    run, summary = dive(robots, protocol, loss, seed, duration, enhance, out, terminal(), fleet, speed, secure)
+    limit_s = duration or (WITH_PAGE_S if page else ALONE_S)
+    run, summary = dive(robots, protocol, loss, seed, limit_s, enhance, out, terminal(), fleet, speed, secure, page)
     with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
-        page = report(run, depth=sweep_depth)
-    terminal().print(f"{verdict(summary)}. Look at {page}; recordings are beside it")
+        written = report(run, depth=sweep_depth)
+    terminal().print(f"{verdict(summary)}. Look at {written}; recordings are beside it")
     raise typer.Exit(0 if summary["verdict"] == "pass" else 1)
 
 

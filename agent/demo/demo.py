@@ -12,7 +12,7 @@ import os
 import shutil
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from agent.demo.endpoints import reserved
 from agent.demo.fleet import demo_fleet, listening, with_access
 from agent.demo.following import FOLLOW_S, followed_s, scored, swims
 from agent.demo.history import Histories, History
+from agent.demo.look import open_page
 from agent.demo.summary import is_box, settled, summarize
 from agent.failure import Failed
 from agent.fleet_clock import fleet_clock
@@ -66,11 +67,13 @@ def demo(
     fleet_name: str = "tank",
     speed: float = 1.0,
     secure: bool = False,
+    page: bool = False,
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
 
     `robots`, `protocol`, `loss`, `seed`, `enhance`: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
-    comes with the package. `speed`: of the dive's clock against the wall's, at most.
+    comes with the package. `speed`: of the dive's clock against the wall's, at most. `page`: with a page to look at it
+    and to order, until whoever looks has seen enough.
 
     The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's
     folder is given to others, and may lie where files have no modes. The fleet file as used names the folder `keys`
@@ -93,7 +96,9 @@ def demo(
         processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
         calibrate(fleet, path, processes, console)
         survey = SurveyWatch(fleet) if fleet.coverage is not None else None
-        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console, survey, folder / FOLDER)
+        if page:
+            console.print(open_page(fleet, path, processes), highlight=False, soft_wrap=True)
+        histories, truth = dive(fleet, path, run, duration_s, speed, processes, console, survey, folder / FOLDER, page)
     with with_spinner(console, "reading the recordings"):
         followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
     summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed, survey)
@@ -145,9 +150,11 @@ def dive(
     console: Console,
     survey: SurveyWatch | None = None,
     keys: Path | None = None,
+    page: bool = False,
 ) -> tuple[Histories, dict[str, Any]]:
     """Twin, recorder and agents until they settle, or have surveyed, or time is up; returns what they showed, and the
-    truth. `keys`: the folder of this run's."""
+    truth. `keys`: the folder of this run's. Where somebody looks at a `page` the dive ends by time alone, or as he
+    interrupts it."""
     folder = twin_dir(fleet)
     with with_spinner(console, "starting the twin"):
         processes.start("twin", "twin", str(path), "--speed", "max" if speed == math.inf else str(speed))
@@ -166,12 +173,15 @@ def dive(
         console.print(line, highlight=False)
     ends = f"know where it is and {until(fleet)}" if survey is None else "know what is asked for, and the same"
     console.print(
-        f"diving until all robots {ends}, at most {duration_s:.0f} s; Ctrl-C ends it; logs are in {run / 'logs'}"
+        f"diving until Ctrl-C, at most {duration_s:.0f} s; then comes the report; logs are in {run / 'logs'}"
+        if page
+        else f"diving until all robots {ends}, at most {duration_s:.0f} s; Ctrl-C ends it; logs are in {run / 'logs'}"
     )
     live = Live(console=console, refresh_per_second=2) if console.is_terminal else None
     with (
         Observer(fleet, clock.now_ns, (STATE,) if survey is None else (STATE, CLAIM), keys=keys) as observer,
         live or nullcontext(),
+        suppress(KeyboardInterrupt) if page else nullcontext(),
     ):
         while (now_ns := clock.now_ns()) < until_ns:
             for seen in observer.drain():
@@ -189,14 +199,14 @@ def dive(
                     progress_table(histories, title) if survey is None else survey_table(histories, survey, title)
                 )
             settled_all = all(settled_on(fleet, target, of_target) for target, of_target in histories.items())
-            if settled_all if survey is None else survey.over:
+            if not page and (settled_all if survey is None else survey.over):
                 break
             processes.check()
             machine.sleep(0.1)
     if not console.is_terminal:
         console.print()  # a table that was drawn once, into a pipe, has no end of line
     processes.stop(*fleet.robot)
-    for complaint in processes.stop("recorder"):
+    for complaint in processes.stop("recorder", *(["page"] if page else [])):
         console.print(complaint, style="red")
     processes.stop("twin")
     for complaint in twin_log.read_text(encoding="utf-8").splitlines()[1:]:

@@ -1,0 +1,137 @@
+"""A running fleet on the page: what its robots show, orders to them, and a recording of it from this process."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from threading import Event
+from typing import Any, NamedTuple
+
+import msgspec
+
+from agent.clock import machine
+from agent.clock.clock import Clock
+from agent.ground.page.board import Board
+from agent.ground.page.record import Recording
+from agent.ground.page.rows import LINES, SELDOM_NS, Rows, text
+from agent.kernel.codec import Refusal
+from agent.kernel.config import Fleet
+from agent.kernel.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
+from agent.transport import Observer, Received
+
+logger = logging.getLogger(__name__)
+
+SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
+PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often
+CLOCK_S = 0.5  # of the wall, between two notes of what time it is in the fleet
+UNDER_WAY = 16  # orders that wait for answers at a time
+
+
+class Wish(msgspec.Struct, frozen=True, kw_only=True):
+    """An order as a page asks for it."""
+
+    robots: list[str]
+    verb: str
+    args: dict[str, bool | int | float | str] = {}
+    seen: dict[str, tuple[str, str]] = {}  # of each robot incarnation and sent_ns of the State looked at, as they came
+
+
+class Reply(NamedTuple):
+    """What became of an order at one robot."""
+
+    robot: str
+    ok: bool | None  # whether it is done, or under way; None: it did not answer
+    why: str
+    id: str  # of the order, as answers on the network say; empty: it did not answer
+
+
+Seen = dict[str, tuple[int, int]]
+# Gives what came of it as it comes, and waits in between; raises Refusal for what cannot be ordered.
+Give = Callable[[list[str], str, Mapping[str, Any], Seen], Iterator[Reply]]
+
+
+class Live:
+    """Takes what a fleet shows to the board, and what pages ask for to where it goes."""
+
+    def __init__(
+        self, fleet: Fleet, board: Board, clock: Clock, give: Give | None = None, recording: Recording | None = None
+    ) -> None:
+        """`give` gives an order and waits for the replies; None: nobody may. `recording`; None: nothing records."""
+        self._fleet, self._board, self._clock = fleet, board, clock
+        self._give, self._recording = give, recording
+        self._rows, self._numbers = Rows(fleet), itertools.count(1)
+        self._shown_ns: dict[str, int] = {}  # when, of what is not shown each time
+        self._under_way: set[asyncio.Task[None]] = set()
+
+    async def run(self, observer: Observer, stop: Event) -> None:
+        """Until `stop` is set."""
+        said_s = machine.monotonic_s() - CLOCK_S
+        while not stop.is_set():
+            for received in observer.drain():
+                self._take(received)
+            if (now_s := machine.monotonic_s()) - said_s >= CLOCK_S:
+                said_s = now_s
+                self._say_time()
+            await asyncio.sleep(PERIOD_S)
+
+    def _take(self, received: Received) -> None:
+        topic, chunks, payload, arrived_ns = received
+        key = self._rows.key(topic, chunks)
+        if key is None:
+            return
+        if seldom_ns := SELDOM_NS.get(topic.message):
+            if arrived_ns - self._shown_ns.get(key, 0) < seldom_ns:
+                return
+            self._shown_ns[key] = arrived_ns
+        if topic.message not in LINES:
+            self._board.show(key, partial(self._rows.message, topic, chunks, payload))
+            return
+        try:
+            self._board.say(self._rows.message(topic, chunks, payload))
+        except Refusal:
+            self._board.refused += 1
+
+    def _say_time(self) -> None:
+        note = {
+            "k": "clock",
+            "now_ms": self._clock.now_ns() * 1e-6,
+            "rate": self._clock.rate(),
+            "refused": self._board.refused,
+            "recording": self._recording.note() if self._recording else None,
+        }
+        self._board.show("clock", lambda: text(note))
+
+    async def heard(self, message: dict[str, Any]) -> None:
+        """What a page says. What none of ours would say is passed over."""
+        if self._recording and isinstance(on := message.get("record"), bool):
+            (self._recording.start if on else self._recording.stop)()
+            self._say_time()
+        if self._give is None or "order" not in message or len(self._under_way) >= UNDER_WAY:
+            return
+        try:
+            wish = msgspec.convert(message["order"], Wish)
+            seen = {robot: (int(start), int(sent)) for robot, (start, sent) in wish.seen.items()}
+        except (msgspec.ValidationError, ValueError):
+            return
+        if wish.robots and set(wish.robots) <= set(self._fleet.robot):
+            task = asyncio.create_task(self._order(self._give, wish, seen))
+            self._under_way.add(task)
+            task.add_done_callback(self._under_way.discard)
+
+    async def _order(self, give: Give, wish: Wish, seen: Seen) -> None:
+        """Give it in a thread of its own, since it waits, and say on every page what comes of it."""
+        loop, note = asyncio.get_running_loop(), {"n": next(self._numbers)}
+        order = {"verb": wish.verb, "args": wish.args, "asked": wish.robots, "at_ms": self._clock.now_ns() * 1e-6}
+        self._board.say(text({"k": "order", **note, **order}))
+
+        def give_it() -> None:
+            for reply in give(wish.robots, wish.verb, wish.args, seen):
+                loop.call_soon_threadsafe(self._board.say, text({"k": "outcome", **note, **reply._asdict()}))
+
+        try:
+            await asyncio.to_thread(give_it)
+        except Refusal as refusal:  # nothing went out
+            self._board.say(text({"k": "outcome", **note, "trouble": str(refusal)}))

@@ -1,0 +1,134 @@
+"""A recording on the page: the same messages as live, at the time that is sought."""
+
+import asyncio
+import json
+from threading import Event
+
+import pytest
+
+from agent.ground.page.board import Board
+from agent.ground.page.reel import Reel
+from agent.ground.page.replayed import Replayed
+from agent.ground.page.rows import LINES, Rows
+from agent.kernel.config import ConfigError
+from agent.kernel.topics import IMAGE, LINK, LOG, STATE
+from tests.ground.page.shown import FLEET, NOW_NS, image, log, record, row, state
+from tests.sample_messages import estimate
+
+S = 1_000_000_000
+
+
+@pytest.fixture
+def reel(tmp_path):
+    said = []
+    for number in range(100):  # ten seconds of r1's states, a picture and a line each second
+        at_ns = NOW_NS + number * S // 10
+        said.append((at_ns, row(state(sent_ns=at_ns, t=number), STATE, robot="r1", target="ball")))
+        if number % 10 == 0:
+            said.append((at_ns, row(image(frame=number, t_ns=at_ns), IMAGE, robot="r1")))
+            said.append((at_ns, row(log(text=f"line {number}"), LOG, robot="r1")))
+    said.append((NOW_NS + 5 * S, (STATE, {"fleet": "test", "robot": "r2", "target": "ball"}, b"garbage")))
+    record(tmp_path / "fleet.mcap", sorted(said, key=lambda one: one[0]))
+    with Reel(tmp_path) as found:
+        yield found
+
+
+def shown(board: Board) -> dict[str, object]:
+    """What a page that is opened now is sent, by key."""
+    viewer, found = board.join(), {}
+    for message in board.next_for(viewer):
+        if isinstance(message, bytes):
+            found["image"] = message
+        else:
+            fields = json.loads(message)
+            found[fields["k"]] = fields
+    board.leave(viewer)
+    return found
+
+
+def test_a_row_live_and_replayed_is_the_same_message_to_the_byte(tmp_path) -> None:
+    rows = [
+        row(state(), STATE, robot="r1", target="ball"),
+        row(image("r2"), IMAGE, robot="r2"),
+        row(log("r2"), LOG, robot="r2"),
+        row(
+            estimate("r1", "r2", fleet="test", x_m=(1 / 3, 0.1, 0.2), cov_m2=(1e-6, 0, 0, 1e-6, 0, 1e-6)),
+            LINK,
+            src="r1",
+            dst="r2",
+            target="ball",
+        ),
+    ]
+    live = [Rows(FLEET).message(*each) for each in rows]
+    record(tmp_path / "fleet.mcap", [(NOW_NS + n, each) for n, each in enumerate(rows)])
+    with Reel(tmp_path / "fleet.mcap") as reel:
+        again = Rows(reel.fleet)
+        replayed = [
+            again.message(kept.topic, kept.chunks, reel.payload(kept)) for _, kept in reel.between(0, NOW_NS + S)
+        ]
+    assert replayed == live and len(live) == 4
+
+
+def test_what_was_newest_at_a_time_is_shown_with_the_lines_and_the_way_there(reel) -> None:
+    board = Board()
+    replayed = Replayed(reel, board)
+    replayed.seek(NOW_NS + 4 * S + S // 20)
+    page = shown(board)
+    assert page["state/r1/ball"]["t"] == 40
+    assert [line["text"] for line in page["lines"]["lines"]] == [f"line {n}" for n in (0, 10, 20, 30, 40)]
+    assert page["clock"]["now_ms"] == pytest.approx((NOW_NS + 4.05 * S) * 1e-6)
+    assert [past["t"] for past in page["past"]["rows"]] == list(range(0, 41, 5)), "twice a second"
+    replayed.seek(NOW_NS)
+    assert shown(board)["state/r1/ball"]["t"] == 0
+    assert len(shown(board)["lines"]["lines"]) == 1
+
+
+def test_it_goes_on_by_itself_faster_or_not_at_all(reel) -> None:
+    board = Board()
+    replayed = Replayed(reel, board)
+
+    async def plays() -> None:
+        stop = Event()
+        running = asyncio.create_task(replayed.run(stop))
+        await replayed.heard({"play": {"speed": 20.0}})
+        for _ in range(400):  # 9.9 s of the recording need half a second
+            await asyncio.sleep(0.05)
+            if shown(board).get("state/r1/ball", {}).get("t") == 99:
+                break
+        assert shown(board)["state/r1/ball"]["t"] == 99
+        await asyncio.sleep(0.1)
+        assert shown(board)["clock"]["rate"] == 0.0, "at its end it stands"
+        await replayed.heard({"play": {"at_ms": (NOW_NS + 2 * S) * 1e-6 + 1, "paused": True}})
+        await asyncio.sleep(0.2)
+        assert shown(board)["state/r1/ball"]["t"] == 20
+        for nonsense in ({}, {"play": 7}, {"play": {"speed": "x"}}, {"order": {"robots": ["r1"], "verb": "stop"}}):
+            await replayed.heard(nonsense)
+        await replayed.heard({"play": {"at_ms": -1e30, "speed": 1e9}})
+        assert shown(board)["state/r1/ball"]["t"] == 0
+        stop.set()
+        await running
+
+    asyncio.run(plays())
+
+
+def test_what_does_not_decode_is_passed_over(reel) -> None:
+    board = Board()
+    Replayed(reel, board).seek(NOW_NS + 9 * S)
+    assert "state/r2/ball" not in shown(board) and board.refused == 1
+
+
+def test_more_rows_than_can_be_drawn_are_left_out_but_no_line(tmp_path) -> None:
+    said = [(NOW_NS + n * 1_000_000, row(state(t=n), STATE, robot="r1", target="ball")) for n in range(100)]
+    said += [(NOW_NS + n * 1_000_000, row(log(text=str(n)), LOG, robot="r1")) for n in range(100)]
+    record(tmp_path / "fleet.mcap", sorted(said, key=lambda one: one[0]))
+    with Reel(tmp_path / "fleet.mcap") as reel:
+        kept = [each.topic.message in LINES for _, each in reel.between(0, NOW_NS + S)]
+    assert kept.count(True) == 100 and kept.count(False) == 2
+
+
+def test_what_is_no_recording_of_a_fleet_is_one_line(tmp_path) -> None:
+    with pytest.raises(ConfigError, match="no recording of a fleet"):
+        Reel(tmp_path)
+    (tmp_path / "x.mcap").write_bytes(b"nothing")
+    with pytest.raises(ConfigError):
+        Reel(tmp_path / "x.mcap")

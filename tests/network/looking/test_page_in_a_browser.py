@@ -1,0 +1,199 @@
+"""The operator's page in a real browser, as a person uses it: a fleet of two, watched, ordered about, lost."""
+
+import time
+
+import pytest
+
+from agent.kernel.config import Fleet, Pose, Robot, Target
+from agent.kernel.fleet_reader import load_fleet
+from tests.network.conftest import unused_port
+from tests.network.looking.page_process import Tab, browser, fleet_on_disk, page_process
+from tests.network.looking.scripted_robots import JPEG, scripted
+from tests.waiting import until
+
+pytest.importorskip("websockets", reason="the extra `page` is not installed")
+
+STATES = "[...robots.values()].map(r => newest(r)?.t ?? -1)"
+TAKES = """() => {   // notes what comes, and how old it is when it is taken
+  window.taken = [];
+  const before = take;
+  take = data => {
+    const now_ms = Date.now();
+    if (data instanceof ArrayBuffer) {
+      const head = new DataView(data);
+      taken.push(["image/" + head.getUint8(0), now_ms - Number(head.getBigUint64(5, true)) / 1e6]);
+    } else for (const m of JSON.parse(data)) if (m.sent_ms) taken.push([m.k, now_ms - m.sent_ms]);
+    before(data);
+  };
+}"""
+FREEZE = "() => { const until = Date.now() + 5000; while (Date.now() < until) {} }"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    robots = {
+        name: Robot(
+            neighbours=(other,),
+            listen=f"tcp/127.0.0.1:{unused_port()}",
+            serial=f"twin:{name}",
+            camera=f"twin:{name}",
+            pose=Pose(x_m=x_m, y_m=0.3, yaw_deg=90.0),
+            calibration=f"{name}.toml",
+        )
+        for name, other, x_m in (("r1", "r2", 0.4), ("r2", "r1", 1.1))
+    }
+    fleet = Fleet(fleet="test", target={"ball": Target(radius_m=0.07)}, robot=robots)
+    return fleet_on_disk(fleet, tmp_path_factory.mktemp("page"), JPEG)
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with browser() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def robots(path, chromium):
+    with scripted(load_fleet(path)) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def served(path, robots):
+    with page_process(path, "--as", "ann", "--out", str(path.parent)) as page:
+        yield page
+
+
+@pytest.fixture
+def tab(chromium, served):
+    found = Tab(chromium, served.address, viewport={"width": 1440, "height": 900})
+    found.says("#sentence", "2 of 2 robots heard")
+    yield found
+    found.page.close()
+    assert not found.outside, "it asks nobody but its server"
+    assert not found.complaints
+
+
+def test_who_looks_sees_the_fleet(tab) -> None:
+    assert "The ball: seen by all, known to ± 1.5 mm." in tab.says("#sentence", "seen by all")
+    assert tab.page.inner_text("#kind") == "LIVE"
+    tab.says("#card_r1", "picture 0.")
+    tab.says("#card_r1", "0.40 m")
+    tab.says("#log", "r2 is here")
+    before = tab.page.evaluate(STATES)
+    until(lambda: all(now > was for now, was in zip(tab.page.evaluate(STATES), before, strict=True)))
+
+
+def test_all_are_stopped_and_started_again(tab, robots) -> None:
+    tab.page.click("#stop")
+    tab.says("#order_note", "all stopped: 2 of 2 answered")
+    assert [robot.orders[-1].verb for robot in robots.values()] == ["stop", "stop"]
+    tab.says("#sentence", "Motors off: all")
+    tab.page.click("#start")
+    until(lambda: all(robot.armed for robot in robots.values()))
+    tab.page.wait_for_selector("#start", state="hidden")
+
+
+def test_who_does_not_answer_is_named(tab, robots) -> None:
+    robots["r2"].hangs = True
+    try:
+        tab.page.keyboard.press("s")
+        tab.says("#order_note", "1 of 2 stopped; not r2")
+        assert "r2" in tab.says("#orders li:first-child", "did not answer within 1 s")
+    finally:
+        robots["r2"].hangs = False
+
+
+def test_why_a_robot_refuses_is_read_as_text(tab) -> None:
+    tab.page.click("#card_r1 button:has-text('Surface')")
+    tab.says("#orders li:first-child", "it is <b>not</b> to")
+
+
+def test_a_camera_is_turned_by_the_keyboard(tab, robots) -> None:
+    tab.page.keyboard.press("2")
+    tab.page.keyboard.press("ArrowLeft")
+    order = until(lambda: next((order for order in robots["r2"].orders if order.verb == "look"), None))
+    assert order.args == {"pan_deg": 10.0, "tilt_deg": 0.0} and order.seen is not None
+    assert not [order for order in robots["r1"].orders if order.verb == "look"]
+
+
+def test_a_box_drawn_by_mouse_is_a_target(tab, robots) -> None:
+    tab.says("#card_r1", "frame")
+    tab.page.click("#card_r1 .view button")  # larger
+    tab.page.evaluate("scrollTo(0, 0)")
+    tab.page.locator("#card_r1 canvas").scroll_into_view_if_needed()
+    at = tab.page.locator("#card_r1 canvas").bounding_box()
+    tab.page.mouse.move(at["x"] + at["width"] / 4, at["y"] + at["height"] / 4)
+    tab.page.mouse.down()
+    tab.page.mouse.move(at["x"] + at["width"] / 3, at["y"] + at["height"] / 3)
+    tab.page.mouse.move(at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
+    tab.page.mouse.up()
+    order = until(lambda: next((order for order in robots["r1"].orders if order.verb == "target_box"), None))
+    args = dict(order.args)
+    assert args.pop("target") == "stone" and isinstance(args.pop("frame"), int)
+    assert args == {"x": pytest.approx(160, abs=1), "y": pytest.approx(120, abs=1)} | {
+        "width": pytest.approx(160, abs=1),
+        "height": pytest.approx(120, abs=1),
+    }
+
+
+def test_a_frozen_page_is_one_message_behind_and_no_more(tab) -> None:
+    tab.page.evaluate(TAKES)
+    until(lambda: len(tab.page.evaluate("taken")) > 10)
+    tab.page.evaluate(FREEZE)
+    tab.page.evaluate("taken.length = 0")
+    time.sleep(1.5)
+    taken = tab.page.evaluate("taken")
+    keys = {key for key, _ in taken}
+    assert {"image/0", "image/1", "state/r1/ball", "link/r1/ball"} <= keys
+    for key in keys:
+        ages_ms = [age for name, age in taken if name == key]
+        old = [age for age in ages_ms if age > 1000]
+        assert len(old) <= 1, (key, ages_ms)
+        assert len(ages_ms) > 2, "and goes on"
+
+
+def test_it_fits_a_phone_and_stop_all_stays_in_reach(chromium, served) -> None:
+    tab = Tab(chromium, served.address, viewport={"width": 390, "height": 844}, color_scheme="dark")
+    tab.says("#sentence", "2 of 2 robots heard")
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    at = tab.page.locator("#stop").bounding_box()
+    assert 0 <= at["y"] < 200 and at["height"] >= 44
+    red, green, blue = tab.page.evaluate(
+        "getComputedStyle(document.documentElement).backgroundColor.match(/[0-9]+/g).map(Number)"
+    )[:3]
+    assert max(red, green, blue) < 60, "dark, where the browser asks for it"
+    tab.page.close()
+
+
+def test_recording_is_switched_on_and_off(tab, path) -> None:
+    tab.page.click("#record")
+    tab.says("#log_note", "recording into")
+    time.sleep(1.0)
+    tab.page.click("#record")
+    tab.says("#log_note", "recorded:")
+    files = list(path.parent.glob("test_*.mcap"))
+    assert len(files) == 1
+    with page_process(files[0]) as page:
+        again = Tab(tab.page.context.browser, page.address)
+        assert again.says("#kind", "RECORDING")
+        again.says("#sentence", "2 of 2 robots heard")
+        assert not again.page.is_visible("#stop")
+        again.page.keyboard.press("ArrowRight")  # beyond its end: there it stands
+        again.says("#play", "Play")
+        again.page.keyboard.press(" ")
+        again.says("#play", "Pause")
+        again.page.close()
+    assert not again.complaints and not again.outside
+
+
+def test_without_its_server_the_page_is_grey_and_says_so(chromium, path, robots) -> None:
+    with page_process(path) as page:
+        tab = Tab(chromium, page.address)
+        tab.says("#sentence", "2 of 2 robots heard")
+        assert tab.page.is_hidden("#stop"), "who only looks cannot order"
+        assert "lost" not in tab.page.get_attribute("body", "class")
+    assert "nothing below is of now" in tab.says("#banner", "Connection lost")
+    assert "lost" in tab.page.get_attribute("body", "class")
+    tab.page.close()
