@@ -22,7 +22,7 @@ from agent.kernel.lamps.aside import cues_by, whole
 from agent.kernel.lamps.follow_light import FollowLight
 from agent.kernel.lamps.onlookers import lamp_state
 from agent.kernel.lamps.own_lamp import OwnLamp
-from agent.kernel.lamps.search import SHOWS, LightSearch
+from agent.kernel.lamps.search import SHOWS, LightSearch, SwimSearch
 from agent.kernel.lamps.talk import Talk
 from agent.kernel.lamps.turn import LOOK_NS, MARGIN_NS, Turn
 from agent.kernel.lamps.view_light import ViewLight
@@ -60,7 +60,7 @@ class Lights:
         self._follow: FollowLight | None = None
         if lighting is not None and self._own is not None and self._talk is not None:
             self._wishes = Wishes(fleet, name, calibration, swimmer, lighting, self._own, self._talk)
-            self._search = LightSearch(fleet, name)
+            self._search = LightSearch(fleet, name) if swimmer is None else SwimSearch(fleet, name)
             if swimmer is not None and lighting.gain < len(fleet.robot):  # more than all followers are none
                 self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self._own.aim)
         self.views = ViewLight(self._turn, self._wishes, log)
@@ -141,6 +141,8 @@ class Lights:
             return
         if turn.tick(now_ns):
             self._fail(now_ns)
+        elif turn.phase == "holds" and not turn.swept and self._swimmer is not None and self._swimmer.glances:
+            self._over(now_ns)  # its camera is at landmarks: the light is others' meanwhile
         turn.own.tick(turn.talk.party, attitude, now_ns)
 
     def may_sweep(self, seek: Seek, target: TargetState, level: Attitude | None, wanted: bool, now_ns: int) -> bool:
@@ -182,7 +184,7 @@ class Lights:
             self._swimmer.keep_still(party.phase in ("holds", "obeys"))
         seek.lit_from_ns = self._lit_from(seek.lit_from_ns, follows is not None, now_ns)
         seek.lit_m = None
-        if self._search is not None and self._swimmer is None and target.believed_m is None:
+        if self._search is not None and target.believed_m is None:
             seek.lit_m = self._search.follows(self._talk.party, seek, target.name, level, now_ns)
         self._wanted_lens = self._sharp_at(seek, target, target.believed_m or seek.lit_m, level)
 
@@ -255,8 +257,11 @@ class Lights:
         assert self._turn is not None and self._wishes is not None and self._search is not None
         search, at_m = self._search, target.believed_m or seek.glimpsed_m(target.name, level, None, now_ns)
         searches = at_m is None and not seek.sees(target.name, now_ns)
+        if not self._wishes.may_ask(now_ns):
+            return
         if searches:
-            if self._swimmer is not None or not search.look(seek, now_ns):
+            lost = self._swimmer is not None and not self._swimmer.under_way
+            if lost or not search.look(seek, now_ns):
                 return
             at_m = search.place(seek, level)
         choice = None if at_m is None else self._wishes.choice(seek, target.ball, at_m, level)
