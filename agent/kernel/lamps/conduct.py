@@ -17,6 +17,7 @@ from agent.kernel.config import Cues, Fleet, Target
 from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import ByLight, Measurement, Rejected
+from agent.kernel.estimation.choice import pursued
 from agent.kernel.lamps.aim import others
 from agent.kernel.lamps.aside import cues_by, whole
 from agent.kernel.lamps.follow_light import FollowLight
@@ -64,6 +65,7 @@ class Lights:
             if swimmer is not None and lighting.gain < len(fleet.robot):  # more than all followers are none
                 self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self._own.aim)
         self.views = ViewLight(self._turn, self._wishes, log)
+        self._pursued = pursued(fleet)  # by frames: a look at rest is of no use
         self._own_shows = True  # the target, as far as it is known where that is
         self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._lamps_m: tuple[Vector, ...] = ()  # where those are that it was made by
@@ -260,8 +262,10 @@ class Lights:
         if not self._wishes.may_ask(now_ns):
             return
         if searches:
-            lost = self._swimmer is not None and not self._swimmer.under_way
-            if lost or not search.look(seek, now_ns):
+            swimmer = self._swimmer
+            if swimmer is not None and (target.name in self._pursued or not swimmer.under_way):
+                return
+            if not search.look(seek, now_ns):
                 return
             at_m = search.place(seek, level)
         choice = None if at_m is None else self._wishes.choice(seek, target.ball, at_m, level)

@@ -7,7 +7,8 @@ would show a target to this camera, and the own lamp would not. Whoever knows no
 lit.
 
 A robot that swims in search of a target has a gaze that goes all around (control/roam.py), and wants light where that
-is: each look by which its own lamp has shown nothing is lit once, farther out, before the next.
+is: a look by which its own lamp has shown nothing is lit once, farther out, before the next. That is for half of the
+time at most, for all hold still meanwhile, and what nobody sees from afar is found by who comes near.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ LEAST_M = 0.4
 # own lamp does not show it (harbour water, worlds 2 and 10, 0.7 to 1.5 m).
 SHOWS = 0.2
 OWN_LOOK_NS = 1_200_000_000  # by the own lamp, before light is asked for: four frames
+SWIMS_NS = 3_000_000_000  # between lit looks of robots that swim, which all hold still for: as long as one takes
 SHOWN_NS = 900_000_000  # of light and gimbal at rest, without a target: three frames
 
 
@@ -117,9 +119,12 @@ class SwimSearch(LightSearch):
     def __init__(self, fleet: Fleet, name: str) -> None:
         super().__init__(fleet, name)
         self._lit_look = -1  # the newest for which light was asked, or would be of no use
+        self._leased_ns = 0  # when anybody had the light last
         self._away = False  # its camera was turned to what is lit for another
 
     def look(self, seek: Seek, now_ns: int) -> bool:
+        if now_ns - self._leased_ns <= SWIMS_NS:
+            return False
         if (roam := seek.roam) is None:
             return super().look(seek, now_ns)
         return roam.empty and roam.looks != self._lit_look
@@ -132,6 +137,8 @@ class SwimSearch(LightSearch):
 
     def follows(self, party: Party, seek: Seek, target: str, level: Attitude | None, now_ns: int) -> Vector | None:
         lit_m = super().follows(party, seek, target, level, now_ns)
+        if party.phase != "free":
+            self._leased_ns = now_ns
         if (roam := seek.roam) is not None:
             roam.lit = lit_m is not None or (self.at_m is not None and party.mine is not None)
             if self._away and party.bound is None and not roam.found:

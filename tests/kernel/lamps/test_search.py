@@ -11,7 +11,7 @@ from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import SEARCH_DEG
 from agent.kernel.control.roam import Roam
 from agent.kernel.control.seek import Seek
-from agent.kernel.lamps.search import RANGES_M, SHOWN_NS, SHOWS, LightSearch, SwimSearch
+from agent.kernel.lamps.search import RANGES_M, SHOWN_NS, SHOWS, SWIMS_NS, LightSearch, SwimSearch
 from agent.kernel.lighting.allocate import Choice
 from agent.kernel.lighting.lease import Bound, Mine, Party
 from agent.kernel.lighting.words import Lease
@@ -168,18 +168,22 @@ def swimming() -> tuple[SwimSearch, Seek]:
 
 def test_who_swims_wants_light_where_its_gaze_is_once_for_each_look() -> None:
     search, here = swimming()
-    assert here.roam is not None and search.look(here, STEP_NS)
+    assert here.roam is not None and search.look(here, 10**10)
     place = search.place(here, LEVEL)
-    assert place is not None and not search.look(here, STEP_NS)
+    assert place is not None and not search.look(here, 10**10)
     eye = here.eye(LEVEL)
     far_m = math.dist(place, eye.position_m)
     ahead = [at + far_m * row[2] for at, row in zip(eye.position_m, eye.rotation, strict=True)]
     assert far_m <= RANGES_M[0] + 1e-6 and place == pytest.approx(ahead)
     here.roam.advance()
-    assert not search.look(here, STEP_NS)  # nothing was looked at by its own lamp there
+    assert not search.look(here, 10**10)  # nothing was looked at by its own lamp there
     for _ in range(2):
         here.roam.add_frame(False)
-    assert search.look(here, STEP_NS)
+    assert search.look(here, 10**10)
+    bound = Bound("r2", 1, Lease(1, 0, 5.0, True, None), 10**11)
+    search.follows(Party("r1", 1, bound=bound), here, "ball", LEVEL, 10**10)
+    assert not search.look(here, 10**10 + SWIMS_NS)  # first it swims on
+    assert search.look(here, 10**10 + SWIMS_NS + 1)
 
 
 def test_a_look_is_not_over_while_light_for_it_is_asked_for_and_is_when_that_showed_nothing() -> None:
