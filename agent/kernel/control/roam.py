@@ -50,6 +50,11 @@ class Roam:
         """Whether its newest frames have."""
         return self._empty >= FRAMES
 
+    @property
+    def rounds(self) -> int:
+        """How often it has looked everywhere."""
+        return max(self._step - len(self._spiral), 0) // len(self._around)
+
     def add_frame(self, found: bool) -> None:
         """One of the newest look."""
         self.found, self._empty = found, 0 if found else self._empty + 1
