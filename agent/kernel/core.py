@@ -58,11 +58,11 @@ class Agent:
         self.seek = Seek(fleet, robot, calibration)
         self.swimmer = Swimmer(fleet, name, calibration, incarnation) if fleet.navigation else None
         self.pursuit = Pursuit(fleet, name, calibration, self.swimmer)
-        self.survey = Conduct(fleet, name, calibration, incarnation, self.swimmer)
         self.attitude = AttitudeLog()
         neighbours = self.swimmer.company.neighbours if self.swimmer else None
         self.status = Status(fleet.fleet, name, incarnation)
         self.lights = Lights(fleet, name, calibration, incarnation, self.swimmer, self.status.log)
+        self.survey = Conduct(fleet, name, calibration, incarnation, self.swimmer, self.lights.views)
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours, self.survey, self.lights)
         self.net = Net()
         shown = (self.targets, self.status, self.inbox, self.attitude, self.seek, self.swimmer, self.lights, self.net)
@@ -218,7 +218,7 @@ class Agent:
             self.swimmer.heed(about.estimate(now_ns) if about else None, self.seek, now_ns)
             if self.swimmer.does != did:
                 self.status.log.note("info", f"{did} is over, now {self.swimmer.does}", now_ns)
-        if self.swimmer is not None and not self.seek.measuring:
+        if self.swimmer is not None and not self.seek.measuring and not self.lights.obeys:
             pursues = self.pursuit.goes_with(self.current, self.seek)
             if self.swimmer.glance(self.seek, level, pursues, now_ns):
                 return None

@@ -32,6 +32,8 @@ class Roam:
         self.found = False  # in the newest frame of the newest look
         self._glimpse = False  # in any frame of it
         self._glimpsed = -1  # the last look for which it went back
+        self.lit = False  # light is asked for or lent for the newest look, which is not over before
+        self.looks = 0  # so far
 
     @property
     def spirals(self) -> bool:
@@ -41,7 +43,17 @@ class Roam:
     @property
     def over(self) -> bool:
         """Whether the newest look has shown that there is nothing."""
+        return self.empty and not self.lit
+
+    @property
+    def empty(self) -> bool:
+        """Whether its newest frames have."""
         return self._empty >= FRAMES
+
+    @property
+    def rounds(self) -> int:
+        """How often it has looked everywhere."""
+        return max(self._step - len(self._spiral), 0) // len(self._around)
 
     def add_frame(self, found: bool) -> None:
         """One of the newest look."""
@@ -54,6 +66,11 @@ class Roam:
         back = BACK if self._glimpse and self._step > self._glimpsed else 0
         self._glimpsed = max(self._glimpsed, self._step) if self._glimpse else self._glimpsed
         self._step, self._empty, self.found, self._glimpse = max(self._step - back, -1) + 1, 0, False, False
+        self.looks += 1
+
+    def repeat(self) -> None:
+        """The newest look is due again: the camera was elsewhere."""
+        self._step, self._empty, self.found, self._glimpse = self._step - 1, FRAMES, False, False
 
     @property
     def offset_deg(self) -> tuple[float, float] | None:

@@ -7,6 +7,7 @@ passes on what others saw.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from msgspec import UNSET, UnsetType
 
@@ -18,6 +19,8 @@ from agent.kernel.coverage.exchange import Exchange
 from agent.kernel.coverage.survey import Surveyor
 from agent.kernel.keyframes.claim import Claim
 from agent.kernel.keyframes.keyframe import Keyframe
+from agent.kernel.lamps.view_light import ViewLight
+from agent.kernel.lighting.proof import Spoiled
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.ranging.calibration import Calibration
@@ -30,13 +33,28 @@ STILL_M_S, STILL_RAD_S = 0.03, math.radians(3.0)  # a sweep takes seconds, and i
 STEADY_NS = 300_000_000  # of a gimbal at rest, and of a body that a turn of it moved
 
 
+class Swept(NamedTuple):
+    """What a sweep showed, and from where."""
+
+    peaks: BlockPeaks
+    eye: Eye | None  # None: nobody knows well enough
+    hulls_m: tuple[Vector, ...]  # of other robots, world frame
+
+
 class Conduct:
     """Of one robot, between steps."""
 
     def __init__(
-        self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, swimmer: Swimmer | None
+        self,
+        fleet: Fleet,
+        name: str,
+        calibration: Calibration,
+        incarnation: int,
+        swimmer: Swimmer | None,
+        light: ViewLight,
     ) -> None:
-        self._fleet, self._name, self._swimmer = fleet, name, swimmer
+        self._fleet, self._name, self._swimmer, self._light = fleet, name, swimmer, light
+        self._swept: Swept | None = None  # a sweep that is over, and may not count
         self.surveyor = None if fleet.coverage is None else Surveyor(fleet, name, calibration, incarnation)
         self.exchange = None if self.surveyor is None else Exchange(fleet, name, incarnation, self.surveyor.known)
 
@@ -58,14 +76,21 @@ class Conduct:
         if (surveyor := self.surveyor) is None:
             return
         for peaks in blocks:
-            if surveyor.awaits(peaks):
-                made = surveyor.see(peaks, self._eye(peaks.t_ns, attitude, seek), self._hulls(), now_ns)
-                if made is None:
-                    status.log.note("info", f"view {peaks.sweep} gave no keyframe", now_ns)
-                else:
-                    share = round(100 * surveyor.known.share())
-                    status.log.note("info", f"keyframe {made.number}, {share} % of the tank is known", now_ns)
-        if surveyor.missed(now_ns):
+            if surveyor.awaits(peaks) and self._swept is None:
+                self._swept = Swept(peaks, self._eye(peaks.t_ns, attitude, seek), self._hulls())
+                self._light.ended(now_ns)
+        if self._swept is not None and (found := self._light.verdict(now_ns)) is not None:
+            swept, self._swept = self._swept, None
+            if isinstance(found, Spoiled):
+                surveyor.give_up(now_ns)
+                status.log.note("info", f"view {swept.peaks.sweep} was spoiled: {found.reason}", now_ns)
+            elif (made := surveyor.see(swept.peaks, swept.eye, swept.hulls_m, now_ns)) is None:
+                status.log.note("info", f"view {swept.peaks.sweep} gave no keyframe", now_ns)
+            else:
+                share = round(100 * surveyor.known.share())
+                status.log.note("info", f"keyframe {made.number}, {share} % of the tank is known", now_ns)
+        if self._swept is None and surveyor.missed(now_ns):
+            self._light.missed(now_ns)
             status.log.note("warning", "a view's sweep did not end in time", now_ns)
         seek.surveys = surveyor.phase == "sweep"
 
@@ -91,8 +116,13 @@ class Conduct:
         if surveyor.phase != "look" or level is None:
             return True, None
         seek.look(*surveyor.gimbal_deg(pose), now_ns)
-        plan = surveyor.sweep(rests and seek.pointing.steady(now_ns - STEADY_NS), now_ns)
+        rests = rests and seek.pointing.steady(now_ns - STEADY_NS)
+        if rests and not self._light.lets(surveyor, seek, level, now_ns):
+            return True, None
+        plan = surveyor.sweep(rests, now_ns)
         seek.surveys = plan is not None
+        if plan is not None:
+            self._light.began(now_ns)
         return True, plan
 
     def goal(self) -> tuple[tuple[float, float], float] | None:

@@ -25,8 +25,10 @@ from agent.kernel.coverage.candidates import (
 from agent.kernel.coverage.evidence import CoverageMap
 from agent.kernel.coverage.grid import grid_of
 from agent.kernel.coverage.making import block_px, frame_of, lens_of, sigma_of
+from agent.kernel.coverage.spots import frame_scene
 from agent.kernel.keyframes.claim import View
 from agent.kernel.keyframes.keyframe import MOST_NUMBER, UNIT_M, Frame
+from agent.kernel.lighting.frames import FrameScene
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import MARGIN_M, WALL_M, Planar
@@ -138,6 +140,16 @@ class Surveyor:
             off = math.degrees(wrap(station.yaw - math.radians(pose.yaw_deg)))
             self._gimbal_deg = station.pan_deg + off, station.tilt_deg
         return self._gimbal_deg
+
+    def frame_scene(self) -> FrameScene:
+        """What its view is expected to show that is not known yet."""
+        assert self.chosen is not None
+        return frame_scene(self.chosen.view, self.known.grid, self.known.cells, self.known.solid())
+
+    @property
+    def most_ns(self) -> int:
+        """How long a sweep can take."""
+        return SLACK_NS + (self._fleet.camera.sweep_steps + 1) * STEP_NS
 
     def sweep(self, steady: bool, now_ns: int) -> SweepPlan | None:
         """The plan of a sweep over all of the view, once the camera rests; None: not yet."""

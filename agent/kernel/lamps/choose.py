@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import overload
 
 from agent.kernel.config import Target
 from agent.kernel.lamps.lamp import LENDS_BELOW
 from agent.kernel.lighting.allocate import Choice, Lamp, Scene, allocate
+from agent.kernel.lighting.frames import FrameChoice, FrameScene, allocate_frame
 from agent.kernel.lighting.settings import Lighting
 from agent.kernel.lighting.words import LampNow
 from agent.kernel.messages import Vector
@@ -39,11 +41,23 @@ def scene_of(calibration: Calibration, eye: Eye, target: Target, target_m: Vecto
     return Scene(eye.position_m, (x, y, z), target_m, radius_m, calibration.camera.f_px, slope_mm)
 
 
+@overload
 def choose(
     own: str | None, scene: Scene, places_m: Mapping[str, Vector], lamps: Mapping[str, LampNow], lighting: Lighting
-) -> Choice | None:
-    """Whose lamps shall burn. own: who sweeps, or None if it has no lamp; places_m: of all lamps that are known; lamps:
-    as their robots say. None: nobody has one."""
+) -> Choice | None: ...
+@overload
+def choose(
+    own: str | None, scene: FrameScene, places_m: Mapping[str, Vector], lamps: Mapping[str, LampNow], lighting: Lighting
+) -> FrameChoice | None: ...
+def choose(
+    own: str | None,
+    scene: Scene | FrameScene,
+    places_m: Mapping[str, Vector],
+    lamps: Mapping[str, LampNow],
+    lighting: Lighting,
+) -> Choice | FrameChoice | None:
+    """Whose lamps shall burn, for a target or a whole view. own: who sweeps; None: it has no lamp. places_m: of all
+    lamps that are known; lamps: as their robots say. None: nobody has one."""
     free = {name for name, lamp in lamps.items() if not lamp.cannot and lamp.load < LENDS_BELOW and name != own}
     fresh = {name for name in free if lamps[name].load < LOADED}
     first = _best(own, scene, places_m, fresh, lighting)
@@ -56,12 +70,19 @@ def choose(
 
 
 def _best(
-    own: str | None, scene: Scene, places_m: Mapping[str, Vector], free: set[str], lighting: Lighting
-) -> Choice | None:
+    own: str | None,
+    scene: Scene | FrameScene,
+    places_m: Mapping[str, Vector],
+    free: set[str],
+    lighting: Lighting,
+) -> Choice | FrameChoice | None:
     """By the rule. Of a robot without a lamp it starts from each of the others in turn."""
     starts = [own] if own is not None else sorted(free)
-    choices = []
+    choices: list[Choice | FrameChoice] = []
     for start in starts:
         lamps = {name: Lamp(place_m, name in free or name == start) for name, place_m in places_m.items()}
-        choices.append(allocate(start, scene, lamps, lighting))
+        if isinstance(scene, FrameScene):
+            choices.append(allocate_frame(start, scene, lamps, lighting))
+        else:
+            choices.append(allocate(start, scene, lamps, lighting))
     return max(choices, key=lambda choice: round(choice.log_j, 6), default=None)

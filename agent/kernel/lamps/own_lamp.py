@@ -19,6 +19,7 @@ from agent.kernel.navigation.swimmer import Swimmer
 AWAKE_NS = 1_000_000_000  # after a start nobody knows how the module's lamp burned before
 NEAR_US = 22  # of a lamp that goes with its camera: it stays where it is for less, 2 degrees
 STILL_M_S = 0.03  # a robot that swims faster does not lend: its lamp would move
+BRAKES_NS = 2_000_000_000  # who swims and is asked has come to rest by then, or stays dark
 
 
 class Obeyed(NamedTuple):
@@ -42,6 +43,8 @@ class OwnLamp:
         self._us: tuple[int, int] | None = None  # by the own lease
         self._woke = False
         self.ordered: Lit | None = None  # by somebody; None: it burns as light is lent
+        self._bound_ns = 0  # since when it obeys this lease
+        self._comes = False  # it is to burn for it, as soon as its robot rests
         self.now = LampNow()
 
     @property
@@ -103,9 +106,7 @@ class OwnLamp:
             self._obeyed = None
         else:
             self._us = None
-            obeyed = self._obeyed = self._obey(party.bound, seek, level)
-            moves = self._speed_m_s(now_ns) > 2.0 * STILL_M_S
-            return (0.0, self.lamp.us) if moves else (obeyed.power, obeyed.us)
+            return self._obedient(self._obey(party.bound, seek, level, now_ns), now_ns)
         if party.mine is not None and party.mine.granted:
             if self._us is None:
                 at_m = party.mine.lease.at_m or looked_at(seek, level, believed_m)
@@ -127,11 +128,23 @@ class OwnLamp:
             self._obeyed = Obeyed((bound.holder, bound.incarnation, bound.lease.number), lit.light, us, "busy")
         return lit.light, us
 
-    def _obey(self, bound: Bound, seek: Seek, level: Attitude) -> Obeyed:
+    def _obedient(self, obeyed: Obeyed, now_ns: int) -> tuple[float, tuple[int, int]]:
+        """Power and pulses by a neighbour's lease. A lamp that moves lights nobody: it comes to rest first, or stays
+        dark; one that burns already goes dark if it is carried away."""
+        speed_m_s = self._speed_m_s(now_ns)
+        begins = bool(obeyed.power) and not self.lamp.power and speed_m_s > STILL_M_S
+        self._comes = begins and now_ns - self._bound_ns < BRAKES_NS
+        if begins and not self._comes:
+            obeyed = obeyed._replace(power=0.0, dark="moves")
+        self._obeyed = obeyed
+        return (0.0, self.lamp.us) if begins or speed_m_s > 2.0 * STILL_M_S else (obeyed.power, obeyed.us)
+
+    def _obey(self, bound: Bound, seek: Seek, level: Attitude, now_ns: int) -> Obeyed:
         """By a neighbour's lease: decided once."""
         lease = bound.holder, bound.incarnation, bound.lease.number
         if self._obeyed is not None and self._obeyed.lease == lease:
             return self._obeyed
+        self._bound_ns = now_ns
         power, us, dark = dict(bound.lease.lamps).get(self._name, 0.0), self.lamp.us, self.now.cannot
         if power and not dark and bound.lease.at_m is not None:
             us, there = self.aim.at(bound.lease.at_m, seek.pose, level)
@@ -145,13 +158,19 @@ class OwnLamp:
         why = cannot(self.has, lamp, telemetry, attitude.silent(now_ns, 0))
         if not why and used >= LENDS_BELOW:
             why = "heat" if lamp.warm >= LENDS_BELOW else "battery"
-        if not why and self._speed_m_s(now_ns) > STILL_M_S:
+        if not why and self._speed_m_s(now_ns) > STILL_M_S and not self._may_stop:
             why = "moves"
         if not why and self.ordered is not None:
             why = "busy"
         pan, tilt = self.aim.deg(lamp.us)
         whose = None if party.bound is None else party.bound.holder
-        self.now = LampNow(lamp.power, pan, tilt, lamp.changes, lamp.steady(now_ns), used, why, whose)
+        steady = lamp.steady(now_ns) and not (self._comes and whose is not None)
+        self.now = LampNow(lamp.power, pan, tilt, lamp.changes, steady, used, why, whose)
+
+    @property
+    def _may_stop(self) -> bool:
+        """It swims as it is told to, and holds still for who asks for its light."""
+        return self._swimmer is not None and self._swimmer.under_way
 
     def _speed_m_s(self, now_ns: int) -> float:
         here = None if self._swimmer is None else self._swimmer.localizer.at(now_ns)

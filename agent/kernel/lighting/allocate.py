@@ -7,7 +7,7 @@ logarithm of the information is rounded before two of them are compared.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from agent.kernel.lighting.information import Worth, worth
@@ -73,17 +73,26 @@ def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighti
         burning: list[Pair] = [pairs[name] for name in sorted(names)]
         return worth(burning, depth_m, scene.radius_m, scene.focal_px, scene.slope_mm)
 
-    alone = best = of(frozenset((own,)))
-    chosen = frozenset((own,))
-    for _ in range(ROUNDS):
-        for name in pairs:
-            flipped = chosen ^ {name}
-            if flipped and (tried := of(flipped)).log_j > best.log_j + LEAST_RISE:
-                chosen, best = flipped, tried
+    alone = of(frozenset((own,)))
+    chosen = improved(frozenset((own,)), pairs, lambda names: of(names).log_j, LEAST_RISE)
+    best = of(chosen)
     if best.log_j <= alone.log_j + math.log1p(lighting.gain):
         chosen, best = frozenset((own,)), alone
     contrasts = best.contrast, alone.contrast
     return Choice(tuple(sorted(chosen)), best.log_j, alone.log_j, best.sigma_mm, best.usable, *contrasts)
+
+
+def improved(
+    chosen: frozenset[str], names: Iterable[str], value: Callable[[frozenset[str]], float], least: float
+) -> frozenset[str]:
+    """The set after two rounds in which each name is flipped, where that is worth more by so much; never empty."""
+    names, best = tuple(names), value(chosen)
+    for _ in range(ROUNDS):
+        for name in names:
+            flipped = chosen ^ {name}
+            if flipped and (tried := value(flipped)) > best + least:
+                chosen, best = flipped, tried
+    return chosen
 
 
 def dazzles(scene: Scene, lamp_m: Vector) -> bool:

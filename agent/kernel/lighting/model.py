@@ -60,6 +60,7 @@ def single_veil(
     water: WaterOptics,
     beam: Beam,
     lost: float = FORWARD,
+    steps: int = STEPS,
 ) -> Colours:
     """Veil of one order of scattering on the camera's axis, from the camera to the target's surface.
 
@@ -70,13 +71,13 @@ def single_veil(
     aside_m = max(aside_m, LEAST_M)
     end_m = max(depth_m - radius_m, 0.0)
     low, high = math.atan2(-ahead_m, aside_m), math.atan2(end_m - ahead_m, aside_m)
-    step = (high - low) / STEPS
+    step = (high - low) / steps
     half_rad = math.radians(beam.half_deg)
     lamp_range_m = math.hypot(depth_m - ahead_m, aside_m)
     aim_z, aim_x = (depth_m - ahead_m) / lamp_range_m, -aside_m / lamp_range_m
     a, b = water.absorption_per_m, water.scattering_per_m
     blue = green = red = 0.0
-    for i in range(STEPS):
+    for i in range(steps):
         turn = low + (i + 0.5) * step
         cos, sin = math.cos(turn), math.sin(turn)
         off = math.acos(min(max(aim_z * sin - aim_x * cos, -1.0), 1.0))

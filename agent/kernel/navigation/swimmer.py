@@ -39,12 +39,12 @@ from agent.kernel.navigation.localizer import (
 from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
 from agent.kernel.navigation.pose.body_model import Wrench
 from agent.kernel.navigation.pose.pose_filter import Belief
-from agent.kernel.navigation.tags.glance import Glance, Sure
+from agent.kernel.navigation.tags.glance import Glance, Sure, half_picture_deg
 from agent.kernel.navigation.tags.layout import markers
 from agent.kernel.navigation.task import Task
 from agent.kernel.net import SURFACE_M
 from agent.kernel.presence import Presence
-from agent.kernel.ranging.calibration import Calibration, CameraFit
+from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import Flow, SeenTags, Telemetry
 from agent.kernel.target_state import TargetEstimate
 
@@ -83,6 +83,7 @@ class Swimmer:
         self._found = False  # it has known well enough how it moves, and was not lost since
         self._off = False  # and its camera has come to rest since
         self._holds = False  # it has seen landmarks, and was not lost since
+        self._still: Reference | None = None  # where it stays, whatever it is told to do
 
     def feel(self, told: Sequence[Telemetry]) -> None:
         """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
@@ -117,6 +118,11 @@ class Swimmer:
     def does(self) -> str:
         """Its behaviour in effect, as the fleet file calls it."""
         return kind(self._errand.does or self.task.behaviour)
+
+    def keep_still(self, still: bool) -> None:
+        """Stay where it is, or go on with what it is told to do."""
+        here = self.here if still else None
+        self._still = here and (self._still or Reference(here.pose[:2], here.pose[2]))
 
     def heed(self, target: TargetEstimate | None, seek: Seek, now_ns: int) -> None:
         """What the fleet knows of that target; `seek` is told whether to look everywhere for it."""
@@ -240,10 +246,10 @@ class Swimmer:
         by, since_ns = self.here or here, self._lost_since_ns
         if here is None or by is None or not allowed or adrift(here):
             asked = STILL
-        elif self.under_way:
+        elif self.under_way and self._still is None:
             asked = self._towards(here, by, watched_m, now_ns)
-        elif self._holds:
-            asked = self._stays(by, now_ns)
+        elif self._holds or self.under_way:
+            asked = self._stays(by, self._still or Reference(by.pose[:2], by.pose[2]), now_ns)
         elif since_ns is not None and now_ns - since_ns < BRAKES_NS:
             asked = wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST)
         else:  # what it leans against may be drag that it believed wrong, and gone with its speed
@@ -251,10 +257,10 @@ class Swimmer:
         self.localizer.sent(asked, now_ns)
         return asked
 
-    def _stays(self, by: Belief, now_ns: int) -> Wrench:
-        """Where it is, but out of the way of others: whoever lets himself drift is pulled into them."""
-        to = Reference(by.pose[:2], by.pose[2])
-        return wrench(by, self.localizer.hull, to, self.company.velocity(AT_REST, by, to, (), now_ns))
+    def _stays(self, by: Belief, to: Reference, now_ns: int) -> Wrench:
+        """There, but out of the way of others: whoever lets himself drift is pulled into them."""
+        velocity = self.company.velocity(wanted_velocity(by, to), by, to, (), now_ns)
+        return wrench(by, self.localizer.hull, to, velocity)
 
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
@@ -276,9 +282,8 @@ class Swimmer:
 
     def say(self, attitude: AttitudeLog, now_ns: int) -> tuple[Presence, ...]:
         """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""
-        if (newest := attitude.newest) is None or not self.company.due(now_ns):
-            return ()
-        if (here := self.localizer.at(now_ns)) is None:
+        here = self.localizer.at(now_ns)
+        if (newest := attitude.newest) is None or not self.company.due(now_ns) or here is None:
             return ()
         return self.company.say(here, self.does, self.about, self._glancing, newest.depth_m, now_ns)
 
@@ -286,11 +291,6 @@ class Swimmer:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
         lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
         return SURFACE_M if lost else self._depth_m
-
-
-def half_picture_deg(camera: CameraFit) -> float:
-    """From the middle of the picture to its nearest edge."""
-    return math.degrees(math.atan(0.5 * min(camera.width_px, camera.height_px) / camera.f_px))
 
 
 def pose_of(belief: Belief) -> Pose:

@@ -9,10 +9,11 @@ from msgspec.structs import replace
 
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import SEARCH_DEG
+from agent.kernel.control.roam import Roam
 from agent.kernel.control.seek import Seek
-from agent.kernel.lamps.search import RANGES_M, SHOWN_NS, SHOWS, LightSearch
+from agent.kernel.lamps.search import OWN_ROUNDS, RANGES_M, SHOWN_NS, SHOWS, SWIMS_NS, LightSearch, SwimSearch
 from agent.kernel.lighting.allocate import Choice
-from agent.kernel.lighting.lease import Bound, Party
+from agent.kernel.lighting.lease import Bound, Mine, Party
 from agent.kernel.lighting.words import Lease
 from agent.kernel.step_io import Sighting
 from tests.kernel.lamps.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
@@ -153,3 +154,80 @@ def test_robots_have_places_lit_in_turn_each_for_as_long_as_a_look_takes() -> No
 def test_where_nobody_lends_it_is_not_found() -> None:
     swarm = dark_swarm(lambda own, scene, lamps, lighting: NEAR._replace(lamps=(own,)))
     assert not swarm.kept
+
+
+def swimming(round_done: bool = True) -> tuple[SwimSearch, Seek]:
+    """A robot whose search has a gaze of its own, after two empty frames of its newest look."""
+    here = seek()
+    here.roam = Roam("ball", (), ((0.0, 0.0), (40.0, -10.0), (80.0, 0.0)))
+    here.act(0, "ball", LEVEL, None, False)
+    for _ in range(3 * OWN_ROUNDS + 1 if round_done else 3 * OWN_ROUNDS - 1):
+        here.roam.advance()
+    for _ in range(2):
+        here.roam.add_frame(False)
+    return SwimSearch(FLEET, "r1"), here
+
+
+def test_who_swims_wants_light_where_its_gaze_is_once_for_each_look() -> None:
+    search, here = swimming()
+    assert here.roam is not None and search.look(here, 10**10)
+    place = search.place(here, LEVEL)
+    assert place is not None and not search.look(here, 10**10)
+    eye = here.eye(LEVEL)
+    far_m = math.dist(place, eye.position_m)
+    ahead = [at + far_m * row[2] for at, row in zip(eye.position_m, eye.rotation, strict=True)]
+    assert far_m <= RANGES_M[0] + 1e-6 and place == pytest.approx(ahead)
+    here.roam.advance()
+    assert not search.look(here, 10**10)  # nothing was looked at by its own lamp there
+    for _ in range(2):
+        here.roam.add_frame(False)
+    assert search.look(here, 10**10)
+    bound = Bound("r2", 1, Lease(1, 0, 5.0, True, None), 10**11)
+    search.follows(Party("r1", 1, bound=bound), here, "ball", LEVEL, 10**10)
+    assert not search.look(here, 10**10 + SWIMS_NS)  # first it swims on
+    assert search.look(here, 10**10 + SWIMS_NS + 1)
+
+
+def test_who_swims_looks_all_around_by_its_own_lamp_first() -> None:
+    search, here = swimming(round_done=False)
+    assert not search.look(here, 10**10)
+
+
+def test_a_look_is_not_over_while_light_for_it_is_asked_for_and_is_when_that_showed_nothing() -> None:
+    search, here = swimming()
+    assert here.roam is not None and here.roam.over
+    search.at_m = search.place(here, LEVEL)
+    lease = Lease(1, 0, 5.0, False, search.at_m, (("r2", 1.0),))
+    party = Party("r1", 1, mine=Mine(lease, 0, 10**10))
+    search.follows(party, here, "ball", LEVEL, STEP_NS)
+    assert not here.roam.over
+    search.advance()
+    search.follows(party._replace(mine=None), here, "ball", LEVEL, STEP_NS)
+    assert here.roam.over
+
+
+def test_after_a_look_where_light_was_anothers_its_own_is_due_again() -> None:
+    search, here = swimming()
+    roam = here.roam
+    assert roam is not None
+    roam.advance()
+    before = roam.way_deg
+    lease = Lease(1, 0, 5.0, True, (0.6, 0.5, 0.1), (("r2", 1.0),))
+    party = Party("r1", 1, bound=Bound("r2", 1, lease, 10**10))
+    assert search.follows(party, here, "ball", LEVEL, STEP_NS) == lease.at_m and not roam.over
+    search.follows(Party("r1", 1), here, "ball", LEVEL, STEP_NS)
+    assert roam.over
+    roam.advance()
+    assert roam.way_deg == before
+
+
+def test_what_one_that_swims_glimpsed_by_anothers_light_is_its_next_place_at_once() -> None:
+    search, here = swimming()
+    now_ns = sees_ball(here)
+    lease = Lease(1, 0, 5.0, True, (0.6, 0.5, 0.1), (("r2", 1.0),))
+    party = Party("r1", 1, bound=Bound("r2", 1, lease, now_ns + 10**9))
+    search.follows(party, here, "ball", LEVEL, now_ns)
+    assert search.look(here, now_ns + STEP_NS)
+    assert search.place(here, LEVEL) == here.glimpsed_m("ball", LEVEL, None, now_ns)
+    search.advance()
+    assert not search.look(here, now_ns + STEP_NS)

@@ -10,6 +10,7 @@ from agent.kernel.config import Body, Pose
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.navigation.tags.facing import facing
 from agent.kernel.navigation.tags.layout import Marker
+from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.camera_model import look_at
 
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
@@ -147,3 +148,8 @@ def _away_deg(way: Way, from_deg: tuple[float, float]) -> float:
 
 def _within(deg: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= deg <= limits[1]
+
+
+def half_picture_deg(camera: CameraFit) -> float:
+    """From the middle of the picture to its nearest edge."""
+    return math.degrees(math.atan(0.5 * min(camera.width_px, camera.height_px) / camera.f_px))

@@ -1,0 +1,83 @@
+"""Light for a survey's keyframes: whose lamps burn while the focus is swept over a whole view, and which count.
+
+As for a target's sweep there is none without a lease, and none counts whose lamps are not known to have stayed as they
+were. Of a fleet without [lighting] every view may be swept at once, and counts.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from agent.kernel.control.attitude import Attitude
+from agent.kernel.control.seek import Seek
+from agent.kernel.lamps.turn import LOOK_NS, MARGIN_NS, Turn
+from agent.kernel.lamps.wish import Wishes
+from agent.kernel.lighting.frames import FrameScene
+from agent.kernel.lighting.proof import Spoiled
+from agent.kernel.logbook import Logbook
+
+
+class View(Protocol):
+    """What a survey says of the view that it is about to sweep."""
+
+    def frame_scene(self) -> FrameScene: ...
+
+    @property
+    def most_ns(self) -> int:
+        """How long the sweep can take."""
+
+
+class ViewLight:
+    """Of one robot, between steps."""
+
+    def __init__(self, turn: Turn | None, wishes: Wishes | None, log: Logbook) -> None:
+        self._turn, self._wishes, self._log = turn, wishes, log
+        self._number: int | None = None  # of the lease that is a view's
+
+    def lets(self, view: View, seek: Seek, level: Attitude, now_ns: int) -> bool:
+        """Whether a view may be swept now, by light that is at rest; if not, light is asked for. Of a robot at rest,
+        whose camera rests at the view."""
+        if (turn := self._turn) is None or self._wishes is None:
+            return True
+        if turn.phase == "holds":
+            return turn.talk.party.number == self._number and not turn.judging and turn.rests(now_ns)
+        if not turn.idle(now_ns) or not self._wishes.may_ask(now_ns):
+            return False
+        scene = view.frame_scene()
+        choice = self._wishes.frame_choice(seek, scene, level)
+        if choice is not None and set(choice.lamps) != {self._wishes.name}:
+            whose = " and ".join(choice.lamps)
+            more = f"{choice.blocks:.0f} new blocks expected, {choice.own_blocks:.0f} by its own"
+            self._log.note_seldom("info", "light views", f"asks for light of {whose} on a view: {more}", now_ns)
+        lamps = None if choice is None else choice.lamps
+        holds_ns = LOOK_NS + view.most_ns + MARGIN_NS
+        turn.ask(self._wishes.lease(scene.aim_m, lamps, turn.waited_ns(now_ns), holds_ns), now_ns)
+        self._number = turn.talk.party.number
+        return False
+
+    def began(self, now_ns: int) -> None:
+        """The sweep begins with this step."""
+        if self._turn is not None:
+            self._turn.began(now_ns)
+
+    def ended(self, now_ns: int) -> None:
+        """Its last frame is in."""
+        if self._turn is not None:
+            self._turn.ended(now_ns)
+
+    def verdict(self, now_ns: int) -> Spoiled | bool | None:
+        """What became of the sweep that ended: True, it counts; None: not known yet."""
+        if (turn := self._turn) is None:
+            return True
+        if (found := turn.verdict(now_ns)) is not None:
+            turn.over(now_ns)
+        return found
+
+    def missed(self, now_ns: int) -> None:
+        """The sweep did not end in time."""
+        if self._turn is not None and self._turn.swept:
+            self._turn.fail(now_ns)
+
+    def lamps(self) -> tuple[str, ...]:
+        """That burned in the newest sweep."""
+        return () if self._turn is None else self._turn.burned
