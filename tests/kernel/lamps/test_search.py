@@ -16,6 +16,7 @@ from agent.kernel.lighting.allocate import Choice
 from agent.kernel.lighting.lease import Bound, Mine, Party
 from agent.kernel.lighting.words import Lease
 from agent.kernel.step_io import Sighting
+from tests.kernel.lamps.dark_search import DarkSearch
 from tests.kernel.lamps.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
 from tests.network.scripted_agent import CALIBRATION
 
@@ -231,3 +232,17 @@ def test_what_one_that_swims_glimpsed_by_anothers_light_is_its_next_place_at_onc
     assert search.place(here, LEVEL) == here.glimpsed_m("ball", LEVEL, None, now_ns)
     search.advance()
     assert not search.look(here, now_ns + STEP_NS)
+
+
+@pytest.mark.slow
+def test_three_that_swim_have_looks_lit_and_hold_still_meanwhile() -> None:
+    with patch("agent.kernel.lamps.search.OWN_ROUNDS", 0):
+        world, moved = DarkSearch(0), []
+        for _ in range(240):
+            world.step()
+            phases = [agent.lights._talk.party.phase for agent in world.agents.values()]
+            here = [world.place(name)[:2] for name in world.agents]
+            if "holds" not in phases:
+                before = here
+            moved += [math.dist(one, other) for one, other in zip(before, here, strict=True)]
+    assert world.looks >= 1 and max(moved) < 0.15
