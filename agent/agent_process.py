@@ -12,6 +12,7 @@ from pathlib import Path
 from threading import Event
 from typing import NamedTuple
 
+from agent.clock.clock import Clock
 from agent.clock.part_names import SERIAL, part_name
 from agent.console_log import ConsoleLog
 from agent.fleet_clock import fleet_clock
@@ -57,6 +58,7 @@ class Setup(NamedTuple):
     detectors: Mapping[str, Detector]
     keys: RobotKeys
     certificates: Path | None  # folder of those of a secured fleet
+    clock: Clock
 
 
 def run(
@@ -101,6 +103,7 @@ def load_setup(fleet_path: Path, name: str, behaviour: str | None = None) -> Set
     robot = load_robot(fleet, name, fleet_path)
     fleet = fleet if behaviour is None else with_behaviour(fleet, name, behaviour)
     known_scheme(robot.camera)
+    clock = fleet_clock(fleet)
     calibration = own_calibration(fleet, name, fleet_path)
     keys, certificates = robot_keys(fleet, name, fleet_path), credentials(fleet, name, fleet_path)
     detectors = load_detectors(fleet, calibration.camera)
@@ -108,7 +111,7 @@ def load_setup(fleet_path: Path, name: str, behaviour: str | None = None) -> Set
         tell(f"{name}: {line}\n")
     if not fleet.secured:
         tell(f"{name}: {OPEN}\n")
-    return Setup(fleet, name, robot, calibration, detectors, keys, certificates)
+    return Setup(fleet, name, robot, calibration, detectors, keys, certificates, clock)
 
 
 class AgentProcess:
@@ -118,7 +121,7 @@ class AgentProcess:
         self._setup, self._stack, self._stop = setup, stack, stop
         self._size = setup.fleet.camera.width_px, setup.fleet.camera.height_px
         self._sockets = twin_dir(setup.fleet)
-        self._clock = fleet_clock(setup.fleet)
+        self._clock = setup.clock
         self._incarnation = self._clock.now_ns()
         self._agent = Agent(setup.fleet, setup.name, setup.calibration, self._incarnation)
 
