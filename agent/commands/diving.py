@@ -35,7 +35,7 @@ def demo(
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Time limit in seconds of the dive.  [default: 120; with --page 1800]"),
+        typer.Option(min=1.0, help="Time limit in seconds of the dive; 120 if not given, with --page 1800."),
     ] = None,
     enhance: Annotated[bool | None, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
@@ -130,7 +130,7 @@ def router(
     fleet: FleetFile,
     listen: Annotated[
         str | None,
-        typer.Option(metavar="tcp/HOST:PORT", help=f"Where consoles attach.  [default: {ROUTER_LISTEN}, or tls/]"),
+        typer.Option(metavar="tcp/HOST:PORT", help=f"Where consoles attach; else {ROUTER_LISTEN}, or tls/ there."),
     ] = None,
 ) -> None:
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""

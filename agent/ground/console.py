@@ -41,7 +41,7 @@ class Outcome(NamedTuple):
         return self.answer is not None and self.answer.ok
 
 
-class Console:
+class OrderConsole:
     """Context manager. Entering raises ConfigError, one line, where this console may not order, or has no keys."""
 
     def __init__(self, fleet: Fleet, name: str, keys: Path | None = None) -> None:

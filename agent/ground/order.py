@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from agent.ground.console import Console, Outcome
+from agent.ground.console import OrderConsole, Outcome
 from agent.kernel.codec import Refusal
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.desk.rights import why_closed
@@ -51,7 +51,7 @@ def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> Iterator
     """Order, and say what became of it at each robot, as it comes. Raises ConfigError where this console may not."""
     if why := why_closed(fleet, console):
         raise ConfigError(f"{fleet_path}: {why}")
-    with Console(fleet, console, credentials(fleet, console, fleet_path)) as link:
+    with OrderConsole(fleet, console, credentials(fleet, console, fleet_path)) as link:
         yield from link.orders(order.robots, order.verb, order.args)
 
 

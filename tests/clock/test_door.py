@@ -17,6 +17,10 @@ WAITS = {
     "agent/launch.py": ENDS,
     "agent/perception/vision.py": ENDS,
     "agent/runtime.py": RUN,
+    "agent/ground/console.py": MACHINE,
+    "agent/ground/doctor/probe.py": MACHINE,
+    "agent/ground/page/live.py": MACHINE,
+    "agent/ground/page/replayed.py": MACHINE,
     "agent/stop_signal.py": MACHINE,  # its own kind of event, waited for by whatever clock
     "hw/camera/frame_server.py": MACHINE,
     "hw/camera/frame_socket.py": RUN,

@@ -9,7 +9,7 @@ from pathlib import Path
 from threading import Event
 
 from agent.fleet_clock import fleet_clock
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.ground.page.live import SHOWN
 from agent.ground.page.ordering import give
 from agent.ground.page.page import page_of_fleet, page_of_recording
@@ -40,7 +40,7 @@ def run(what: Path, console: str | None, port: int, out: Path, stop: Event, say:
     with ExitStack() as stack:
         orders = None
         if console is not None:
-            orders = partial(give, stack.enter_context(Console(fleet, console, keys)))
+            orders = partial(give, stack.enter_context(OrderConsole(fleet, console, keys)))
         recording = Recording(
             lambda file, until: record(fleet, file, until, clock, keys=keys, name=name), out, fleet.fleet
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.ground.page.live import Reply, Seen
 from agent.kernel.codec import Refusal
 from agent.kernel.messages import State
@@ -14,7 +14,7 @@ from agent.kernel.orders.verbs import CLOCK, URGENT
 BEHIND_NS = 3_000_000_000  # robots refuse what goes by an older State, too
 
 
-def give(console: Console, robots: list[str], verb: str, args: Mapping[str, Any], seen: Seen) -> Iterator[Reply]:
+def give(console: OrderConsole, robots: list[str], verb: str, args: Mapping[str, Any], seen: Seen) -> Iterator[Reply]:
     """Order, and tell what comes of it at each robot as it comes. Raises Refusal for what cannot be ordered, or was
     decided by an old page.
 

@@ -20,7 +20,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from agent.demo.fleet import demo_fleet
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.kernel.config import Access, Fleet
 from agent.kernel.toml_files import dump
 from agent.keys.fleet_certificates import credentials
@@ -65,7 +65,7 @@ def run() -> dict[str, dict[str, Any]]:
     return rows
 
 
-def stops(console: Console) -> Iterator[Any]:
+def stops(console: OrderConsole) -> Iterator[Any]:
     outcomes = console.order(["r1", "r2", "r3"], "stop")
     assert all(outcome.ok for outcome in outcomes.values()), outcomes
     time.sleep(0.037)  # not in step with the loops
@@ -73,7 +73,7 @@ def stops(console: Console) -> Iterator[Any]:
 
 
 @contextmanager
-def three(kind: str) -> Iterator[tuple[Console, dict[str, subprocess.Popen[bytes]]]]:
+def three(kind: str) -> Iterator[tuple[OrderConsole, dict[str, subprocess.Popen[bytes]]]]:
     """Three robots that a console hears."""
     with tempfile.TemporaryDirectory() as folder:
         fleet, path = of_three(kind, Path(folder)), Path(folder) / "fleet.toml"
@@ -83,7 +83,7 @@ def three(kind: str) -> Iterator[tuple[Console, dict[str, subprocess.Popen[bytes
             for name in fleet.robot:
                 agent = [sys.executable, "-m", "tests.network.scripted_agent", str(path), name, folder]
                 processes[name] = subprocess.Popen(agent, cwd=ROOT)
-            with Console(fleet, "ann", credentials(fleet, "ann", path)) as console:
+            with OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console:
                 ends_s = time.monotonic() + WELL_S
                 while len(console.states()) < len(fleet.robot):
                     assert time.monotonic() < ends_s, console.states().keys()

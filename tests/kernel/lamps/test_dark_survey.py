@@ -62,7 +62,7 @@ def test_a_lamp_that_goes_out_spoils_the_sweep_and_nothing_comes_of_it() -> None
     (name,) = sweeping
     burning = next(n for n, light in world.light.items() if light[0])
     made = world.agents[name].survey.surveyor.keyframes
-    own = world.agents[burning].lights._own
+    own = world.agents[burning].lights.own
     own.lamp = own.lamp._replace(warm=2.0)  # too hot: dark at once
     world.run(6.0)
     assert [line for line in world.spoiled if "changed" in line]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.kernel.toml_files import dump
 from agent.kernel.topics import ANSWER
 from agent.transport import Observer
@@ -28,7 +28,11 @@ def test_a_stop_for_all_reaches_those_that_run(make_fleet, tmp_path: Path) -> No
     fleet, path = replace(fleet, robot=own), tmp_path / "fleet.toml"  # on the system's clock: none waits for another
     path.write_text(dump(fleet))
     processes: dict[str, subprocess.Popen[bytes]] = {}
-    with killed_after(processes), Console(fleet, "ann") as ann, Observer(fleet, time.time_ns, (ANSWER,)) as observer:
+    with (
+        killed_after(processes),
+        OrderConsole(fleet, "ann") as ann,
+        Observer(fleet, time.time_ns, (ANSWER,)) as observer,
+    ):
         for name in fleet.robot:
             command = [sys.executable, "-m", "tests.network.scripted_agent", str(path), name, str(tmp_path)]
             processes[name] = subprocess.Popen(command, cwd=ROOT)

@@ -9,7 +9,7 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.kernel import topics
 from agent.kernel.codec import decode, encode, encoding
 from agent.kernel.config import Access, ConfigError, Fleet
@@ -44,9 +44,9 @@ def fleet_of(loops: dict[str, Loop]) -> Fleet:
 
 
 @contextlib.contextmanager
-def console(loops: dict[str, Loop], name: str = "ann") -> Iterator[Console]:
+def console(loops: dict[str, Loop], name: str = "ann") -> Iterator[OrderConsole]:
     """One that hears both."""
-    with Console(fleet_of(loops), name) as console:
+    with OrderConsole(fleet_of(loops), name) as console:
         until(lambda: len(console.states()) == len(loops))
         yield console
 
@@ -108,7 +108,7 @@ def test_one_that_hangs_is_named_and_holds_up_nobody(loops) -> None:
 def test_one_that_is_not_there_is_named(loops) -> None:
     fleet = fleet_of(loops)
     with_third = replace(fleet, robot={**fleet.robot, "r3": replace(fleet.robot["r1"], listen="tcp/127.0.0.1:29499")})
-    with Console(with_third, "ann") as ann:
+    with OrderConsole(with_third, "ann") as ann:
         outcomes = ann.order(["r3"], "stop", heard_s=0.3)
         assert "was not heard" in outcomes["r3"].why
 
@@ -116,7 +116,7 @@ def test_one_that_is_not_there_is_named(loops) -> None:
 def test_a_stop_needs_no_state(loops) -> None:
     for loop in loops.values():
         loop.shows = False
-    with Console(fleet_of(loops), "ann") as ann:
+    with OrderConsole(fleet_of(loops), "ann") as ann:
         outcomes = ann.order(["r1", "r2"], "stop", heard_s=SLOW_S)
         assert all(outcome.ok for outcome in outcomes.values())
 
@@ -218,5 +218,5 @@ def test_what_time_it_is_needs_no_step(loops) -> None:
 def test_a_console_that_may_not_order_does_not_even_try(make_fleet, listen: str, consoles, why: str) -> None:
     fleet = make_fleet({"r1": ()})
     fleet = replace(fleet, robot={"r1": replace(fleet.robot["r1"], listen=listen)}, access=Access(consoles=consoles))
-    with pytest.raises(ConfigError, match=why), Console(fleet, "ann"):
+    with pytest.raises(ConfigError, match=why), OrderConsole(fleet, "ann"):
         pass

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.kernel.codec import decode
 from agent.kernel.orders.words import Answer
 from agent.kernel.step_io import Inputs, Outputs
@@ -40,12 +40,12 @@ def typed(fleet: Path, *words: str) -> tuple[int, str]:
 def test_a_dive_with_twenty_orders(tmp_path: Path, start_recorder: StartRecorder) -> None:
     with dive_of_two(tmp_path) as (dive, shown), contextlib.ExitStack() as stack:
         recorder = start_recorder(dive.fleet, tmp_path / "fleet.mcap", views=False)
-        ann, bob, cy = (stack.enter_context(Console(dive.fleet, name)) for name in ("ann", "bob", "cy"))
+        ann, bob, cy = (stack.enter_context(OrderConsole(dive.fleet, name)) for name in ("ann", "bob", "cy"))
         until(lambda: all(len(console.states()) == 2 for console in (ann, bob, cy)))
         until(lambda: recorder.recorded("/state"))
         given = 0
 
-        def give(console: Console, ok: bool, *robots: str, verb: str, **args: float) -> str:
+        def give(console: OrderConsole, ok: bool, *robots: str, verb: str, **args: float) -> str:
             nonlocal given
             given += 1
             outcomes = console.order(robots, verb, args, answer_s=PATIENCE_S)

@@ -6,7 +6,7 @@ import time
 import pytest
 from msgspec.structs import replace
 
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.kernel.config import Access, ConfigError
 from agent.kernel.topics import ANSWER
 from agent.transport import Observer
@@ -25,7 +25,7 @@ def test_a_console_orders_all_and_whoever_looks_sees_who_it_was(secured: Secured
             stack.callback(loop.join)
             stack.callback(loop.ends.set)
         observer = stack.enter_context(Observer(fleet, time.time_ns, (ANSWER,), keys=keys))
-        ann = stack.enter_context(Console(fleet, "ann", keys))
+        ann = stack.enter_context(OrderConsole(fleet, "ann", keys))
         until(lambda: len(ann.states()) == len(loops))
         seen: list[str] = []
 
@@ -40,7 +40,7 @@ def test_a_console_orders_all_and_whoever_looks_sees_who_it_was(secured: Secured
         own_file = replace(fleet, access=Access(keys=fleet.access.keys, observers=(), consoles=("eve", "view")))
         for name in ("eve", "view"):
             taken = [len(loop.taken) for loop in loops]
-            with Console(own_file, name, keys) as stranger:
+            with OrderConsole(own_file, name, keys) as stranger:
                 outcomes = stranger.order(fleet.robot, "stop", answer_s=0.5, heard_s=1.0)
                 assert not any(outcome.answer for outcome in outcomes.values())
             assert [len(loop.taken) for loop in loops] == taken
@@ -49,6 +49,6 @@ def test_a_console_orders_all_and_whoever_looks_sees_who_it_was(secured: Secured
 def test_who_is_no_console_is_told_so(secured: Secured) -> None:
     with (
         pytest.raises(ConfigError, match=r"\[access\] consoles names ann, bob"),
-        Console(secured.fleet, "view", secured.keys),
+        OrderConsole(secured.fleet, "view", secured.keys),
     ):
         pass
