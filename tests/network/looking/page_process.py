@@ -78,7 +78,7 @@ class Tab:
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.goto(address)
 
-    def says(self, selector: str, words: str, timeout_s: float = 20.0) -> str:
+    def says(self, selector: str, words: str, timeout_s: float = 60.0) -> str:
         """The text of an element, once these words are in it."""
 
         def text() -> str:
