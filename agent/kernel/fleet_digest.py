@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from agent.kernel.config import Fleet, Landmarks, Target
+from agent.kernel.lighting.settings import Lighting
 
 
 def common(fleet: Fleet) -> str:
@@ -32,7 +33,7 @@ def common(fleet: Fleet) -> str:
     if fleet.coverage is not None:
         shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
     if fleet.lighting is not None:  # who has which lamp, and when it is lent
-        shared["lighting"] = msgspec.to_builtins(fleet.lighting)
+        shared["lighting"] = _lighting(fleet.lighting)
         shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
     text = msgspec.json.encode(_plain(shared), order="sorted")
     return hashlib.sha256(text).hexdigest()[:16]
@@ -47,6 +48,12 @@ def _target(target: Target) -> dict[str, Any]:
     if target.detector == "ball":
         size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
     return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
+
+
+def _lighting(lighting: Lighting) -> dict[str, Any]:
+    """What is off by default says nothing, so that fleets from before it was there still agree."""
+    told: dict[str, Any] = msgspec.to_builtins(lighting)
+    return told if lighting.follow else {name: value for name, value in told.items() if name != "follow"}
 
 
 def _landmarks(landmarks: Landmarks) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class Lights:
         if lighting is not None and self.own is not None and self._talk is not None:
             self._wishes = Wishes(fleet, name, calibration, swimmer, lighting, self.own, self._talk)
             self._search = LightSearch(fleet, name) if swimmer is None else SwimSearch(fleet, name)
-            if swimmer is not None and lighting.gain < len(fleet.robot):  # more than all followers are none
+            if swimmer is not None and lighting.follow:
                 self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self.own.aim)
         self.views = ViewLight(self._turn, self._wishes, log)
         self._pursued = pursued(fleet)  # by frames: a look at rest is of no use

@@ -37,3 +37,4 @@ class Lighting(Struct, frozen=True, kw_only=True):
     beam: Beam = Beam()
     guard_s: Annotated[float, Meta(gt=0, le=5)] = 0.3  # a sweep waits so long for answers of those asked for light
     gain: Annotated[float, Meta(ge=0)] = 0.10  # of the information that borrowed light must bring, else the own lamp
+    follow: bool = False  # lamps are agreed on for who follows what swims, too; else each burns beside its own camera

@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from tests.bench.light.chase import LENDS, NOBODY_LENDS, Row, chase, fish_in_the_dark
+from tests.bench.light.chase import Row, chase, fish_in_the_dark
 from tests.bench.light.lockstep import calibrated
 
 SEEDS = [int(seed) for seed in os.environ.get("AUCAMP_CHASE_SEEDS", "3").split()]
 POLICIES = os.environ.get("AUCAMP_CHASE_POLICIES", "rule own").split()
 DIVE_S = float(os.environ.get("AUCAMP_CHASE_S", "40"))
 FIND_S = 10.0
-GAINS = {"rule": LENDS, "own": NOBODY_LENDS}
+AGREED = {"rule": True, "own": False}
 
 
 def run() -> dict[str, dict[str, Any]]:
     rows = {}
     for seed in SEEDS:
-        fleets = {policy: fish_in_the_dark(seed, GAINS[policy]) for policy in POLICIES}
+        fleets = {policy: fish_in_the_dark(seed, AGREED[policy]) for policy in POLICIES}
         any_of = fleets[POLICIES[0]]
         calibrations = {robot: calibrated(any_of, robot) for robot in any_of.robot}  # the same robots by all policies
         rows |= {

@@ -27,7 +27,6 @@ from tests.bench.swim.lockstep import START_NS
 SCENE = Path(__file__).parent / "fish_night.toml"
 FISH = "fish"
 ROW_TICKS, SEEN_NS = 10, 150_000_000  # a row in 0.1 s; a frame that old, and delivered late, still is of this row
-LENDS, NOBODY_LENDS = 0.10, 1e9  # gain, as in [lighting]
 
 
 class Row(NamedTuple):
@@ -42,15 +41,15 @@ class Row(NamedTuple):
     place_m: tuple[float, ...]  # of how far each is wrong about itself; nan: it knows no place
 
 
-def fish_in_the_dark(seed: int, gain: float = LENDS) -> Fleet:
-    """gain: as in [lighting]."""
+def fish_in_the_dark(seed: int, agreed: bool) -> Fleet:
+    """agreed: `follow` of [lighting]."""
     fleet, water = load_fleet(fleet_file("fish")), load_scene(str(SCENE)).water
     assert water.absorption_per_m is not None and water.scattering_per_m is not None
     known = WaterOptics(absorption_per_m=water.absorption_per_m, scattering_per_m=water.scattering_per_m)
     return replace(
         fleet,
         robot={name: replace(robot, lamp=True) for name, robot in fleet.robot.items()},
-        lighting=Lighting(water=known, gain=gain),
+        lighting=Lighting(water=known, follow=agreed),
         twin=replace(fleet.twin, seed=seed, scene=str(SCENE)),
     )
 

@@ -46,7 +46,7 @@ class Dive(NamedTuple):
     said_again: bytes
 
 
-def dark_fleet(gain: float, towards_m: Vector) -> Fleet:
+def dark_fleet(agreed: bool, towards_m: Vector) -> Fleet:
     """Three robots, turned towards that place."""
     robots = {}
     for name, (x, y) in FROM_M.items():
@@ -56,13 +56,13 @@ def dark_fleet(gain: float, towards_m: Vector) -> Fleet:
         known = basin.robot(name, Pose(x_m=x, y_m=y, yaw_deg=yaw_deg), follow, Look(tilt_deg=-5.0), others)
         robots[name] = replace(known, lamp=True)
     fish = replace(basin.BALL, speed_m_s=0.15, turn_s=basin.TURN_S)
-    return replace(basin.fleet(robots, 3, fish), lighting=replace(HARBOUR, gain=gain))
+    return replace(basin.fleet(robots, 3, fish), lighting=replace(HARBOUR, follow=agreed))
 
 
 @cache
-def dived(gain: float) -> Dive:
+def dived(agreed: bool = True) -> Dive:
     fish = Wanderer(np.random.default_rng(6), 0.15, SECONDS + 1.0)
-    fleet = dark_fleet(gain, fish.at(START_NS))
+    fleet = dark_fleet(agreed, fish.at(START_NS))
     swimmers = Swimmers(fleet, PlanarBodies(fleet), fish.at)
     again, said, said_again = Agent(fleet, "r1", swimmers.calibrations["r1"], START_NS), b"", b""
     rows, by_lamps, by_all = [], [], []
@@ -105,13 +105,13 @@ def truly(swimmers: Swimmers, name: str, at_m):
 
 def test_more_see_it_than_by_all_lamps() -> None:
     """Where all truly are; all lamps burn until the target is found."""
-    dive = dived(HARBOUR.gain)
+    dive = dived()
     since = SETTLED_S * STEPS_S
     assert np.mean(dive.by_lamps[since:]) > np.mean(dive.by_all[since:]) + 0.5
 
 
 def test_lamps_that_burn_are_aimed_at_it_and_change_seldom() -> None:
-    settled = dived(HARBOUR.gain).told[SETTLED_S * STEPS_S :]
+    settled = dived().told[SETTLED_S * STEPS_S :]
     sets = [frozenset(name for name, one in row.items() if one.burns) for row in settled]
     assert all(0 < len(some) < len(FROM_M) for some in sets)
     assert sum(one != other for one, other in pairwise(sets)) <= 2
@@ -120,14 +120,14 @@ def test_lamps_that_burn_are_aimed_at_it_and_change_seldom() -> None:
 
 
 def test_who_looks_for_landmarks_does_it_by_its_own_lamp() -> None:
-    rows = [one for row in dived(HARBOUR.gain).told[2 * STEPS_S :] for one in row.values() if one.glances]
+    rows = [one for row in dived().told[2 * STEPS_S :] for one in row.values() if one.glances]
     assert len(rows) > STEPS_S and all(one.burns for one in rows)
 
 
-def test_who_lends_nothing_burns_always() -> None:
-    assert all(one.burns for row in dived(1e9).told[2 * STEPS_S :] for one in row.values())
+def test_where_no_light_is_agreed_on_lamps_burn_always() -> None:
+    assert all(one.burns for row in dived(agreed=False).told[2 * STEPS_S :] for one in row.values())
 
 
 def test_the_same_inputs_give_the_same_bytes() -> None:
-    dive = dived(HARBOUR.gain)
+    dive = dived()
     assert dive.said and dive.said == dive.said_again
