@@ -55,6 +55,7 @@ section { scroll-margin-top: 3em }
 @media (max-width: 44em) { .looks { grid-template-columns: minmax(0, 1fr) } .looks .closer { max-width: 20em } }
 @media (max-width: 30em) { body { padding: .5em } .lead { font-size: 1.15em } .panel, section { padding: .7em }
   td, th { padding: .2em .45em; font-size: .9em } th { white-space: normal } }
+@page { margin: 15mm }
 @media print {
   body { max-width: none; padding: 0; font-size: 10pt; background: none } nav { display: none }
   .panel, section { border: 0; padding: 0 } figure, tr, .lead { break-inside: avoid } h2, summary { break-after: avoid }
@@ -95,7 +96,7 @@ PAGE = (
 </section>{% endmacro %}
 <h1>{{ title }}{% if verdict %}: <span class="{{ verdict }}">{{ verdict }}</span>{% endif %}</h1>
 {% if lead %}<p class="lead">
-{%- for part in lead.said %}<span class="{{ part.kind }}">{{ part.text | replace("± ", "±\u00a0") }}</span>
+{%- for part in lead.said %}<span class="{{ part.kind }}">{{ part.text }}</span>
 {%- endfor %}</p>
 {% endif %}{% for reason in reasons %}<p class="fail">{{ reason }}</p>
 {% endfor %}{% if lead %}<div class="panel"><div class="looks">

@@ -33,4 +33,5 @@ def came_of(path: Path) -> str:
         found = lead(run, surveyed(run.fleet, run.boxes))
     except (ConfigError, Refusal) as error:
         return text({"k": CAME, "said": [["bad", f"What came of it cannot be told: {error}"]], "looks": [], "ends": []})
-    return text({"k": CAME, "said": found.said, "looks": found.looks, "ends": found.ends.rows})
+    looks = [(look.caption, str(look.svg)) for look in found.looks]
+    return text({"k": CAME, "said": found.said, "looks": looks, "ends": found.ends.rows})

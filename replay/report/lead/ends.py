@@ -24,7 +24,7 @@ class End(NamedTuple):
     last: State | None  # what it showed last
     x_m: Vector | None  # the last place that it held, world frame
     cov_m2: Symmetric | None
-    held_s: float | None  # since when it held that
+    held_s: float | None  # when it last said so
     truth_m: Vector | None  # where the target was then, by the twin
     off_m: float | None  # between these two
 
@@ -47,21 +47,21 @@ def truth_of(run: Run, target: str) -> Path3 | None:
 
 
 def _end(run: Run, timeline: RobotTimeline, way: Path3 | None) -> End:
-    held = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None]
+    held_s = [t_s for t_s, state in timeline.states if state.posterior_m is not None]
     estimate, truth_m = timeline.estimate, run.truths_m.get(timeline.target)
-    if held and way is not None:
-        at = way.at([(run.start_ns or 0) + round(held[-1].t_s * 1e9)])[0]
+    if held_s and way is not None:
+        at = way.at([(run.start_ns or 0) + round(held_s[-1] * 1e9)])[0]
         truth_m = None if np.isnan(at).any() else (float(at[0]), float(at[1]), float(at[2]))
     return End(
         robot=timeline.robot,
         target=timeline.target,
         label=timeline.label,
-        known_s=held[0].t_s if held else None,
+        known_s=held_s[0] if held_s else None,
         seen_s=next((t_s for t_s, state in timeline.states if state.knows == "sees"), None),
         last=timeline.beliefs[-1].state if timeline.beliefs else None,
         x_m=estimate[0] if estimate else None,
         cov_m2=estimate[1] if estimate else None,
-        held_s=held[-1].t_s if held else None,
+        held_s=held_s[-1] if held_s else None,
         truth_m=truth_m,
         off_m=math.dist(estimate[0], truth_m) if estimate and truth_m else None,
     )

@@ -94,6 +94,7 @@ def _robot(fleet: Fleet, name: str, timelines: Sequence[RobotTimeline]) -> Robot
         looks=math.radians(yaw_deg + (states[-1][1].pan_deg if states else 0.0)),
         sees=any(each.states[-1][1].knows == "sees" for each in mine if each.states),
         way=_thinned(way),
+        heard=bool(states),
     )
 
 

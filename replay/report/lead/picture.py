@@ -32,7 +32,7 @@ LOOKS = (
 .dive .sure { fill: var(--own); fill-opacity: .14; stroke: var(--own); stroke-width: 1.3 }
 .dive .truth { stroke: var(--text); stroke-width: 2 } .dive .swam { stroke: var(--text); stroke-width: 1; opacity: .7 }
 .dive .thereabouts { fill: var(--bad); fill-opacity: .18; stroke: var(--bad) }
-.dive .bar { stroke: var(--text); stroke-width: 2 }
+.dive .gone { opacity: .4 } .dive .bar { stroke: var(--text); stroke-width: 2 }
 @media (max-width: 30em) { .tank .dive text { font-size: 21px } .tank .dive .scale { font-size: 18px } }
 """
 )
@@ -54,6 +54,7 @@ class Robot(NamedTuple):
     looks: float  # where its camera does
     sees: bool
     way: Sequence[Point] = ()  # of one that swims
+    heard: bool = True  # False: there is no recording of it, and this is where it should have been
 
 
 class Held(NamedTuple):
@@ -95,7 +96,7 @@ def from_above(fleet: Fleet, robots: Sequence[Robot], things: Sequence[Thing], f
     drawn += [_own(robot.colour, view.way("way", robot.way) + _begin(robot, view)) for robot in robots]
     for thing in things:
         drawn += _thing(thing, view)
-    drawn += [_own(robot.colour, _body(robot, view)) for robot in robots]
+    drawn += [_own(robot.colour, _body(robot, view), "" if robot.heard else " gone") for robot in robots]
     return _svg("The tank from above", wide, high, drawn)
 
 
@@ -187,16 +188,16 @@ def _body(robot: Robot, view: View) -> str:
     far = eye[0] + LOOK_M * math.cos(robot.looks), eye[1] + LOOK_M * math.sin(robot.looks)
     arrow = [ahead(BODY_M, 0.0), ahead(BODY_M, 2.5), ahead(-0.05, 0.0), ahead(BODY_M, -2.5), ahead(BODY_M, 0.0)]
     return (
-        view.way("look" if robot.sees else "look blind", [eye, far])
+        (view.way("look" if robot.sees else "look blind", [eye, far]) if robot.heard else "")
         + view.circle("ring", x, y, BODY_M * view.scale)
         + view.way("robot", arrow)
-        + view.text("name", x, y, -BODY_M * view.scale - 15, robot.name)
+        + view.text("name", x, y, -BODY_M * view.scale - 15, robot.name if robot.heard else f"{robot.name} (not heard)")
     )
 
 
-def _own(colour: int, drawn: str) -> str:
+def _own(colour: int, drawn: str, kind: str = "") -> str:
     """In the colour of a robot."""
-    return f'<g class="r{colour % ROBOTS}">{drawn}</g>' if drawn else ""
+    return f'<g class="r{colour % ROBOTS}{kind}">{drawn}</g>' if drawn else ""
 
 
 def _svg(about: str, wide: float, high: float, drawn: Sequence[str]) -> Markup:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Collection, Iterator, Sequence
 from typing import Literal, NamedTuple
 
 from replay.report.lead.outcome import EARLY_S, Found, Outcome, Survey
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+UNBROKEN = "\u00a0"  # a space at which no line ends
+UNIT = re.compile(r"(?<=±) | (?=(?:mm|s|min|%)(?:\W|$))")  # the space between a number and what it counts
 
 
 class Part(NamedTuple):
@@ -36,7 +39,7 @@ def sentence(about: Outcome) -> list[Part]:
 
 def _one(clauses: Sequence[tuple[Literal["", "good", "bad"], str]], about: Outcome) -> list[Part]:
     """Clauses with semicolons between them; a name of a robot stays as it is written."""
-    parts = [Part(kind, f"{text}; ") for kind, text in clauses]
+    parts = [Part(kind, UNIT.sub(UNBROKEN, f"{text}; ")) for kind, text in clauses]
     parts[-1] = parts[-1]._replace(text=parts[-1].text.removesuffix("; ") + ".")
     first = parts[0].text
     if first.split()[0].rstrip(",") not in about.fleet:
@@ -148,4 +151,5 @@ def millimetres(m: float) -> str:
 
 
 def plain(parts: Sequence[Part]) -> str:
-    return "".join(part.text for part in parts)
+    """As one text with ordinary spaces."""
+    return "".join(part.text for part in parts).replace(UNBROKEN, " ")

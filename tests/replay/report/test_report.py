@@ -181,7 +181,8 @@ def test_what_came_again_and_again_is_one_row_and_hides_nobody_s_view(run: Path)
 def test_every_table_and_figure_says_what_to_see(page: str) -> None:
     for section in re.findall(r"<section.*?</section>", page, re.DOTALL):
         notes = [len(note) for note in re.findall(r'<p class="note">(.*?)</p>', section, re.DOTALL)]
-        assert len(notes) == 1 + section.count("<table>")
+        alone = section.startswith('<section id="ends">')  # one table, and no more to say of it
+        assert len(notes) == section.count("<table>") + (not alone)
         assert min(notes) > 40
 
 
