@@ -28,6 +28,7 @@ class Found(NamedTuple):
     known_s: Mapping[str, float]  # who knew where it is, first when
     sigma_m: Mapping[str, float]  # who holds a place of it at the end, and how surely
     off_m: Mapping[str, float]  # how far each was off at the end; empty: nobody knows the truth
+    has_size: bool = False  # a thing in a box: its surface is measured, and the truth is of its middle
     apart_m: float | None = None  # between the two places held that differ most; None of one that swims
     in_view: tuple[float, float] | None = None  # of one that swims: shares of the time, least and largest
     track_rms_m: float | None = None  # of one that swims: the robots' tracks off the true one
@@ -81,6 +82,7 @@ def outcome(run: Run, at_end: Sequence[End], survey: Surveyed | None) -> Outcome
             _found(
                 target,
                 about.speed_m_s is not None,
+                about.detector == "box",
                 [end for end in at_end if end.target == target],
                 summary.get("targets", {}).get(target, {}),
             )
@@ -94,7 +96,7 @@ def outcome(run: Run, at_end: Sequence[End], survey: Surveyed | None) -> Outcome
     )
 
 
-def _found(target: str, swims: bool, of: Sequence[End], by_demo: Mapping[str, Any]) -> Found:
+def _found(target: str, swims: bool, has_size: bool, of: Sequence[End], by_demo: Mapping[str, Any]) -> Found:
     held = [end.x_m for end in of if end.sigma_m is not None and end.x_m is not None]
     seen = [row["seen"] for row in by_demo.get("agents", {}).values() if row.get("seen") is not None] if swims else []
     rms_mm = by_demo.get("track_rms_mm") if swims else None
@@ -104,6 +106,7 @@ def _found(target: str, swims: bool, of: Sequence[End], by_demo: Mapping[str, An
         known_s={end.robot: end.known_s for end in of if end.known_s is not None},
         sigma_m={end.robot: end.sigma_m for end in of if end.sigma_m is not None},
         off_m={end.robot: end.off_m for end in of if end.off_m is not None and end.sigma_m is not None},
+        has_size=has_size,
         apart_m=max((math.dist(a, b) for a, b in itertools.combinations(held, 2)), default=None) if not swims else None,
         in_view=(min(seen), max(seen)) if seen else None,
         track_rms_m=None if rms_mm is None else 1e-3 * rms_mm,

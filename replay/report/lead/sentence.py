@@ -86,7 +86,8 @@ def _how_surely(found: Found) -> str:
         return f"{sure}, and on the way {'were' if several else 'was'} {millimetres(found.track_rms_m)} off (rms)"
     if found.off_m:
         most = millimetres(max(found.off_m.values()))
-        return f"{sure}, and {'were at most' if several else 'was'} {most} off"
+        where = "from its middle" if found.has_size else "off"
+        return f"{sure}, and {'were at most' if several else 'was'} {most} {where}"
     if found.apart_m is not None:
         return f"{sure}, within {millimetres(max(found.apart_m, 1e-4))} of each other"
     return sure

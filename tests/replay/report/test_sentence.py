@@ -31,6 +31,10 @@ def test_all_saw_it_and_the_truth_is_known() -> None:
     assert [part.kind for part in sentence(WELL)] == ["good"]
 
 
+def test_of_a_thing_with_a_size_it_is_no_error() -> None:
+    assert said(with_target(has_size=True)).endswith("± 1.2 mm, and were at most 3.1 mm from its middle.")
+
+
 def test_without_a_truth_it_says_how_far_they_agree() -> None:
     assert said(with_target(off_m={}, apart_m=0.004)) == (
         f"{ALL_SAW}at the end all knew its place to ± 1.2 mm, within 4.0 mm of each other."
