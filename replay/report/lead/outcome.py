@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from agent.kernel.status import fault_kind
 from replay.report.lead.ends import End
@@ -13,7 +13,7 @@ from replay.report.robot_timeline import RobotTimeline
 from replay.report.run import Run
 from replay.report.surveyed import Surveyed
 
-EARLY_S = 3.0  # a robot that ended so much before the last one fell silent, as on the page
+EARLY_S = 3.0  # before the last one: that early a robot ended, or fell silent, as on the page
 LOUD = ("warning", "error")  # levels of the log
 ORDERED = " orders: "  # agent.kernel.desk: what people ordered is no trouble
 SWEEP = "sweep"  # that one comes to nothing is no trouble: the next one follows
@@ -43,12 +43,17 @@ class Survey(NamedTuple):
     alike: bool  # all maps are the same
 
 
+# Its recording was finished by its writer; it was not; there is none, and this is what others heard of it.
+Ending = Literal["ended", "torn", "silent"]
+
+
 class Robot(NamedTuple):
     """How one robot fared."""
 
     ends_s: float
     starts: int = 1
     mode: str = "running"
+    ending: Ending = "ended"
     faults: tuple[str, ...] = ()  # that stand at the end
     warned: tuple[str, ...] = ()  # what else its log warns of, each kind once
 
@@ -144,6 +149,7 @@ def _robot(timeline: RobotTimeline) -> Robot:
         ends_s=timeline.ends_s,
         starts=max(1, len(timeline.starts_s)),
         mode=last.mode if last is not None else "running",
+        ending="silent" if not timeline.boxes else "ended" if timeline.boxes[-1].complete else "torn",
         faults=faults,
         warned=tuple(kind for kind in warned if kind not in kinds),
     )

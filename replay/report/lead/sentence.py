@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 from replay.report.lead.outcome import EARLY_S, Found, Outcome, Survey
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+ENDINGS = {"ended": "{} ended", "torn": "the recording of {} breaks off", "silent": "{} fell silent"}
 UNBROKEN = "\u00a0"  # a space at which no line ends
 UNIT = re.compile(r"(?<=±) | (?=(?:mm|s|min|%)(?:\W|$))")  # the space between a number and what it counts
 
@@ -108,7 +109,8 @@ def _wrong(about: Outcome) -> Iterator[tuple[Literal["bad"], str]]:
         if robot.mode == "failed":
             yield "bad", f"{name} failed after {seconds(robot.ends_s)}"
         elif about.lasted_s - robot.ends_s > EARLY_S:
-            yield "bad", f"{name} fell silent after {seconds(robot.ends_s)} of {seconds(about.lasted_s)}"
+            how = ENDINGS[robot.ending].format(name)
+            yield "bad", f"{how} after {seconds(robot.ends_s)} of {seconds(about.lasted_s)}"
         if robot.starts > 1:
             yield "bad", f"{name} started again" + (f" {robot.starts - 1} times" if robot.starts > 2 else "")
     for what, text in (("ended with", "faults"), ("warned of", "warned")):

@@ -76,7 +76,9 @@ def test_a_robot_that_ended_early_and_one_that_failed_are_named() -> None:
     t_s, state = last.states[-1]
     failed = last._replace(states=(*last.states, (t_s, msgspec.structs.replace(state, mode="failed"))))
     text = said(run._replace(timelines=[early._replace(ends_s=9.0), other, failed]))
-    assert "; r1 fell silent after 9.0 s of 16 s; r3 failed after 16 s." in text
+    assert "; r1 ended after 9.0 s of 16 s; r3 failed after 16 s." in text
+    overheard = early._replace(ends_s=9.0, boxes=())
+    assert "; r1 fell silent after 9.0 s of 16 s." in said(run._replace(timelines=[overheard, other, last]))
 
 
 def test_a_survey_has_its_own_rows_and_its_floor() -> None:

@@ -97,7 +97,9 @@ def test_what_went_wrong_follows() -> None:
     def wrong(**robot: object) -> str:
         return said(WELL._replace(robots={**HEARD, "r3": Robot(60.0)._replace(**robot)})).split(" mm off; ")[1]
 
-    assert wrong(ends_s=40.0) == "r3 fell silent after 40 s of 60 s."
+    assert wrong(ends_s=40.0) == "r3 ended after 40 s of 60 s."
+    assert wrong(ends_s=40.0, ending="silent") == "r3 fell silent after 40 s of 60 s."
+    assert wrong(ends_s=40.0, ending="torn") == "the recording of r3 breaks off after 40 s of 60 s."
     assert wrong(ends_s=40.0, mode="failed") == "r3 failed after 40 s."
     assert wrong(starts=2) == "r3 started again."
     assert wrong(starts=4) == "r3 started again 3 times."
