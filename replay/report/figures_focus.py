@@ -44,7 +44,7 @@ def calibration_fit(timeline: RobotTimeline) -> Figure:
     panel.plot(rho, [h(fit, float(r)) or np.nan for r in rho], color="black", linewidth=1.0, label="h, calibrated")
     peaks = [sweep.peak for sweep in timeline.sweeps if sweep.peak is not None]
     seen = [(peak, u) for peak in peaks if (u := h(fit, peak)) is not None]
-    panel.plot([p for p, _ in seen], [u for _, u in seen], ".", color="C3", markersize=4, label="peaks of this run")
+    panel.plot([p for p, _ in seen], [u for _, u in seen], ".", color="red", markersize=4, label="peaks of this run")
     errors = f"RMSE {1e3 * fit.rmse_m:.1f} mm, held out {1e3 * fit.held_out_rmse_m:.1f} mm"
     panel.set_title(f"{timeline.label}: R² {fit.r2:.5f}, {errors}", fontsize="medium")
     panel.set_ylabel("z-depth u from the gimbal, m")

@@ -1,46 +1,18 @@
-"""The tank from above, and the surroundings of the target at a scale at which covariances can be seen."""
+"""The surroundings of the target at a scale at which covariances can be seen."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse, Rectangle
+from matplotlib.patches import Ellipse
 
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Symmetric, Vector
 from replay.report.robot_timeline import RobotTimeline
-
-
-def above(fleet: Fleet, timelines: Sequence[RobotTimeline], truths_m: Mapping[str, Vector]) -> Figure:
-    """World axes: walls, robots and where they point, estimates, and by target the truth where it is known."""
-    figure = Figure(figsize=(4.6, 4.2), layout="constrained")
-    panel = figure.subplots()
-    length_m, width_m, _ = fleet.tank.size_m
-    panel.add_patch(Rectangle((0, 0), length_m, width_m, fill=False))
-    for k, (target, truth_m) in enumerate(truths_m.items()):
-        panel.add_patch(Circle(truth_m[:2], fleet.target[target].radius_m or 0.0, color="C3", alpha=0.2))
-        panel.plot(*truth_m[:2], "+", color="black", markersize=12, label="truth" if k == 0 else None)
-    for index, (name, robot) in enumerate(fleet.robot.items()):
-        pose, yaw = robot.pose, math.radians(robot.pose.yaw_deg)
-        panel.arrow(pose.x_m, pose.y_m, 0.1 * math.cos(yaw), 0.1 * math.sin(yaw), color=f"C{index}", width=0.01)
-        behind = (-12 * math.cos(yaw), -12 * math.sin(yaw))
-        panel.annotate(name, (pose.x_m, pose.y_m), behind, textcoords="offset points", ha="center", va="center")
-        estimates = [
-            timeline.estimate[0][:2]
-            for timeline in timelines
-            if timeline.robot == name and timeline.estimate is not None
-        ]
-        if estimates:
-            panel.plot(*zip(*estimates, strict=True), "x", color=f"C{index}", label=name)
-    panel.set_aspect("equal")
-    panel.set(xlabel="x, m", ylabel="y, m", xlim=(-0.05, length_m + 0.05), ylim=(-0.05, width_m + 0.05))
-    if panel.get_legend_handles_labels()[0]:
-        figure.legend(loc="outside lower center", ncols=5, fontsize="small", frameon=False)
-    return figure
 
 
 def near_target(fleet: Fleet, timelines: Sequence[RobotTimeline], truth_m: Vector | None) -> Figure:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from agent.kernel.config import Fleet
-from replay.report.surveyed import Surveyed
+from replay.report.surveyed import Surveyed, floor_known
 
 NONE, SOME, KNOWN, THING = "0.88", "#fee08b", "#1a9850", "#4d4d4d"
 
@@ -34,10 +34,7 @@ def floor_above(fleet: Fleet, found: Surveyed) -> Figure:
     """World axes: each column of cells from above, by what is known of its floor, and whether something stands there;
     the ways of robots that swim, and a cross where each sweep was taken."""
     grid, (nx, ny, _) = found.all.grid, found.all.grid.shape
-    have = np.array([found.all.cells.get(number, 0) for number in range(nx * ny)], float).reshape(ny, nx)
-    shown = np.where(have >= grid.goal, 2, np.where(have > 0, 1, 0))
-    for number in found.all.solid():
-        shown[number // nx % ny, number % nx] = 3
+    shown = np.array(floor_known(found.all)).reshape(ny, nx)
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     panel = figure.subplots()
     colours = [NONE, SOME, KNOWN, THING]

@@ -12,8 +12,8 @@ from matplotlib.patches import Patch
 from msgspec import UNSET
 
 from agent.kernel.step_io import SweepOutcome
+from replay.report.page_template import Row, Table
 from replay.report.robot_timeline import RobotTimeline
-from replay.report.tables import Row, Table
 
 SPOILED = "spoiled: "  # agent.kernel.lamps.conduct writes it
 FREE = "0.75"  # of a lamp that is its own robot's

@@ -1,7 +1,7 @@
 """`aucamp replay report`: a run as one page, from the recordings of its robots.
 
-The paper's figures, drawn from the black boxes, or as far as it goes from the fleet file; the truth, where a twin knows
-it, comes from summary.json. All of it is inline, so that the page can be mailed.
+It leads with what came of it; then the paper's figures, drawn from the black boxes, or as far as it goes from the fleet
+file; the truth, where a twin knows it, comes from summary.json. All of it is inline, so that the page can be mailed.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ from replay.report import (
     tables as report_tables,
 )
 from replay.report.creature_track import creature_track
+from replay.report.lead.lead import lead
 from replay.report.page_template import PAGE, Section, svg
 from replay.report.run import Run, open_run
-from replay.report.surveyed import survey_table, surveyed
+from replay.report.surveyed import Surveyed, surveyed
 from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
 
 
@@ -55,15 +56,18 @@ def page_of(path: Path) -> Path:
 
 def _report(path: Path, out: Path | None, depth: MeasureDepth | None) -> Path:
     run = open_run(path)
+    survey = surveyed(run.fleet, run.boxes)
+    reasons = run.summary["reasons"] if run.summary else []
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
     out = out or page_of(path)
     out.write_text(
         page.render(
             title=f"Fleet {run.fleet.fleet}",
             verdict=run.summary["verdict"] if run.summary else "",
-            reasons=run.summary["reasons"] if run.summary else [],
+            reasons=reasons if len(reasons) > 1 else [],  # one alone is in the sentence
+            lead=lead(run, survey),
             about=_about(run),
-            sections=_sections(run, depth),
+            sections=_sections(run, survey, depth),
         ),
         encoding="utf-8",
     )
@@ -86,7 +90,7 @@ def _about(run: Run) -> str:
     if run.summary:
         seed = f"Twin seed {run.summary['seed']}"
         places = [f"{name} is at ({', '.join(f'{1e3 * x:.1f}' for x in x_m)}) mm" for name, x_m in run.truths_m.items()]
-        lines.append(f"{seed}; by the twin {', '.join(places)}.")
+        lines.append(f"{seed}; by the twin {', '.join(places)}." if places else f"{seed}.")
     torn = [box.path.name for box in run.boxes if not box.complete]
     torn += [run.fleet_file.path.name] if run.fleet_file and not run.fleet_file.complete else []
     if torn:
@@ -100,15 +104,17 @@ def _about(run: Run) -> str:
     return " ".join(lines)
 
 
-def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
-    """The sections in the order of the paper; those for which nothing was recorded are left out."""
+def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> list[Section]:
+    """The sections in the order of the paper, what experts want folded away; those for which nothing was recorded are
+    left out."""
     robots = run.robots
     inside = [timeline for timeline in run.timelines if timeline.boxes]
     against = "" if not run.truths_m else " Dashed: the truth, by the twin."
     lower = "" if not run.truths_m else " Coloured: each robot's distance from the truth."
     targets = [(target, timelines) for target in run.fleet.target if (timelines := run.about(target))]
     sections = [
-        Section("errors", "Errors", report_tables.error_note(run), report_tables.error_tables(run), []),
+        Section("errors", "Errors", report_tables.error_note(run), [report_tables.errors_at_end(run)], [], False),
+        *_axis_by_axis(run),
         Section(
             "iterations",
             "Prior and posterior",
@@ -130,9 +136,10 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             if run.timelines
             else [],
             [svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
+            False,
         ),
         *_following(run),
-        *_surveying(run),
+        *_surveying(run, survey),
         *_light(run),
         Section(
             "agreement",
@@ -143,16 +150,12 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
             [svg(figures_belief.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
         ),
         Section(
-            "above",
-            "From above",
-            "First the tank: robots where they were surveyed, with the direction they look in, and crosses where they "
-            "place the target at the end. Then the surroundings of the target, in millimetres: dots are single "
-            "measurements, an ellipse is where a robot believes the target to be, at twice its standard deviation.",
+            "near",
+            "Near the target",
+            "The surroundings of the target from above, in millimetres: dots are single measurements, an ellipse is "
+            "where a robot believes the target to be, at twice its standard deviation.",
             [],
-            [
-                svg(figures_map.above(run.fleet, run.timelines, run.truths_m)),
-                *(svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets),
-            ],
+            [svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets],
         ),
         Section(
             "clarity",
@@ -212,6 +215,15 @@ def _sections(run: Run, depth: MeasureDepth | None) -> list[Section]:
     return [section for section in sections if section.tables or section.figures]
 
 
+def _axis_by_axis(run: Run) -> Iterator[Section]:
+    """Of a run whose truth somebody knows."""
+    if (table := report_tables.axis_table(run)) is not None:
+        about = (
+            "How far single measurements, and what robots made of them together, were off the truth along each axis."
+        )
+        yield Section("axes", "Errors, axis by axis", about, [table], [])
+
+
 def _light(run: Run) -> Iterator[Section]:
     """Of a fleet that lights for each other."""
     if (table := light.sweeps(run.timelines)) is not None:
@@ -249,12 +261,12 @@ def _following(run: Run) -> Iterator[Section]:
                 svg(figures_track.seen_when(run.fleet, track, start_ns)),
                 svg(figures_track.made_of(run.fleet, track, start_ns)),
             ],
+            False,
         )
 
 
-def _surveying(run: Run) -> Iterator[Section]:
+def _surveying(run: Run, found: Surveyed | None) -> Iterator[Section]:
     """Of a fleet with [coverage]."""
-    found = surveyed(run.fleet, run.boxes)
     if found is None or not found.frames:
         return
     yield Section(
@@ -263,11 +275,12 @@ def _surveying(run: Run) -> Iterator[Section]:
         "How much of what is wanted each robot's map knows (dotted: the share that ends the survey) and how many "
         "keyframes it holds: lines should lie on each other, for all tell each other all. Then from above what all "
         "keyframes together know, with the robots' ways and the places of their sweeps (crosses).",
-        [survey_table(found)],
+        [report_tables.survey_table(found)],
         [
             svg(figures_survey.known_over_time(run.fleet, found, run.start_ns or 0)),
             svg(figures_survey.floor_above(run.fleet, found)),
         ],
+        False,
     )
 
 

@@ -15,7 +15,8 @@ from agent.kernel.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox
 from replay.files.channels import STEP_OUT
 from replay.files.log import read
-from replay.report.tables import Table
+
+SURVEYED = "At the end. Maps are equal where these digits are."  # about what `survey_rows` says
 
 
 class Known(NamedTuple):
@@ -63,12 +64,23 @@ def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
     return Surveyed(known, told, paths, together)
 
 
-def survey_table(found: Surveyed) -> Table:
-    """A row for each robot, at the end."""
+def floor_known(found: CoverageMap) -> list[int]:
+    """Each column of cells from above, x fastest: 0 nothing is known of its floor, 1 something, 2 all that is asked
+    for, 3 a thing stands above it."""
+    nx, ny, _ = found.grid.shape
+    have = (found.cells.get(number, 0) for number in range(nx * ny))
+    known = [2 if cell >= found.grid.goal else 1 if cell > 0 else 0 for cell in have]
+    for number in found.solid():
+        known[number % (nx * ny)] = 3
+    return known
+
+
+def survey_rows(found: Surveyed) -> list[list[str]]:
+    """A row for each robot, at the end, under a head."""
     rows = [["robot", "keyframes of its own", "held", "knows", "map"]]
     for name, each in found.known.items():
         own = sum(frame.origin == name for _, frame in found.frames)
         last = each[-1] if each else None
         told = ["-", "-", "-"] if last is None else [str(last.held), f"{100 * last.share:.1f} %", last.digest]
         rows.append([name, str(own), *told])
-    return Table("At the end. Maps are equal where these digits are.", rows)
+    return rows

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import NamedTuple
 
 from replay.report import figures_posture
 from replay.report.errors import LATE, error_table, relative_percent
-from replay.report.robot_timeline import RobotTimeline
+from replay.report.lead.ends import End, ends, truth_of
+from replay.report.lead.outcome import ORDERED, OVER
+from replay.report.page_template import Row, Table
 from replay.report.run import Run
-
-Row = list[str]
-
-
-class Table(NamedTuple):
-    about: str  # what to see in it, one sentence
-    rows: list[Row]  # its head first
-
+from replay.report.surveyed import SURVEYED, Surveyed, survey_rows
 
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
 EVENTS = ["robot", "s", "event"]
 VIEW = re.compile(r"(^|: )(sees|told|blind) since iteration ")  # agent.kernel.core writes it
-OVER = "over: "  # agent.kernel.status: the end of a fault
-ORDERED = " orders: "  # agent.kernel.desk: orders have a table of their own
 REPEATS = re.compile(r" \((\d+) times more in [\d.]+ s\)$")  # agent.kernel.logbook
 NUMBER = re.compile(r"\d+(\.\d+)?")
 ERRORS = ["error mm", "% of |x*|", "% of range"]  # before all else: a phone shows the first columns
 
 
 def error_note(run: Run) -> str:
+    swim = [name for name in run.fleet.target if truth_of(run, name) is not None]
+    if not run.truths_m and swim:
+        return f"How far off robots were of what swims stands in the section about its track: {', '.join(swim)}."
     if not run.truths_m:
         return "Nobody knows the truth of this run, so there is no error to show."
     boxes = [name for name in run.truths_m if run.fleet.target[name].detector == "box"]
@@ -44,54 +39,57 @@ def error_note(run: Run) -> str:
     )
 
 
-def error_tables(run: Run) -> list[Table]:
-    """What each robot held at the end; and with a truth how far off its priors and posteriors were."""
+def errors_at_end(run: Run) -> Table:
+    """What each robot held at the end; and with a truth how far off that was."""
     if not run.truths_m:
         held = "Where each robot placed the target at the end, and the standard deviation that it states itself."
-        return [Table(held, [HEAD, *(_stated(timeline) for timeline in run.timelines)])]
-    ends = [[HEAD[0], *ERRORS, *HEAD[1:]], *(_ended(run, timeline) for timeline in run.timelines)]
-    ends += [_from_summary(name, row) for name, row in _silent(run).items()]
+        return Table(held, [HEAD, *(_stated(end) for end in ends(run))])
+    rows = [[HEAD[0], *ERRORS, *HEAD[1:]], *(_ended(run, end) for end in ends(run))]
+    rows += [_from_summary(name, row) for name, row in _silent(run).items()]
+    about = (
+        "How far off each robot was at the end: error is the distance from the truth, |x*| the target's distance from "
+        "the tank's corner (the paper's measure, which should be below 0.4 %), range its distance from the robot, and "
+        "sigma the standard deviation that the robot states itself."
+    )
+    return Table(about, rows)
+
+
+def axis_table(run: Run) -> Table | None:
+    """Errors axis by axis; None without a truth."""
     rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
     for target, truth_m in run.truths_m.items():
         for e in error_table(run.about(target), truth_m):
             shown = [_number(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
             rows.append([e.robot, e.what, e.axis, str(e.n), *shown, _number(e.within_2_sigma, ".0%")])
-    last = Table(
-        "How far off each robot was at the end: error is the distance from the truth, |x*| the target's distance from "
-        "the tank's corner (the paper's measure, which should be below 0.4 %), range its distance from the robot, and "
-        "sigma the standard deviation that the robot states itself.",
-        ends,
-    )
-    each = Table(
+    if len(rows) == 1:
+        return None
+    return Table(
         f"Errors of priors over the whole run, and of posteriors in the last {LATE} iterations. Posteriors should be "
         "off by less, and near all errors should lie within twice the sigma that the robot stated; of a single "
         "prior it states one sigma for all axes together, so there is none for each axis (-), nor a bias in 3-D.",
         rows,
     )
-    return [last, each] if len(rows) > 1 else [last]
 
 
-def _stated(timeline: RobotTimeline) -> Row:
+def _stated(end: End) -> Row:
     """The last belief of a robot."""
-    if not timeline.beliefs:
-        return [timeline.label]
-    state = timeline.beliefs[-1].state
-    place = [_mm(x) for x in state.posterior_m or [None] * 3]
-    first = "never" if state.acquired_t is None else str(state.acquired_t)
-    return [timeline.label, *place, _mm(state.posterior_sigma_m), first, str(state.t)]
+    if end.last is None:
+        return [end.label]
+    place = [_mm(x) for x in end.last.posterior_m or [None] * 3]
+    first = "never" if end.last.acquired_t is None else str(end.last.acquired_t)
+    return [end.label, *place, _mm(end.last.posterior_sigma_m), first, str(end.last.t)]
 
 
-def _ended(run: Run, timeline: RobotTimeline) -> Row:
+def _ended(run: Run, end: End) -> Row:
     """The last belief of a robot, and its error where the truth is known."""
-    name, *stated = _stated(timeline)
-    truth_m = run.truths_m.get(timeline.target)
-    if timeline.estimate is None or truth_m is None:
+    name, *stated = _stated(end)
+    truth_m = run.truths_m.get(end.target)  # of one that rests: the track of one that swims has tables of its own
+    if end.x_m is None or end.off_m is None or truth_m is None:
         return [name, *[""] * len(ERRORS), *stated]
-    estimate_m, robot = timeline.estimate[0], run.fleet.robot[timeline.robot]
+    robot = run.fleet.robot[end.robot]
     eye_m = (robot.pose.x_m, robot.pose.y_m, run.fleet.tank.surface_m - robot.depth_m)
-    relative = relative_percent(estimate_m, truth_m), relative_percent(estimate_m, truth_m, eye_m)
-    errors = f"{1e3 * math.dist(estimate_m, truth_m):.2f}", *(f"{percent:.3f}" for percent in relative)
-    return [name, *errors, *stated]
+    relative = relative_percent(end.x_m, truth_m), relative_percent(end.x_m, truth_m, eye_m)
+    return [name, f"{1e3 * end.off_m:.2f}", *(f"{percent:.3f}" for percent in relative), *stated]
 
 
 def _silent(run: Run) -> dict[str, dict[str, object]]:
@@ -178,6 +176,11 @@ def hover(run: Run) -> Table:
             shown = [f"{value:.2f}" for value in found.values()] if found else ["never at depth", ""]
             rows.append([timeline.robot, *shown])
     return Table("How still each robot hung: a few millimetres and a fraction of a degree are good.", rows)
+
+
+def survey_table(found: Surveyed) -> Table:
+    """A row for each robot, at the end."""
+    return Table(SURVEYED, survey_rows(found))
 
 
 def link_note(run: Run) -> str:

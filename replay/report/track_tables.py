@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.kernel.config import Fleet
 from replay.report.creature_track import EVERY_NS, CreatureTrack, Held, Look
-from replay.report.tables import Table
+from replay.report.page_template import Table
 
 LOST_S = 0.3  # out of sight for longer, it has been lost
 MOST = 60  # rows

@@ -17,6 +17,7 @@ from agent.ground.page.rows import Shown, text
 from agent.kernel.codec import Refusal
 
 LINES = "lines"  # the key of what is a queue: log, orders, answers
+CAME = "came"  # the key of what came of a recording, whatever time of it is shown
 KEPT = 400  # lines that whoever opens the page later still sees
 MOST_KEYS = 1024
 
@@ -89,7 +90,7 @@ class Board:
 
     def start_over(self) -> None:
         """Nothing is shown: another time of a recording follows."""
-        kept = {key: item for key, item in self._newest.items() if key in ("hello", "clock")}
+        kept = {key: item for key, item in self._newest.items() if key in ("hello", "clock", CAME)}
         self._newest = kept
         self._lines.clear()
         for viewer in self._viewers:

@@ -60,6 +60,8 @@ def page_of_fleet(
 
 def page_of_recording(path: Path, stop: Event, port: int, say: Say) -> None:
     """Serve a recording until `stop` is set. Raises ConfigError for a path without one of a fleet."""
+    from agent.ground.page.came import show_what_came  # with what draws and counts: a live page needs none of it
+
     prepare()
     board, token = Board(), new_token()
     with Reel(path) as reel:
@@ -69,6 +71,7 @@ def page_of_recording(path: Path, stop: Event, port: int, say: Say) -> None:
 
         async def run() -> None:
             async with serving(board, replayed.heard, port, token):
+                show_what_came(path, board, asyncio.get_running_loop())
                 say(address(port, token))
                 await replayed.run(stop)
 

@@ -22,6 +22,8 @@ import msgspec
 
 from agent.ground.page.board import Board, Viewer
 from agent.kernel.config import ConfigError
+from replay.report.lead.palette import PALETTE
+from replay.report.lead.picture import LOOKS
 
 HOST = "127.0.0.1"  # from elsewhere by ssh -L PORT:127.0.0.1:PORT, the same port on both sides
 PORT = 8766
@@ -93,7 +95,8 @@ class Site:
     def __init__(self, board: Board, heard: Heard, port: int, token: str) -> None:
         self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         self._board, self._heard, self._token = board, heard, token
-        self._html = resources.files("agent.ground.page").joinpath("index.html").read_text(encoding="utf-8")
+        html = resources.files("agent.ground.page").joinpath("index.html").read_text(encoding="utf-8")
+        self._html = html.replace("/* PALETTE */", PALETTE + LOOKS)  # the report's
         self._open = 0
 
     def answer(self, connection: Any, request: Any) -> Any:

@@ -179,6 +179,11 @@ def test_recording_is_switched_on_and_off(tab, path) -> None:
         again = Tab(tab.page.context.browser, page.address)
         assert again.says("#kind", "RECORDING")
         again.says("#sentence", "2 of 2 robots heard")
+        again.says("#came_said", "knew its place to ±\u00a01.5\u00a0mm")
+        assert not again.page.is_visible("#came_looks svg")
+        again.page.click("#came summary")
+        assert again.page.locator("#came_looks svg").count() == 2
+        assert again.page.is_visible("#came_looks svg >> nth=0")
         assert not again.page.is_visible("#stop")
         again.page.keyboard.press("ArrowRight")  # beyond its end: there it stands
         again.says("#play", "Play")

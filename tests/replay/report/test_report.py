@@ -34,9 +34,10 @@ MEASURE = """<body><iframe id=f style="width:{width}px;height:2000px;border:0" s
 <pre id=out></pre>
 <script>document.getElementById("f").onload = () => {{
   const d = document.getElementById("f").contentDocument
+  d.querySelectorAll("details").forEach(e => {{ e.open = true }})
   const box = e => {{ const r = e.getBoundingClientRect(); return [r.left, r.width, r.height] }}
   document.getElementById("out").textContent = JSON.stringify({{
-    width: d.documentElement.scrollWidth, figures: [...d.querySelectorAll("figure svg")].map(box),
+    width: d.documentElement.scrollWidth, figures: [...d.querySelectorAll(".figures svg")].map(box),
     cells: d.querySelectorAll("td").length }})
 }}</script>"""
 
@@ -67,22 +68,48 @@ def page(run: Path) -> str:
 def test_the_page_has_all_figures_and_needs_nothing_else(page: str) -> None:
     sections = re.findall(r'<section id="(\w+)">', page)
     assert sections == [
+        "ends",
         "errors",
-        "iterations",
         "valid",
+        "axes",
+        "iterations",
         "agreement",
-        "above",
+        "near",
         "clarity",
         "calibration",
         "posture",
         "links",
     ]
-    assert page.count("<svg") == page.count("</svg>") == 5 * 3 + 1 + 2
+    assert page.count("<svg") == page.count("</svg>") == 2 + 5 * 3 + 1 + 1
     for part in page.split("<svg")[1:]:
         ET.fromstring("<svg" + part[: part.index("</svg>") + 6])
     assert "r9 is &lt;lost&gt;" in page
     for outside in ("<script", " src=", "<link", "@import", "url(http"):
         assert outside not in page
+
+
+def test_it_leads_with_what_came_of_it_and_folds_away_what_experts_want(run: Path, page: str) -> None:
+    (said,) = re.findall(r'<p class="lead">(.*?)</p>', page, re.DOTALL)
+    text = html.unescape(re.sub(r"<.*?>", "", said)).replace("\u00a0", " ")
+    assert text.startswith("All three robots saw the ball (r1 first, after ")
+    assert text.endswith("; it did not pass: “r9 is <lost>”.")
+    assert page.index('<p class="lead">') < page.index('<figure class="tank"><svg') < page.index("<table>")
+    folded = re.findall(r"<details><summary>.*?<section id=\"(\w+)\">", page, re.DOTALL)
+    assert folded == ["axes", "iterations", "agreement", "near", "clarity", "calibration", "posture", "links"]
+    head, *rows = table(page, "ends")
+    for timeline, cells in zip(timelines(open_boxes([run])), rows, strict=True):
+        row = dict(zip(head, cells, strict=True))
+        state = timeline.beliefs[-1].state
+        assert row["sure to ± mm"] == f"{1e3 * state.posterior_sigma_m:.1f}"
+        assert row["off by mm"] == f"{1e3 * np.linalg.norm(np.subtract(state.posterior_m, TRUTH_M)):.1f}"
+
+
+def test_in_the_dark_no_figure_has_a_colour_of_its_own_where_it_would_not_be_seen(page: str) -> None:
+    assert "prefers-color-scheme: dark" in page
+    figures = "".join(page.split("<svg")[3:])
+    for colour in ("#000000", "#ffffff"):
+        assert figures.count(colour) == figures.count(f", {colour})") > 0  # what a variable falls back to
+    assert {name for name in re.findall(r"var\(--(\w+)", page)} <= set(re.findall(r"--(\w+):", page))
 
 
 def test_its_numbers_are_those_of_the_recordings(run: Path, page: str) -> None:
@@ -154,7 +181,8 @@ def test_what_came_again_and_again_is_one_row_and_hides_nobody_s_view(run: Path)
 def test_every_table_and_figure_says_what_to_see(page: str) -> None:
     for section in re.findall(r"<section.*?</section>", page, re.DOTALL):
         notes = [len(note) for note in re.findall(r'<p class="note">(.*?)</p>', section, re.DOTALL)]
-        assert len(notes) == 1 + section.count("<table>")
+        alone = section.startswith('<section id="ends">')  # one table, and no more to say of it
+        assert len(notes) == section.count("<table>") + (not alone)
         assert min(notes) > 40
 
 
@@ -179,6 +207,7 @@ def test_a_run_without_black_boxes_still_has_its_page(run: Path, tmp_path: Path)
         shutil.copy(run / name, tmp_path)
     shown = report(tmp_path).read_text()
     assert shown.count("<svg") == 1  # robots and the truth from above
+    assert "No robot of this run left a recording" in shown
     assert "r9 is &lt;lost&gt;" in shown
 
 
@@ -220,7 +249,7 @@ def test_a_browser_shows_it_within_the_width_of_its_screen(page: str, width: int
     (found,) = re.findall(r'<pre id="out">(.*?)</pre>', done.stdout)
     seen = json.loads(found)
     assert seen["width"] == width  # nothing to scroll sideways, except tables in their own boxes
-    assert len(seen["figures"]) == 18
+    assert len(seen["figures"]) == 5 * 3 + 1 + 1
     columns = {round(left) for left, _, _ in seen["figures"]}
     assert len(columns) == (1 if width == PHONE_PX else 2)
     for left, wide, high in seen["figures"]:

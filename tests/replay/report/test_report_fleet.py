@@ -53,7 +53,7 @@ def test_a_restart_is_seen_and_strangers_are_passed_over(tmp_path: Path) -> None
 
 def test_the_page_draws_what_the_network_tells_and_says_what_it_does_not(file: Path) -> None:
     shown = report(file).read_text()
-    for section in ("errors", "iterations", "valid", "agreement", "above", "posture", "links"):
+    for section in ("ends", "errors", "iterations", "valid", "agreement", "near", "posture", "links"):
         assert f'<section id="{section}">' in shown
     for section in ("clarity", "calibration", "depth"):
         assert f'<section id="{section}">' not in shown
@@ -61,7 +61,7 @@ def test_the_page_draws_what_the_network_tells_and_says_what_it_does_not(file: P
     assert "bytes are in black boxes alone" in shown
     assert "byte for byte" not in shown
     assert [row[0] for row in table(shown, "errors")] == ["robot", "r1", "r2", "r3"]
-    assert shown.count("<svg") == 3 + 3 + 1 + 2 + 3
+    assert shown.count("<svg") == 2 + 3 + 3 + 1 + 1 + 3
 
 
 def test_a_robot_without_a_black_box_is_drawn_from_the_fleet_file(file: Path, tmp_path: Path) -> None:

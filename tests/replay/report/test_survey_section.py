@@ -7,7 +7,8 @@ import pytest
 from replay.check.black_box import open_boxes
 from replay.report.figures_survey import floor_above, known_over_time
 from replay.report.report import report
-from replay.report.surveyed import survey_table, surveyed
+from replay.report.surveyed import surveyed
+from replay.report.tables import survey_table
 from tests.replay.small_box import write_box
 
 GOLDEN = Path(__file__).parents[2] / "golden"
