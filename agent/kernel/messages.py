@@ -256,6 +256,8 @@ class State(Message, frozen=True, kw_only=True):
         tuple[str, ...] | UnsetType, means("what people ordered that holds, `console: order`; left out: nothing")
     ] = UNSET
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
+    battery_v: Annotated[float | UnsetType, means("V, as its control module last said; left out: it never has")] = UNSET
+    ladder: Annotated[int | UnsetType, means("the module's failsafe level, 0 is normal; left out: likewise")] = UNSET
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
     faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()
 

@@ -103,6 +103,8 @@ class Status:
             tilt_deg=gimbal_deg[1],
             focus=self._lens_position,
             armed=telemetry.armed if telemetry and not attitude.silent(now_ns, self._started_ns) else None,
+            battery_v=round(telemetry.battery_v, 2) if telemetry else UNSET,
+            ladder=telemetry.ladder if telemetry else UNSET,
             refused=dict(refused),
             faults=self._faults,
         )

@@ -15,6 +15,7 @@ from agent.clock import machine
 from replay.check.black_box import BlackBox, open_boxes
 from replay.check.compare import Ignored, load_ignored
 from replay.check.links import Correspondence, Link
+from replay.check.older import only_younger
 from replay.check.reexecute import Divergence, Reexecution
 from replay.check.side_by_side import CheckedBox, check_boxes
 
@@ -135,6 +136,10 @@ def _divergence_lines(each: Reexecution) -> list[str]:
     for name, count in sorted(each.fields.items(), key=lambda item: item[1].first):
         worst = f", by at most {count.absolute:.3g} (relative {count.relative:.2g})" if count.absolute < 1e300 else ""
         lines.append(f"  {name}: {count.steps} steps differ, the first is {count.first}{worst}")
+    if only_younger(each.fields, each.first.difference):
+        lines.append(
+            "  only what robots say of late, and did not when this was recorded: accept it, or ignore these fields"
+        )
     return lines
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from msgspec import UNSET
+
 from agent.demo.fleet import demo_fleet
 from agent.kernel.core import Agent
 from agent.kernel.logbook import SELDOM_NS
@@ -36,7 +38,7 @@ class Stepped:
         return state
 
 
-def module(now_ns: int, armed: bool = True, ladder: int = 0) -> Telemetry:
+def module(now_ns: int, armed: bool = True, ladder: int = 0, battery_v: float = 12.0) -> Telemetry:
     return Telemetry(
         t_ns=now_ns,
         board_us=1,
@@ -46,7 +48,7 @@ def module(now_ns: int, armed: bool = True, ladder: int = 0) -> Telemetry:
         sensor_depth_m=(0.3,) * 4,
         pulses_us=(1500,) * 8,
         servos_us=(1500,) * 4,
-        battery_v=15.0,
+        battery_v=battery_v,
         armed=armed,
         ladder=ladder,
         flags=1,
@@ -63,6 +65,18 @@ def test_nobody_knows_the_motors_of_a_module_that_is_silent():
     silent = robot.step()
     assert silent.armed is None and "no telemetry" in silent.faults
     assert robot.step(telemetry={"armed": True}).armed is True
+
+
+def test_battery_and_failsafe_level_are_as_the_module_last_said():
+    robot = Stepped()
+    before = robot.step()
+    assert before.battery_v is before.ladder is UNSET, "it has never spoken"
+    said = robot.step(telemetry={"battery_v": 11.796, "ladder": 2})
+    assert (said.battery_v, said.ladder) == (11.8, 2)
+    silent = robot.step(40)
+    assert (silent.armed, silent.battery_v, silent.ladder) == (None, 11.8, 2)
+    again = robot.step(telemetry={"battery_v": 12.504, "ladder": 0})
+    assert (again.battery_v, again.ladder) == (12.5, 0)
 
 
 def test_a_failsafe_is_not_over_because_telemetry_stops():

@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from msgspec import UNSET
+
 from agent.fleet_clock import fleet_clock
 from agent.fleet_setup.addresses import is_here, loopback_findings
 from agent.fleet_setup.certificates import certificate_findings
@@ -91,6 +93,7 @@ def _in_order(facts: Facts, name: str, offset: Offset | None) -> Finding:
         "is linked and heard",
         f"hears {', '.join(hears)}" if hears else "hears nobody",
         *((f"motors {'on' if state.armed else 'off'}",) if state.armed is not None else ()),
+        *((f"battery {state.battery_v:.1f} V",) if state.battery_v is not UNSET else ()),
         *(_measured(offset, facts.late_ns[name]) if offset else ()),
         *((f"believed not: {', '.join(f'{n} {kind}' for kind, n in state.refused.items())}",) if state.refused else ()),
     )

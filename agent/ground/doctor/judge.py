@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
+from msgspec import UNSET
+
 from agent.fleet_setup.finding import Finding
+from agent.ground.battery import NEAR_V, SURFACES_V
 from agent.ground.doctor.listening import LISTEN_S, Facts, Shown
 from agent.kernel.config import Fleet
 
@@ -41,6 +44,9 @@ def _robot(fleet: Fleet, facts: Facts, name: str, expected: Said) -> Iterator[Fi
         yield Finding("warning", name, f"{text}: a bad cable or radio, or two agents of one name; look there")
     if state.mode != "running":
         yield Finding("warning", name, f"says that it is {state.mode}; its log says why")
+    if state.battery_v is not UNSET and state.battery_v < NEAR_V:
+        text = f"its battery is at {state.battery_v:.1f} V, and at {SURFACES_V:.1f} V its module surfaces; charge it"
+        yield Finding("warning", name, text)
     yield from (Finding("warning", name, f"says of itself: {fault}") for fault in state.faults)
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from agent.ground.battery import NEAR_V, SURFACES_V
 from agent.kernel.config import ConfigError, Fleet, Target
 from agent.kernel.ranging.calibration import load_calibration
 
@@ -43,6 +44,7 @@ def hello(
         "validity_s": fleet.estimation.validity_s,
         "iteration_s": fleet.estimation.iteration_s,
         "preview_hz": fleet.link.preview_hz,
+        "battery": {"near_v": NEAR_V, "surfaces_v": SURFACES_V},
         "surveys": fleet.coverage is not None,
         "lighting": fleet.lighting is not None,
         "robots": [

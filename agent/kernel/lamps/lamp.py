@@ -14,7 +14,7 @@ SERVO_NS = 300_000_000  # lag of a servo at the end of a turn, and what a small 
 # power, and two minutes until it has cooled by two thirds.
 WARMS_S, COOLS_S = 100.0, 120.0
 TOO_WARM = 1.0  # share of what it may be
-FULL_V, EMPTY_V = 14.8, 13.2  # of four cells under light load; the control module calls 12.8 V low
+FULL_V, EMPTY_V = 14.8, 13.2  # of four cells under light load; the control module calls 12 V low
 LENDS_BELOW = 0.9  # of whichever load is more; above, a robot keeps its light for itself
 
 

@@ -79,6 +79,16 @@ def test_links_that_come_and_go_and_names_that_are_there_twice() -> None:
     ]
 
 
+def test_a_battery_is_told_of_when_it_is_low() -> None:
+    def lines(battery_v: float) -> list[str]:
+        return said(facts(states={"r1": replace(state("r1"), battery_v=battery_v), "r2": state("r2")}))
+
+    assert not lines(13.2)
+    for battery_v in (13.19, 11.0):
+        (line,) = lines(battery_v)
+        assert line.startswith(f"warning  r1: its battery is at {battery_v:.1f} V, and at 12.0 V its module surfaces")
+
+
 def test_versions() -> None:
     old = {key: text for key, text in SAID["r1"].items() if key in ("fleet", "name")}
     for theirs, told in ((old, "an older version"), ({**SAID["r1"], "version": "0.0.7"}, "version 0.0.7")):

@@ -27,6 +27,7 @@ class Scripted:
         self.orders: list[Order] = []
         self.hangs = False  # orders stay unanswered
         self.armed = True
+        self.battery_v, self.ladder = 14.2, 0
         self.name, self._fleet, self._keys = name, fleet, keys
         self._started_ns = time.time_ns()
 
@@ -82,6 +83,8 @@ class Scripted:
             pitch_deg=-0.1,
             whereabouts=UNSET,
             armed=self.armed,
+            battery_v=self.battery_v,
+            ladder=self.ladder,
         )
 
     def _estimate(self, neighbour: str, seq: int) -> Estimate:

@@ -84,6 +84,28 @@ def test_who_looks_sees_the_fleet(tab) -> None:
     until(lambda: all(now > was for now, was in zip(tab.page.evaluate(STATES), before, strict=True)))
 
 
+def test_a_battery_that_runs_low_and_what_the_module_does_about_it(tab, robots) -> None:
+    """Both limits are from where they are in force: kernel and firmware."""
+    row = {name: f"#card_r1 dt:text-is('{name}') + dd" for name in ("battery", "failsafe")}
+
+    def looks() -> str:
+        return tab.page.get_attribute(row["battery"], "class")
+
+    tab.says(row["battery"], "14.2 V")
+    assert looks() == "" and not tab.page.locator(row["failsafe"]).count()
+    try:
+        robots["r1"].battery_v = 13.1
+        tab.says(row["battery"], "13.1 V")
+        until(lambda: looks() == "warn")
+        robots["r1"].battery_v, robots["r1"].ladder = 11.8, 2
+        tab.says(row["battery"], "11.8 V")
+        until(lambda: looks() == "bad")
+        tab.says(row["failsafe"], "surfacing by itself")
+    finally:
+        robots["r1"].battery_v, robots["r1"].ladder = 14.2, 0
+    until(lambda: not tab.page.locator(row["failsafe"]).count())
+
+
 def test_all_are_stopped_and_started_again(tab, robots) -> None:
     tab.page.click("#stop")
     tab.says("#order_note", "all stopped: 2 of 2 answered")

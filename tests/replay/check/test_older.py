@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import msgpack
 import pytest
 
 from agent.kernel.config import ConfigError
@@ -14,11 +15,13 @@ from replay.check.explain import explain
 from replay.check.older import must_differ
 from replay.check.update import update_recordings
 from replay.check.vision_check import check_vision
+from replay.files.log import Record
 from replay.files.recover import recover
 from replay.report.report import report
 from replay.report.run import open_run
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
+from tests.replay.rewritten import rewritten
 
 OLD = GOLDEN / "schema1"
 
@@ -56,6 +59,9 @@ def test_a_schema_that_we_cannot_read_is_named_in_one_line(schema: str) -> None:
         (Difference("says[0].gossip[2][0][7]", ABSENT, b""), True),
         (Difference("says[0].gossip[4]", ABSENT, []), True),
         (Difference("state.signed", ABSENT, False), True),
+        (Difference("state.battery_v", ABSENT, 14.0), True),
+        (Difference("state.battery_v", 14.0, 13.9), False),
+        (Difference("state.ladder", ABSENT, 0), True),
         (Difference("state.posterior_m", ABSENT, 1.0), False),
         (Difference("state.refused.flood", ABSENT, 1), False),
     ],
@@ -63,6 +69,30 @@ def test_a_schema_that_we_cannot_read_is_named_in_one_line(schema: str) -> None:
 def test_only_what_the_older_one_lacks_is_excused(difference: Difference, excused: bool) -> None:
     assert must_differ(1, difference) is excused
     assert not must_differ(2, difference)
+
+
+def test_a_recording_from_before_batteries_were_said_is_told_from_another_behaviour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without(record: Record) -> bytes:
+        if record.channel != "/raw/step_out":
+            return record.data
+        outputs = msgpack.unpackb(record.data)
+        for name in ("battery_v", "ladder"):
+            (outputs["state"] or {}).pop(name, None)
+        return msgpack.packb(outputs)
+
+    said = "only what robots say of late"
+    old = rewritten(GOLDEN / "three" / "r1.mcap", tmp_path / "r1.mcap", without)
+    checked = check([old])
+    assert checked.exit_code == 1 and said in text(checked)
+    assert set(checked.results[0].fields) == {"state.battery_v", "state.ladder"}
+    rows = tmp_path / "ignore.toml"
+    row = '[[ignore]]\nfield = "state.{}"\nreason = "not said then"\nsince = "2026-11-25"\n'
+    rows.write_text("".join(map(row.format, ("battery_v", "ladder"))))
+    assert check([old], rows).exit_code == 0
+    monkeypatch.setattr("agent.kernel.desk.showing.STATE_NS", 250_000_000)
+    assert said not in text(check([old]))
 
 
 def test_every_other_verb_reads_them(tmp_path: Path) -> None:

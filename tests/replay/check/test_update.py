@@ -35,6 +35,7 @@ def run(tmp_path: Path) -> Path:
 def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("agent.kernel.control.sweep.TRACK_SPAN", 1.6)
     assert check([run]).exit_code == 1
+    accepted = [text] if (text := info(run / "r1.mcap").run.get("accepted")) else []
     before = {record.sequence: record.data for record in read(run / "r1.mcap") if record.channel == "/raw/step_in"}
     updated = update_recordings([run], "wider sweeps find the flanks")
     assert [each.box.robot for each in updated] == ["r1", "r2", "r3"]
@@ -43,7 +44,8 @@ def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch:
     assert after == before
     about = info(run / "r1.mcap")
     assert about.complete
-    assert about.run["accepted"] == "wider sweeps find the flanks"
+    accepted.append("wider sweeps find the flanks")
+    assert about.run["accepted"] == "; ".join(accepted)
     assert about.run["incarnation"] == info(GOLDEN / "three" / "r1.mcap").run["incarnation"]
     assert [file.name for file in sorted(run.iterdir())] == ["r1.mcap", "r2.mcap", "r3.mcap"]
     assert "estimate_m: (" in str(updated[0])
@@ -51,7 +53,7 @@ def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch:
     monkeypatch.undo()
     monkeypatch.setenv("PATH", f"{git.parent}:{os.environ['PATH']}")
     update_recordings([run], "back again")
-    assert info(run / "r1.mcap").run["accepted"] == "wider sweeps find the flanks; back again"
+    assert info(run / "r1.mcap").run["accepted"] == "; ".join([*accepted, "back again"])
     assert [r.data for r in read(run / "r1.mcap")] == [r.data for r in read(GOLDEN / "three" / "r1.mcap")]
 
 
