@@ -1,0 +1,67 @@
+"""Bridges: a running fleet for programs that people already have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+
+from agent.commands.options import FleetFile
+from agent.kernel.config import ConfigError
+from agent.kernel.fleet_reader import load_fleet
+from agent.stop_signal import until_signal
+
+app = typer.Typer(no_args_is_help=True, help="A running fleet for programs that speak another language.")
+
+
+def as_place(text: str) -> tuple[float, float]:
+    """LATITUDE,LONGITUDE in degrees. Raises typer.BadParameter."""
+    try:
+        latitude_deg, longitude_deg = map(float, text.split(","))
+    except ValueError:
+        latitude_deg = longitude_deg = float("nan")
+    if not (abs(latitude_deg) < 89 and abs(longitude_deg) <= 180):
+        raise typer.BadParameter(f"'{text}': write latitude and longitude in degrees, such as 47.37,8.54")
+    return latitude_deg, longitude_deg
+
+
+@contextmanager
+def extra(name: str, package: str) -> Iterator[None]:
+    """Say which extra it takes where a package is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as missing:
+        if missing.name is None or missing.name.partition(".")[0] != package:
+            raise
+        raise ConfigError(f"this bridge needs the extra `{name}`; in your clone: pip install -e '.[{name}]'") from None
+
+
+@app.command(epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
+def mavlink(
+    fleet: FleetFile,
+    console: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="Take commands, as this console of the fleet file; else only look."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=1024, max=65535, help="UDP port of the ground station on this machine.")
+    ] = 14550,
+    origin: Annotated[
+        tuple[float, float],
+        typer.Option(
+            parser=as_place, metavar="LAT,LON", help="Where on the map the tank's corner is drawn: degrees, made up."
+        ),
+    ] = "-35.363262,149.165237",  # type: ignore[assignment]  # where ArduPilot's own simulator stands
+) -> None:
+    """Each robot as a submarine for a ground station on this machine, until Ctrl-C.
+
+    It may arm, disarm, hold and surface; only the robot that is addressed, and only with --as.
+    """
+    with until_signal() as stop:
+        robots = load_fleet(fleet)
+        with extra("mavlink", "pymavlink"):
+            from agent.ground.bridges.mavlink.bridge import run
+            from agent.ground.bridges.mavlink.telling import Origin
+        run(robots, fleet, console, port, Origin(*origin), stop, typer.echo)
