@@ -13,17 +13,19 @@ from agent.kernel.config import ConfigError
 from agent.kernel.fleet_reader import load_fleet
 from agent.stop_signal import until_signal
 
+SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
+
 app = typer.Typer(no_args_is_help=True, help="A running fleet for programs that speak another language.")
 
 
 def as_place(text: str) -> tuple[float, float]:
-    """LATITUDE,LONGITUDE in degrees. Raises typer.BadParameter."""
+    """LATITUDE,LONGITUDE in degrees. Raises ConfigError."""
     try:
         latitude_deg, longitude_deg = map(float, text.split(","))
     except ValueError:
         latitude_deg = longitude_deg = float("nan")
     if not (abs(latitude_deg) < 89 and abs(longitude_deg) <= 180):
-        raise typer.BadParameter(f"'{text}': write latitude and longitude in degrees, such as 47.37,8.54")
+        raise ConfigError(f"--origin '{text}': write latitude and longitude in degrees, such as 47.37,8.54")
     return latitude_deg, longitude_deg
 
 
@@ -49,19 +51,16 @@ def mavlink(
         int, typer.Option(min=1024, max=65535, help="UDP port of the ground station on this machine.")
     ] = 14550,
     origin: Annotated[
-        tuple[float, float],
-        typer.Option(
-            parser=as_place, metavar="LAT,LON", help="Where on the map the tank's corner is drawn: degrees, made up."
-        ),
-    ] = "-35.363262,149.165237",  # type: ignore[assignment]  # where ArduPilot's own simulator stands
+        str, typer.Option(metavar="LAT,LON", help="Where on the map the tank's corner is drawn: degrees, made up.")
+    ] = SIMULATOR,
 ) -> None:
     """Each robot as a submarine for a ground station on this machine, until Ctrl-C.
 
     It may arm, disarm, hold and surface; only the robot that is addressed, and only with --as.
     """
+    place, robots = as_place(origin), load_fleet(fleet)
     with until_signal() as stop:
-        robots = load_fleet(fleet)
         with extra("mavlink", "pymavlink"):
             from agent.ground.bridges.mavlink.bridge import run
             from agent.ground.bridges.mavlink.telling import Origin
-        run(robots, fleet, console, port, Origin(*origin), stop, typer.echo)
+        run(robots, fleet, console, port, Origin(*place), stop, typer.echo)

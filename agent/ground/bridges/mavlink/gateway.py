@@ -58,8 +58,9 @@ class Gateway:
         self._newest = Newest()
         self._under_way: list[_Asked] = []
         self._over: SimpleQueue[tuple[_Asked, Outcome]] = SimpleQueue()
-        self._beats = self._lines = 0
-        self._beat_ns: int | None = None
+        self._beat_ns: dict[str, int] = {}  # when each robot's heart beat last, and how often it has
+        self._beats = dict.fromkeys(fleet.robot, 0)
+        self._lines = 0
 
     def shown(self, message: State | LogLine, arrived_ns: int, wall_ns: int) -> None:
         """What a robot says to whoever looks."""
@@ -76,17 +77,18 @@ class Gateway:
     def tick(self, now_ns: int, wall_ns: int) -> None:
         """Beat the heart of whoever is alive, once a second, and tell what became of orders."""
         self._acknowledge()
-        if self._beat_ns is not None and wall_ns - self._beat_ns < BEAT_NS:
-            return
-        self._beat_ns = wall_ns
         for robot in self.systems:
+            before_ns = self._beat_ns.get(robot)
+            if before_ns is not None and wall_ns - before_ns < BEAT_NS:
+                continue
             if (state := self._newest.fresh(robot, now_ns, wall_ns)) is None:
                 continue
+            self._beat_ns[robot] = wall_ns
             told = vehicle(self._fleet.robot[robot], state)
             self._tell(robot, (telling.heartbeat(told), *telling.each_second(told, self._origin)))
-            if self._beats % BEATS_AN_ORIGIN == 0:
+            if self._beats[robot] % BEATS_AN_ORIGIN == 0:
                 self._tell(robot, (telling.global_origin(self._origin),))
-        self._beats += 1
+            self._beats[robot] += 1
 
     def heard(self, message: Any, now_ns: int, wall_ns: int) -> None:
         """One message of a ground station. What is for nobody here, or not understood, is passed over."""
