@@ -64,3 +64,23 @@ def mavlink(
             from agent.ground.bridges.mavlink.bridge import run
             from agent.ground.bridges.mavlink.telling import Origin
         run(robots, fleet, console, port, Origin(*place), stop, typer.echo)
+
+
+@app.command(epilog="Example: aucamp bridge ros2 fleet.toml")
+def ros2(
+    fleet: FleetFile,
+    name: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="By whose certificate it looks: an observer of the fleet file."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=1024, max=65535, help="TCP port of rmw_zenoh's router on this machine.")
+    ] = 7447,
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of whoever shall hear it.")] = 0,
+) -> None:
+    """Poses, targets and pictures for ROS 2 with rmw_zenoh, until Ctrl-C. It only looks: ROS cannot order robots."""
+    robots = load_fleet(fleet)
+    with until_signal() as stop:
+        with extra("ros", "rosbags"):
+            from agent.ground.bridges.ros2.bridge import run
+        run(robots, fleet, name, port, domain, stop, typer.echo)

@@ -12,7 +12,9 @@ from tests.places import ROOT
 TANK = ROOT / "agent" / "fleets" / "tank.toml"
 
 
-@pytest.mark.parametrize(("kind", "package", "extra"), [("mavlink", "pymavlink", "mavlink")])
+@pytest.mark.parametrize(
+    ("kind", "package", "extra"), [("mavlink", "pymavlink", "mavlink"), ("ros2", "rosbags", "ros")]
+)
 def test_a_bridge_says_what_it_needs(kind: str, package: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in list(sys.modules):
         if name.partition(".")[0] == package or name.startswith(f"agent.ground.bridges.{kind}"):
