@@ -196,7 +196,7 @@ class Session:
 
     def put_foreign(self, key: str, payload: bytes, attachment: bytes) -> None:
         """Publish once what is no message of ours, in somebody else's network."""
-        self._session.put(key, payload, attachment=attachment, congestion_control=zenoh.CongestionControl.DROP)
+        self._session.put(key, payload, attachment=attachment or None, congestion_control=zenoh.CongestionControl.DROP)
 
     def answer(self, key: str, asked: Asked) -> None:
         """Have `asked` called with every query of other processes on `key`, which may have wildcards."""

@@ -82,5 +82,6 @@ def ros2(
     robots = load_fleet(fleet)
     with until_signal() as stop:
         with extra("ros", "rosbags"):
-            from agent.ground.bridges.ros2.bridge import run
-        run(robots, fleet, name, port, domain, stop, typer.echo)
+            from agent.ground.bridges.outward import run
+            from agent.ground.bridges.ros2.language import Ros2
+        run(robots, fleet, name, port, Ros2(robots, domain), stop, typer.echo)

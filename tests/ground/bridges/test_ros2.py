@@ -7,12 +7,9 @@ import pytest
 from msgspec.structs import replace
 
 from agent.ground.bridges.ros2.names import Kind, nodes
-from agent.kernel.codec import encode
 from agent.kernel.config import Body, Fleet
-from agent.kernel.messages import MAX_JPEG, Estimate, Image, Whereabouts
+from agent.kernel.messages import Estimate, Image, Whereabouts
 from agent.kernel.ranging.camera_model import camera_pose
-from agent.kernel.topics import IMAGE, LINK, STATE
-from agent.transport import Received
 from tests.ground.bridges.states import START_NS, state
 
 STRING = Kind("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
@@ -119,20 +116,15 @@ def test_several_targets_stand_in_their_topics(telling, fleet: Fleet) -> None:
     assert set(type(telling)(two).topics("r1")) == {"pose", "camera/compressed", "target/ball", "target/buoy"}
 
 
-def test_who_speaks_in_anothers_name_is_not_passed_on(telling) -> None:
-    from agent.ground.bridges.ros2.bridge import due
+def test_what_is_said_goes_to_its_topic_and_is_counted(telling, fleet: Fleet) -> None:
+    from agent.ground.bridges.ros2.language import Ros2
 
-    def heard(row, chunks: dict[str, str], message) -> tuple[str, str, bool]:
-        robot, topic, data = due(telling, Received(row, {"fleet": "tank", **chunks}, encode(message), START_NS))
-        return robot, topic, data is not None
-
-    assert heard(STATE, {"robot": "r1"}, state("r1")) == ("r1", "pose", True)
-    assert heard(STATE, {"robot": "r2"}, state("r1")) == ("r2", "", False)
-    known = estimate(x_m=(0.1, 0.2, 0.3), cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
-    assert heard(LINK, {"src": "r1", "dst": "r2"}, known) == ("r1", "target", True)
-    assert heard(LINK, {"src": "r2", "dst": "r1"}, known) == ("r2", "", False)
-    about = {"seq": 1, "sent_ns": 9, "frame": 1, "width_px": 4, "height_px": 3, "enhanced": False}
-    large = Image(robot="r1", t_ns=START_NS, jpeg=bytes(MAX_JPEG), **about)
-    assert heard(IMAGE, {"robot": "r1"}, large) == ("r1", "camera/compressed", True)
-    assert heard(IMAGE, {"robot": "r2"}, large) == ("r2", "", False)
-    assert due(telling, Received(IMAGE, {"fleet": "tank", "robot": "r1"}, b"\xc1", START_NS))[2] is None
+    ros = Ros2(fleet, 0)
+    tokens = list(ros.tokens("a"))
+    assert len(tokens) == len(set(tokens)) == 4 * len(fleet.robot)
+    first, second = [one for _ in range(2) for one in ros.said(state("r1"), START_NS)]
+    assert first.key == second.key and first.key.startswith("0/r1/pose/geometry_msgs::msg::dds_::PoseStamped_/RIHS01_")
+    assert [struct.unpack_from("<qq", one.attachment) for one in (first, second)] == [(1, START_NS), (2, START_NS)]
+    assert not list(ros.said(state("r1", whereabouts=None, behaviour="hold"), START_NS))
+    assert not list(ros.said(state("r99"), START_NS))
+    assert not list(ros.said(estimate(target="other", x_m=(0.0, 0.0, 0.0), cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0)), 0))

@@ -15,7 +15,8 @@ import zenoh
 
 pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
 
-from agent.ground.bridges.ros2.bridge import run
+from agent.ground.bridges.outward import run
+from agent.ground.bridges.ros2.language import Ros2
 from agent.kernel.config import ConfigError, Fleet
 from agent.kernel.messages import Estimate, Image
 from agent.kernel.toml_files import dump
@@ -79,7 +80,7 @@ def bridged(make_fleet: Callable[..., Fleet], tmp_path: Path) -> Iterator[int]:
     path.write_text(dump(fleet))
     stop, said = threading.Event(), threading.Event()
     threads = [threading.Thread(target=speak, args=(fleet, tmp_path / "keys", robot, stop)) for robot in fleet.robot]
-    arguments = (fleet, path, None, port, DOMAIN, stop, lambda line: said.set())
+    arguments = (fleet, path, None, port, Ros2(fleet, DOMAIN), stop, lambda line: said.set())
     threads.append(threading.Thread(target=run, args=arguments))
     with router(port):
         for thread in threads:
@@ -131,5 +132,5 @@ def test_others_find_every_topic_and_read_it(bridged: int) -> None:
 def test_without_a_router_it_says_so(make_fleet: Callable[..., Fleet], tmp_path: Path) -> None:
     fleet, path = make_fleet(PAIR), tmp_path / "fleet.toml"
     path.write_text(dump(fleet))
-    with pytest.raises(ConfigError, match=r"no router of ROS at tcp/127\.0\.0\.1"):
-        run(fleet, path, None, unused_port(), 0, threading.Event(), lambda line: None)
+    with pytest.raises(ConfigError, match=r"no router at tcp/127\.0\.0\.1"):
+        run(fleet, path, None, unused_port(), Ros2(fleet, 0), threading.Event(), lambda line: None)

@@ -18,15 +18,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.clock import machine
 from agent.fleet_clock import fleet_clock
+from agent.ground.bridges.hearing import own_word
 from agent.ground.bridges.mavlink.gateway import MOST_UNDER_WAY, Done, Gateway, Give
 from agent.ground.bridges.mavlink.telling import Origin
 from agent.ground.console import Console, Outcome
-from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Fleet
 from agent.kernel.messages import LogLine, State
 from agent.kernel.topics import LOG, STATE
 from agent.keys.fleet_certificates import credentials
-from agent.transport import LOOKER, Observer, Received
+from agent.transport import LOOKER, Observer
 
 HOST = "127.0.0.1"
 PERIOD_S = 0.02  # between two looks at what robots have said
@@ -67,7 +67,7 @@ def run(
             for message in _arrived(link, reader, stop):
                 gateway.heard(message, clock.now_ns(), machine.monotonic_ns())
             for received in observer.drain():
-                if (shown := _read(received)) is not None:
+                if isinstance(shown := own_word(received), State | LogLine):
                     gateway.shown(shown, received.arrived_ns, machine.monotonic_ns())
             gateway.tick(clock.now_ns(), machine.monotonic_ns())
 
@@ -82,15 +82,6 @@ def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:
         machine.wait(stop, PERIOD_S)
         return []
     return reader.parse_buffer(data) or []
-
-
-def _read(received: Received) -> State | LogLine | None:
-    """What a robot says in its own name; None for what cannot be read."""
-    with suppress(Refusal):
-        shown = decode(received.payload, LogLine if received.topic is LOG else State)
-        if isinstance(shown, State | LogLine) and shown.robot == received.chunks["robot"]:
-            return shown
-    return None
 
 
 @contextmanager

@@ -9,15 +9,14 @@ import math
 from typing import Any
 
 import numpy as np
-from msgspec import UNSET
 from rosbags.typesys import Stores, get_typestore
 
+from agent.ground.bridges.placed import WORLD, placed
 from agent.ground.bridges.ros2.names import Kind
 from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, Image, State
+from agent.kernel.messages import Estimate, Image, Message, State
 from agent.kernel.topics import target_chunk
 
-WORLD = "world"  # name of the world frame
 ANY_ANGLE = math.pi**2 / 3.0  # variance of an angle of which nothing is known: a ball has none
 POSE, TARGET, CAMERA = "pose", "target", "camera/compressed"
 TYPES = {
@@ -47,14 +46,22 @@ class Telling:
         """The target stands in the name where a fleet has several."""
         return "/".join((TARGET, *target_chunk(self._fleet.target, target).values()))
 
+    def message(self, message: Message) -> bytes | None:
+        """A State as pose, what is told a neighbour as target, a preview; None where nothing is known."""
+        match message:
+            case State():
+                return self.pose(message)
+            case Estimate():
+                return self.target(message)
+            case Image():
+                return self.image(message)
+        return None
+
     def pose(self, state: State) -> bytes | None:
         """Where its body is; None where it does not know all of that."""
-        where = self._fleet.robot[state.robot].pose if state.whereabouts is UNSET else state.whereabouts
-        if where is None or state.depth_m is None or state.roll_deg is None or state.pitch_deg is None:
+        if (at := placed(self._fleet, state)) is None:
             return None
-        place = (where.x_m, where.y_m, self._fleet.tank.surface_m - state.depth_m)
-        turned = quaternion(*map(math.radians, (state.roll_deg, state.pitch_deg, where.yaw_deg)))
-        return self._bytes(TYPES[POSE], header=self._header(state.sent_ns, WORLD), pose=self._pose(place, turned))
+        return self._bytes(TYPES[POSE], header=self._header(state.sent_ns, WORLD), pose=self._pose(*at))
 
     def target(self, estimate: Estimate) -> bytes | None:
         """Where it thinks the target is; None while it does not."""
@@ -88,14 +95,3 @@ class Telling:
 
     def _bytes(self, name: str, **fields: Any) -> bytes:
         return bytes(self._store.serialize_cdr(self._made(name)(**fields), name))
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """x, y, z, w of a turn by yaw about z, then by pitch about the new y, then by roll about the new x; radians."""
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in (roll, pitch, yaw))
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
