@@ -15,6 +15,7 @@ from typer.main import get_command
 
 from agent.commands import (
     boards,
+    bridging,
     calibrating,
     diving,
     experimenting,
@@ -44,6 +45,7 @@ app.add_typer(operating.app)
 app.add_typer(ordering.app)
 app.add_typer(looking.app)
 app.add_typer(paging.app)
+app.add_typer(bridging.app, name="bridge")
 app.add_typer(seeing.app)
 app.add_typer(calibrating.app, name="calibrate")
 app.add_typer(boards.app, name="board")

@@ -194,6 +194,10 @@ class Session:
             priority=getattr(zenoh.Priority, topic.qos.priority),
         )
 
+    def put_foreign(self, key: str, payload: bytes, attachment: bytes) -> None:
+        """Publish once what is no message of ours, in somebody else's network."""
+        self._session.put(key, payload, attachment=attachment or None, congestion_control=zenoh.CongestionControl.DROP)
+
     def answer(self, key: str, asked: Asked) -> None:
         """Have `asked` called with every query of other processes on `key`, which may have wildcards."""
         handler: Callback[zenoh.Query] = Callback(lambda query: asked(Query(query)), indirect=False)

@@ -52,6 +52,19 @@ def router_config(fleet: Fleet, listen: str = ROUTER_LISTEN, keys: Path | None =
     return _config("router.json5", fleet, ROUTER, keys, listen=[listen], connect=_every_robot(fleet))
 
 
+def client_config(router: str) -> str:
+    """Configuration of a session in somebody else's network, by their router; it must be there, and is dialled again
+    when it was away."""
+    return json.dumps(
+        {
+            "mode": "client",
+            "connect": {"endpoints": [router], "timeout_ms": 2000, "exit_on_failure": True},
+            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            "transport": {"shared_memory": {"enabled": False}},
+        }
+    )
+
+
 def tls(keys: Path, name: str) -> dict[str, Any]:
     """Who a process is on its links, and whom it lets in: the files of `name`, which are both server's and client's."""
     own = {"certificate": str(keys / f"{name}.pem"), "private_key": str(keys / f"{name}.key")}

@@ -58,6 +58,9 @@ MISTAKES = [
     (["calibrate", "run", TANK, "--robot", "r9"], "the file has r1, r2"),
     (["replay", "report", "nowhere"], "nowhere: cannot be read"),
     (["twin", "nowhere.toml"], "no such file"),
+    (["bridge", "mavlink", "nowhere.toml"], "no such file"),
+    (["bridge", "mavlink", TANK, "--origin", "91,0"], "--origin '91,0': write latitude and longitude in degrees"),
+    (["bridge", "mavlink", TANK, "--origin", "here"], "--origin 'here': write latitude and longitude in degrees"),
     (["agent", "strange.toml", "--robot", "r1"], "camera 'rtsp://pool': no such kind of camera"),
 ]
 

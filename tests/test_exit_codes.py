@@ -24,6 +24,10 @@ from tests.known_lens import TWIN, TWIN_CAMERA
 
 WITHOUT_VIEW = pytest.mark.skipif(not importlib.util.find_spec("foxglove"), reason="the extra `view` is not installed")
 
+WITHOUT_MAVLINK = pytest.mark.skipif(
+    not importlib.util.find_spec("pymavlink"), reason="the extra `mavlink` is not installed"
+)
+
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
@@ -32,6 +36,7 @@ WITHOUT_VIEW = pytest.mark.skipif(not importlib.util.find_spec("foxglove"), reas
         (("twin", "fleet.toml"), 0),
         (("router", "fleet.toml", "--listen", "tcp/127.0.0.1:PORT"), 0),
         pytest.param(("view", "fleet.toml", "--port", "PORT"), 0, marks=WITHOUT_VIEW),
+        pytest.param(("bridge", "mavlink", "fleet.toml"), 0, marks=WITHOUT_MAVLINK),
         (("record", "fleet.toml", "--out", "fleet.mcap"), 1),  # nothing was recorded
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

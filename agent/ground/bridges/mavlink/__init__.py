@@ -1,0 +1,1 @@
+"""A fleet as vehicles of MAVLink, for ground stations."""

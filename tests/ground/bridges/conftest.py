@@ -1,0 +1,12 @@
+"""The fleet that bridges show."""
+
+import pytest
+
+from agent.kernel.config import Fleet
+from agent.kernel.fleet_reader import load_fleet
+from tests.places import ROOT
+
+
+@pytest.fixture
+def fleet() -> Fleet:
+    return load_fleet(ROOT / "agent" / "fleets" / "tank.toml")

@@ -1,0 +1,136 @@
+"""`aucamp bridge ros2` over real links and a router of Zenoh, with zenoh-ros2-sdk at the other end: not ROS itself."""
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
+
+from agent.ground.bridges.outward import run
+from agent.ground.bridges.ros2.language import Ros2
+from agent.kernel.config import ConfigError, Fleet
+from agent.kernel.messages import Estimate, Image
+from agent.kernel.toml_files import dump
+from agent.transport import Transport
+from tests.ground.bridges.states import state
+from tests.network.conftest import unused_port
+from tests.network.secured.parties import secure
+from tests.places import ROOT
+
+PAIR = {"r1": ("r2",), "r2": ("r1",)}
+DOMAIN = 7
+PATIENCE_S = 60.0
+JPEG = b"\xff\xd8" + bytes(30_000)
+
+
+@contextlib.contextmanager
+def router(port: int) -> Iterator[None]:
+    """What stands in for rmw_zenohd: a router of Zenoh without rules, as that is."""
+    config = {
+        "mode": "router",
+        "listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]},
+        "scouting": {"multicast": {"enabled": False}},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
+        yield
+
+
+def speak(fleet: Fleet, keys: Path, robot: str, stop: threading.Event) -> None:
+    """A robot that shows all it has, ten times a second."""
+    other = next(name for name in fleet.robot if name != robot)
+    number = 0
+    with Transport(fleet, robot, time.time_ns, keys) as transport:
+        while not stop.wait(0.1):
+            number += 1
+            now_ns = time.time_ns()
+            shown = state(robot, now_ns, depth_m=0.1, roll_deg=0.0, pitch_deg=0.0, seq=number)
+            transport.show(shown)
+            transport.say(
+                Estimate(
+                    fleet=fleet.fleet,
+                    src=robot,
+                    dst=other,
+                    incarnation=1,
+                    seq=number,
+                    sent_ns=now_ns,
+                    target="ball",
+                    t=1,
+                    valid=True,
+                    x_m=(0.25, 0.5, 0.125),
+                    cov_m2=(0.01, 0.0, 0.0, 0.02, 0.0, 0.03),
+                )
+            )
+            about = {"seq": number, "frame": number, "width_px": 640, "height_px": 480, "enhanced": False}
+            transport.show(Image(robot=robot, sent_ns=now_ns, t_ns=now_ns, jpeg=JPEG, **about))
+
+
+@pytest.fixture
+def bridged(make_fleet: Callable[..., Fleet], tmp_path: Path) -> Iterator[int]:
+    """The port of a router at which two robots with certificates are shown."""
+    fleet, path, port = secure(make_fleet(PAIR), tmp_path / "keys"), tmp_path / "fleet.toml", unused_port()
+    path.write_text(dump(fleet))
+    stop, said = threading.Event(), threading.Event()
+    threads = [threading.Thread(target=speak, args=(fleet, tmp_path / "keys", robot, stop)) for robot in fleet.robot]
+    arguments = (fleet, path, None, port, Ros2(fleet, DOMAIN), stop, lambda line: said.set())
+    threads.append(threading.Thread(target=run, args=arguments))
+    with router(port):
+        for thread in threads:
+            thread.start()
+        try:
+            assert said.wait(PATIENCE_S)
+            yield port
+        finally:
+            stop.set()
+            for thread in threads:
+                thread.join()
+
+
+def looked_at(port: int, domain: int) -> dict[str, Any]:
+    """What somebody else's program finds there."""
+    command = [sys.executable, "-m", "tests.network.bridges.ros2_client", str(port), str(domain)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.slow
+def test_others_find_every_topic_and_read_it(bridged: int) -> None:
+    pytest.importorskip("zenoh_ros2_sdk", reason="pip install zenoh-ros2-sdk")
+    found = looked_at(bridged, DOMAIN)
+    kinds = {
+        "pose": "geometry_msgs/msg/PoseStamped",
+        "target": "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "camera/compressed": "sensor_msgs/msg/CompressedImage",
+    }
+    assert {topic: about["types"] for topic, about in found.items()} == {
+        f"/{robot}/{topic}": [kind] for robot in PAIR for topic, kind in kinds.items()
+    }
+    assert all(about["hash_equal"] for about in found.values())
+    now_s = time.time()
+    for robot in PAIR:
+        pose, target, picture = (found[f"/{robot}/{topic}"] for topic in kinds)
+        assert pose["node"] == f"/{robot}/aucamp"
+        assert all(each["heard"] for each in (pose, target, picture)), found
+        assert all(abs(each["heard"]["sec"] - now_s) < PATIENCE_S for each in (pose, target, picture))
+        assert pose["heard"]["at"] == pytest.approx([0.0, 0.0, 0.4]) and pose["heard"]["frame"] == "world"
+        assert pose["heard"]["w"] == pytest.approx(1.0)
+        assert target["heard"]["at"] == [0.25, 0.5, 0.125]
+        assert target["heard"]["variances"] == [0.01, 0.02, 0.03]
+        assert (picture["heard"]["format"], picture["heard"]["bytes"]) == ("jpeg", len(JPEG))
+        assert picture["heard"]["first"] == 0xFF
+
+
+def test_without_a_router_it_says_so(make_fleet: Callable[..., Fleet], tmp_path: Path) -> None:
+    fleet, path = make_fleet(PAIR), tmp_path / "fleet.toml"
+    path.write_text(dump(fleet))
+    with pytest.raises(ConfigError, match=r"no router at tcp/127\.0\.0\.1"):
+        run(fleet, path, None, unused_port(), Ros2(fleet, 0), threading.Event(), lambda line: None)
