@@ -17,6 +17,7 @@ WAITS = {
     "agent/launch.py": ENDS,
     "agent/perception/vision.py": ENDS,
     "agent/runtime.py": RUN,
+    "agent/ground/bridges/mavlink/bridge.py": MACHINE,
     "agent/ground/console.py": MACHINE,
     "agent/ground/doctor/probe.py": MACHINE,
     "agent/ground/page/live.py": MACHINE,

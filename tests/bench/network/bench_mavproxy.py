@@ -21,7 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agent.ground.console import Console
+from agent.ground.console import OrderConsole
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.orders.words import Answer
@@ -55,7 +55,7 @@ def run() -> dict[str, dict[str, Any]]:
             for name in fleet.robot:
                 agent = [sys.executable, "-m", "tests.network.scripted_agent", str(path), name, folder]
                 processes[name] = subprocess.Popen(agent, cwd=ROOT)
-            with Console(fleet, "ann", credentials(fleet, "ann", path)) as console:
+            with OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console:
                 _until(lambda: len(console.states()) == len(fleet.robot))
             for first in ("MAVProxy", "bridge"):
                 port = unused_port()

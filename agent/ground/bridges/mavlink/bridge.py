@@ -21,7 +21,7 @@ from agent.fleet_clock import fleet_clock
 from agent.ground.bridges.hearing import own_word
 from agent.ground.bridges.mavlink.gateway import MOST_UNDER_WAY, Done, Gateway, Give
 from agent.ground.bridges.mavlink.telling import Origin
-from agent.ground.console import Console, Outcome
+from agent.ground.console import OrderConsole, Outcome
 from agent.kernel.config import Fleet
 from agent.kernel.messages import LogLine, State
 from agent.kernel.topics import LOG, STATE
@@ -48,7 +48,7 @@ def run(
     with ExitStack() as stack:
         give = None
         if console is not None:
-            give = stack.enter_context(_ordering(stack.enter_context(Console(fleet, console, keys))))
+            give = stack.enter_context(_ordering(stack.enter_context(OrderConsole(fleet, console, keys))))
         link = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         link.connect((HOST, port))
         link.settimeout(PERIOD_S)
@@ -85,7 +85,7 @@ def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:
 
 
 @contextmanager
-def _ordering(console: Console) -> Iterator[Give]:
+def _ordering(console: OrderConsole) -> Iterator[Give]:
     """Orders, each in a thread, since they wait for their answer."""
     with ThreadPoolExecutor(MOST_UNDER_WAY) as threads:
 
