@@ -10,11 +10,11 @@ from agent.ground.bridges.ros2.names import Node, nodes
 from agent.ground.bridges.ros2.telling import CAMERA, POSE, Telling
 from agent.kernel.config import Fleet
 from agent.kernel.messages import Estimate, Image, Message, State
-from agent.kernel.topics import IMAGE, LINK, STATE
+from agent.kernel.topics import IMAGE, LINK, STATE, Topic
 
 
 class Ros2:
-    rows = (STATE, LINK, IMAGE)
+    rows: tuple[Topic, ...] = (STATE, LINK, IMAGE)
 
     def __init__(self, fleet: Fleet, domain: int) -> None:
         self._fleet, self._domain, self._telling = fleet, domain, Telling(fleet)
