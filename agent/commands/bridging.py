@@ -29,6 +29,12 @@ def as_place(text: str) -> tuple[float, float]:
     return latitude_deg, longitude_deg
 
 
+Looker = Annotated[
+    str | None,
+    typer.Option("--as", metavar="NAME", help="By whose certificate it looks: an observer of the fleet file."),
+]
+
+
 @contextmanager
 def extra(name: str, package: str) -> Iterator[None]:
     """Say which extra it takes where a package is missing."""
@@ -69,10 +75,7 @@ def mavlink(
 @app.command(epilog="Example: aucamp bridge ros2 fleet.toml")
 def ros2(
     fleet: FleetFile,
-    name: Annotated[
-        str | None,
-        typer.Option("--as", metavar="NAME", help="By whose certificate it looks: an observer of the fleet file."),
-    ] = None,
+    name: Looker = None,
     port: Annotated[
         int, typer.Option(min=1024, max=65535, help="TCP port of rmw_zenoh's router on this machine.")
     ] = 7447,
@@ -85,3 +88,18 @@ def ros2(
             from agent.ground.bridges.outward import run
             from agent.ground.bridges.ros2.language import Ros2
         run(robots, fleet, name, port, Ros2(robots, domain), stop, typer.echo)
+
+
+@app.command(epilog="Example: aucamp bridge keelson fleet.toml")
+def keelson(
+    fleet: FleetFile,
+    name: Looker = None,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="TCP port of their router on this machine.")] = 7447,
+) -> None:
+    """Attitude, place, pictures and log for programs that speak keelson, until Ctrl-C. It only looks."""
+    robots = load_fleet(fleet)
+    with until_signal() as stop:
+        with extra("keelson", "keelson"):
+            from agent.ground.bridges.keelson.language import Keelson
+            from agent.ground.bridges.outward import run
+        run(robots, fleet, name, port, Keelson(robots), stop, typer.echo)

@@ -12,9 +12,10 @@ from tests.places import ROOT
 TANK = ROOT / "agent" / "fleets" / "tank.toml"
 
 
-@pytest.mark.parametrize(
-    ("kind", "package", "extra"), [("mavlink", "pymavlink", "mavlink"), ("ros2", "rosbags", "ros")]
-)
+NEEDS = [("mavlink", "pymavlink", "mavlink"), ("ros2", "rosbags", "ros"), ("keelson", "keelson", "keelson")]
+
+
+@pytest.mark.parametrize(("kind", "package", "extra"), NEEDS)
 def test_a_bridge_says_what_it_needs(kind: str, package: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in list(sys.modules):
         if name.partition(".")[0] == package or name.startswith(f"agent.ground.bridges.{kind}"):

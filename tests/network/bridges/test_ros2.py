@@ -1,6 +1,5 @@
 """`aucamp bridge ros2` over real links and a router of Zenoh, with zenoh-ros2-sdk at the other end: not ROS itself."""
 
-import contextlib
 import json
 import subprocess
 import sys
@@ -11,87 +10,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
 
 pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
 
 from agent.ground.bridges.outward import run
 from agent.ground.bridges.ros2.language import Ros2
 from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import Estimate, Image
 from agent.kernel.toml_files import dump
-from agent.transport import Transport
-from tests.ground.bridges.states import state
+from tests.network.bridges.elsewhere import JPEG, PATIENCE_S, shown_elsewhere
 from tests.network.conftest import unused_port
-from tests.network.secured.parties import secure
 from tests.places import ROOT
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
 DOMAIN = 7
-PATIENCE_S = 60.0
-JPEG = b"\xff\xd8" + bytes(30_000)
-
-
-@contextlib.contextmanager
-def router(port: int) -> Iterator[None]:
-    """What stands in for rmw_zenohd: a router of Zenoh without rules, as that is."""
-    config = {
-        "mode": "router",
-        "listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]},
-        "scouting": {"multicast": {"enabled": False}},
-    }
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
-        yield
-
-
-def speak(fleet: Fleet, keys: Path, robot: str, stop: threading.Event) -> None:
-    """A robot that shows all it has, ten times a second."""
-    other = next(name for name in fleet.robot if name != robot)
-    number = 0
-    with Transport(fleet, robot, time.time_ns, keys) as transport:
-        while not stop.wait(0.1):
-            number += 1
-            now_ns = time.time_ns()
-            shown = state(robot, now_ns, depth_m=0.1, roll_deg=0.0, pitch_deg=0.0, seq=number)
-            transport.show(shown)
-            transport.say(
-                Estimate(
-                    fleet=fleet.fleet,
-                    src=robot,
-                    dst=other,
-                    incarnation=1,
-                    seq=number,
-                    sent_ns=now_ns,
-                    target="ball",
-                    t=1,
-                    valid=True,
-                    x_m=(0.25, 0.5, 0.125),
-                    cov_m2=(0.01, 0.0, 0.0, 0.02, 0.0, 0.03),
-                )
-            )
-            about = {"seq": number, "frame": number, "width_px": 640, "height_px": 480, "enhanced": False}
-            transport.show(Image(robot=robot, sent_ns=now_ns, t_ns=now_ns, jpeg=JPEG, **about))
 
 
 @pytest.fixture
 def bridged(make_fleet: Callable[..., Fleet], tmp_path: Path) -> Iterator[int]:
-    """The port of a router at which two robots with certificates are shown."""
-    fleet, path, port = secure(make_fleet(PAIR), tmp_path / "keys"), tmp_path / "fleet.toml", unused_port()
-    path.write_text(dump(fleet))
-    stop, said = threading.Event(), threading.Event()
-    threads = [threading.Thread(target=speak, args=(fleet, tmp_path / "keys", robot, stop)) for robot in fleet.robot]
-    arguments = (fleet, path, None, port, Ros2(fleet, DOMAIN), stop, lambda line: said.set())
-    threads.append(threading.Thread(target=run, args=arguments))
-    with router(port):
-        for thread in threads:
-            thread.start()
-        try:
-            assert said.wait(PATIENCE_S)
-            yield port
-        finally:
-            stop.set()
-            for thread in threads:
-                thread.join()
+    with shown_elsewhere(make_fleet(PAIR), tmp_path, lambda fleet: Ros2(fleet, DOMAIN)) as port:
+        yield port
 
 
 def looked_at(port: int, domain: int) -> dict[str, Any]:

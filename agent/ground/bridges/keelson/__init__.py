@@ -1,0 +1,1 @@
+"""A fleet as entities of keelson, a vocabulary for Zenoh at sea."""
