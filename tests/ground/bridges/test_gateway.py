@@ -64,6 +64,13 @@ def test_where_it_is_and_how_it_hangs(station: Station, fleet: Fleet) -> None:
     assert told["VFR_HUD"].alt == pytest.approx(-0.4)
 
 
+def test_the_battery_is_told_in_volts(station: Station) -> None:
+    station.gateway.shown(state("r1", battery_v=14.82), START_NS, START_NS)
+    station.gateway.tick(START_NS, START_NS)
+    told = {one.get_type(): one for _, one in station.hears()}
+    assert (told["SYS_STATUS"].voltage_battery, told["SYS_STATUS"].battery_remaining) == (14820, -1)
+
+
 def test_what_nobody_knows_is_not_told(station: Station) -> None:
     nothing = {"depth_m": None, "roll_deg": None, "pitch_deg": None, "armed": None}
     station.gateway.shown(state("r1", whereabouts=None, behaviour="hold", **nothing), START_NS, START_NS)

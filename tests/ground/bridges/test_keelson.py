@@ -50,7 +50,8 @@ def test_all_that_a_state_knows_has_its_subject(fleet: Fleet) -> None:
     ("about", "wanted"),
     [
         ({"roll_deg": 2.0}, {"roll_deg": 2.0, "pitch_deg": 5.0, "vehicle_armed": True, "vehicle_mode": "ALT_HOLD"}),
-        ({"armed": None}, {"vehicle_armed": "left out"}),
+        ({"armed": None}, {"vehicle_armed": "left out", "battery_voltage_v": "left out"}),
+        ({"battery_v": 14.5}, {"battery_voltage_v": 14.5}),
         ({"faults": ("failsafe level 2",)}, {"vehicle_mode": "SURFACE"}),
         ({"roll_deg": None, "depth_m": None}, {"roll_deg": "left out", "frame_transform": "left out"}),
         ({"whereabouts": None, "behaviour": "survey"}, {"yaw_deg": "left out", "vehicle_mode": "GUIDED"}),

@@ -66,6 +66,8 @@ class Keelson:
             for axis, value in zip("xyzw", at.turned, strict=True):
                 setattr(told.rotation, axis, value)
             yield PLACE, "frame_transform", told
+        if state.battery_v is not UNSET:
+            yield CONTROL, "battery_voltage_v", made("battery_voltage_v", at_ns, value=state.battery_v)
         if state.armed is not None:
             yield CONTROL, "vehicle_armed", made("vehicle_armed", at_ns, value=state.armed)
         yield CONTROL, "vehicle_mode", made("vehicle_mode", at_ns, value=MODES[vehicle(robot, state).mode])

@@ -52,7 +52,8 @@ def each_second(v: Vehicle, origin: Origin) -> Iterator[Any]:
     enabled = PRESSURE | CAMERA | (MOTORS if v.armed else 0)
     health = MOTORS | (PRESSURE if v.pressure_works else 0) | (CAMERA if v.camera_works else 0)
     parts = (PRESSURE | CAMERA | MOTORS, enabled, health)
-    yield mavlink.MAVLink_sys_status_message(*parts, 0, NONE16, -1, -1, 0, 0, 0, 0, 0, 0)
+    battery_mv = NONE16 if v.battery_v is None else round(1000.0 * v.battery_v)
+    yield mavlink.MAVLink_sys_status_message(*parts, 0, battery_mv, -1, -1, 0, 0, 0, 0, 0, 0)
     if v.north_m is None or v.east_m is None:
         yield mavlink.MAVLink_gps_raw_int_message(0, NO_FIX, 0, 0, 0, NONE16, NONE16, NONE16, NONE16, 255)
         return

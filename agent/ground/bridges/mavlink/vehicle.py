@@ -36,6 +36,7 @@ class Vehicle(NamedTuple):
     roll_rad: float | None
     pitch_rad: float | None
     yaw_rad: float | None  # clockwise from north, -pi to pi
+    battery_v: float | None
     pressure_works: bool
     camera_works: bool
 
@@ -58,6 +59,7 @@ def vehicle(robot: Robot, state: State) -> Vehicle:
         roll_rad=None if state.roll_deg is None else math.radians(state.roll_deg),
         pitch_rad=None if state.pitch_deg is None else -math.radians(state.pitch_deg),
         yaw_rad=math.remainder(math.radians(90.0 - where.yaw_deg), math.tau) if where else None,
+        battery_v=None if state.battery_v is UNSET else state.battery_v,
         pressure_works=state.armed is not None and state.depth_m is not None,
         camera_works="no frames" not in state.faults,
     )
