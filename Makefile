@@ -41,8 +41,9 @@ rooms: .venv/ready-test
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed: make PYTHON=python3.11')"
 	$(PYTHON) -m venv .venv
 
+# The page is what the README shows next: aucamp demo --page.
 .venv/ready: .venv/bin/python pyproject.toml constraints.txt
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable .
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[page]'
 	touch $@
 
 .venv/ready-test: .venv/bin/python pyproject.toml constraints.txt
