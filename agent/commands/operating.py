@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -12,6 +12,10 @@ from agent.commands.options import FleetFile
 from agent.kernel.config import ConfigError
 from agent.kernel.fleet_reader import load_fleet
 from agent.run_folder import new_file
+
+if TYPE_CHECKING:
+    from agent.fleet_setup.check import Checked
+    from agent.ground.doctor.diagnosis import Diagnosis
 
 app = typer.Typer()
 
@@ -43,14 +47,7 @@ def check(
     """
     from agent.fleet_setup.check import check as look
 
-    checked = look(fleet, robot, Path())
-    if as_json:
-        typer.echo(json.dumps(checked.as_json()))
-    else:
-        for finding in checked.findings:
-            typer.echo(finding)
-        typer.echo(checked.verdict)
-    raise typer.Exit(0 if checked.well else 1)
+    _tell(look(fleet, robot, Path()), as_json)
 
 
 @app.command(epilog="Example: aucamp keys fleet.toml --out keys")
@@ -88,11 +85,15 @@ def doctor(
     """
     from agent.ground.doctor.doctor import examine
 
-    diagnosis = examine(fleet, name, Path())
+    _tell(examine(fleet, name, Path()), as_json)
+
+
+def _tell(found: Checked | Diagnosis, as_json: bool) -> NoReturn:
+    """Show what was found, and end: 0 where all is well, else 1."""
     if as_json:
-        typer.echo(json.dumps(diagnosis.as_json()))
+        typer.echo(json.dumps(found.as_json()))
     else:
-        for finding in diagnosis.findings:
+        for finding in found.findings:
             typer.echo(finding)
-        typer.echo(diagnosis.verdict)
-    raise typer.Exit(0 if diagnosis.well else 1)
+        typer.echo(found.verdict)
+    raise typer.Exit(0 if found.well else 1)
