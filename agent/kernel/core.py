@@ -22,7 +22,7 @@ from agent.kernel.estimation.evidence_checks import inside
 from agent.kernel.estimation.interface import Prior
 from agent.kernel.fleet_digest import common
 from agent.kernel.inbox import Inbox
-from agent.kernel.lamps.conduct import Lights
+from agent.kernel.lamps.conduct import lights_of
 from agent.kernel.messages import SCHEMA, Estimate, Level
 from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.navigation.pursuit import Pursuit
@@ -61,7 +61,7 @@ class Agent:
         self.attitude = AttitudeLog()
         neighbours = self.swimmer.company.neighbours if self.swimmer else None
         self.status = Status(fleet.fleet, name, incarnation)
-        self.lights = Lights(fleet, name, calibration, incarnation, self.swimmer, self.status.log)
+        self.lights = lights_of(fleet, name, calibration, incarnation, self.swimmer, self.status.log)
         self.survey = Conduct(fleet, name, calibration, incarnation, self.swimmer, self.lights.views)
         self.inbox = Inbox(self.targets, fleet.tank, shared, schema, neighbours, self.survey, self.lights)
         self.net = Net()
@@ -225,8 +225,11 @@ class Agent:
         if self.desk.looks(self.seek, now_ns):
             return None
         surveys, plan = self.survey.act(self.seek, level, self.status, now_ns) if self.desk.surveys else (False, None)
-        if surveys or self.pursuit.look(self.current, self.seek, level, now_ns):
+        if surveys:
             return plan
+        if self.pursuit.look(self.current, self.seek, level, now_ns):
+            self.lights.pursues(self.seek, self.current, level, now_ns)
+            return None
         calm = self.swimmer is None or (self.swimmer.calm(now_ns) and self.current.name != self.pursuit.target)
         wanted = self.current.prior is None and not self._settling and calm and self.desk.wishes.sweeps
         wanted = self.lights.may_sweep(self.seek, self.current, level, wanted, now_ns)

@@ -10,7 +10,7 @@ from agent.kernel.codec import Refusal, decode
 from agent.kernel.config import Tank
 from agent.kernel.coverage.conduct import Conduct
 from agent.kernel.estimation.evidence_checks import inside, is_covariance
-from agent.kernel.lamps.conduct import Lights
+from agent.kernel.lamps.lights import Lights
 from agent.kernel.messages import Estimate
 from agent.kernel.navigation.neighbours import Neighbours
 from agent.kernel.presence import Presence

@@ -24,9 +24,9 @@ WIDEST_DEG = 90.0  # of the spiral
 class Roam:
     """One search's looks, one after the other. It is moved on by control/seek.py."""
 
-    def __init__(self, target: str, spiral: Ways, around: Ways) -> None:
+    def __init__(self, target: str, spiral: Ways, around: Ways, since_ns: int = 0) -> None:
         """spiral: offsets from where the target was last; around: by the gimbal's own angles."""
-        self.target = target
+        self.target, self.since_ns = target, since_ns
         self._spiral, self._around = spiral, around
         self._step, self._empty = -1, FRAMES
         self.found = False  # in the newest frame of the newest look

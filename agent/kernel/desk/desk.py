@@ -17,7 +17,7 @@ from agent.kernel.desk.doing import Doing
 from agent.kernel.desk.memory import Memory
 from agent.kernel.desk.rights import why_closed
 from agent.kernel.desk.wishes import AtOnce, Wishes
-from agent.kernel.lamps.conduct import Lights
+from agent.kernel.lamps.lights import Lights
 from agent.kernel.logbook import Logbook
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.orders.verbs import CLOCK, URGENT, Args, Resume, Set, arguments, in_words

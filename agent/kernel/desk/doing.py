@@ -5,8 +5,8 @@ from __future__ import annotations
 from agent.kernel.codec import Refusal
 from agent.kernel.config import Behaviour, Fleet, Goto, Hold, Survey
 from agent.kernel.desk.wishes import AtOnce, Wishes, prevailing
-from agent.kernel.lamps.conduct import Lights
 from agent.kernel.lamps.lamp import Lit
+from agent.kernel.lamps.lights import Lights
 from agent.kernel.navigation.swim_rules import wrong_way
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.net import SURFACE_M

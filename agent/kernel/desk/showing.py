@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from agent.kernel.control.attitude import AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.inbox import Inbox
-from agent.kernel.lamps.conduct import Lights
+from agent.kernel.lamps.lights import Lights
 from agent.kernel.messages import Mode, State
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.net import Net

@@ -9,19 +9,21 @@ lit.
 A robot that swims in search of a target has a gaze that goes all around (control/roam.py), and wants light where that
 is. When that has gone round often by its own lamp, a look that shows nothing is lit once, farther out, before the next.
 That is for half of the time at most, for all hold still meanwhile, and what nobody sees from afar is found by who comes
-near.
+near. What swims is looked for by a gaze that never rests (control/scan.py): after a while in vain it stays for a lit look,
+too, and goes on from there.
 """
 
 from __future__ import annotations
 
 import math
 
-from agent.kernel.config import Fleet
+from agent.kernel.config import Fleet, Target
 from agent.kernel.control.attitude import Attitude
 from agent.kernel.control.pointing import SEARCH_DEG
 from agent.kernel.control.seek import Seek
 from agent.kernel.lamps.aim import axis_of
 from agent.kernel.lighting.allocate import Choice
+from agent.kernel.lighting.followers import FAINT, PLAIN
 from agent.kernel.lighting.lease import Party
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.camera_model import Eye, camera_pose
@@ -33,10 +35,12 @@ LEAST_M = 0.4
 # Of a target's light in all light: by more of it the ball is found in the twin's pictures, sharp or not, by less its
 # own lamp does not show it (harbour water, worlds 2 and 10, 0.7 to 1.5 m).
 SHOWS = 0.2
+SHOWS_SIDE = 0.5 * (FAINT + PLAIN)  # likewise, of a creature
 OWN_LOOK_NS = 1_200_000_000  # by the own lamp, before light is asked for: four frames
 # Of a gaze, by the own lamp, before light is asked for: in a minute and a half who swims has come near what there is.
 # With light from the first round on the ball was measured within two minutes in 6 of 11 worlds, by own lamps in 9.
 OWN_ROUNDS = 6
+OWN_SCAN_NS = 20_000_000_000  # likewise, of a gaze without rests, which has gone round all rows by then
 SWIMS_NS = 3_000_000_000  # between lit looks of robots that swim, which all hold still for: as long as one takes
 SHOWN_NS = 900_000_000  # of light and gimbal at rest, without a target: three frames
 
@@ -82,11 +86,12 @@ class LightSearch:
         x, y, z = (at + far_m * part for at, part in zip(eye.position_m, way, strict=True))
         return x, y, z
 
-    def worth(self, choice: Choice | None) -> bool:
+    def worth(self, choice: Choice | None, target: Target) -> bool:
         """Whether those lamps show what the own lamp does not."""
-        if choice is None or choice.contrast < SHOWS or choice.lamps == (self._name,):
+        least = SHOWS if target.radius_m else SHOWS_SIDE
+        if choice is None or choice.contrast < least or choice.lamps == (self._name,):
             return False
-        return not self._robot.lamp or choice.own_contrast < SHOWS
+        return not self._robot.lamp or choice.own_contrast < least
 
     def shown(self, seek: Seek, granted_ns: int, now_ns: int) -> bool:
         """Whether a target at the place would have been seen by now, by the light that was granted then."""
@@ -100,7 +105,7 @@ class LightSearch:
         if party.bound is None:
             return self.at_m if party.mine is not None and party.mine.granted else None
         lit_m = party.bound.lease.at_m
-        if lit_m is not None and level is not None:
+        if lit_m is not None and level is not None and not seek.pointing.tracks:  # all know of what swims at once
             far_m = math.dist(lit_m, seek.eye(level).position_m)
             self._glimpsed_m = seek.glimpsed_m(target, level, far_m, now_ns) or self._glimpsed_m
         return lit_m
@@ -133,6 +138,8 @@ class SwimSearch(LightSearch):
             return False
         if (roam := seek.roam) is None:
             return super().look(seek, now_ns)
+        if seek.pointing.tracks:
+            return now_ns - roam.since_ns > OWN_SCAN_NS
         return roam.rounds >= OWN_ROUNDS and roam.empty and roam.looks != self._lit_look
 
     def place(self, seek: Seek, level: Attitude) -> Vector | None:

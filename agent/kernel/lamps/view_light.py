@@ -1,7 +1,7 @@
 """Light for a survey's keyframes: whose lamps burn while the focus is swept over a whole view, and which count.
 
 As for a target's sweep there is none without a lease, and none counts whose lamps are not known to have stayed as they
-were. Of a fleet without [lighting] every view may be swept at once, and counts.
+were. By day every view may be swept at once, and counts.
 """
 
 from __future__ import annotations
@@ -28,17 +28,40 @@ class View(Protocol):
 
 
 class ViewLight:
-    """Of one robot, between steps."""
-
-    def __init__(self, turn: Turn | None, wishes: Wishes | None, log: Logbook) -> None:
-        self._turn, self._wishes, self._log = turn, wishes, log
-        self._number: int | None = None  # of the lease that is a view's
+    """Of one robot, between steps; of a fleet without [lighting]: by day."""
 
     def lets(self, view: View, seek: Seek, level: Attitude, now_ns: int) -> bool:
         """Whether a view may be swept now, by light that is at rest; if not, light is asked for. Of a robot at rest,
         whose camera rests at the view."""
-        if (turn := self._turn) is None or self._wishes is None:
-            return True
+        return True
+
+    def began(self, now_ns: int) -> None:
+        """The sweep begins with this step."""
+
+    def ended(self, now_ns: int) -> None:
+        """Its last frame is in."""
+
+    def verdict(self, now_ns: int) -> Spoiled | bool | None:
+        """What became of the sweep that ended: True, it counts; None: not known yet."""
+        return True
+
+    def missed(self, now_ns: int) -> None:
+        """The sweep did not end in time."""
+
+    def lamps(self) -> tuple[str, ...]:
+        """That burned in the newest sweep."""
+        return ()
+
+
+class LentViewLight(ViewLight):
+    """In a fleet that lights for each other."""
+
+    def __init__(self, turn: Turn, wishes: Wishes, log: Logbook) -> None:
+        self._turn, self._wishes, self._log = turn, wishes, log
+        self._number: int | None = None  # of the lease that is a view's
+
+    def lets(self, view: View, seek: Seek, level: Attitude, now_ns: int) -> bool:
+        turn = self._turn
         if turn.phase == "holds":
             return turn.talk.party.number == self._number and not turn.judging and turn.rests(now_ns)
         if not turn.idle(now_ns) or not self._wishes.may_ask(now_ns):
@@ -56,28 +79,20 @@ class ViewLight:
         return False
 
     def began(self, now_ns: int) -> None:
-        """The sweep begins with this step."""
-        if self._turn is not None:
-            self._turn.began(now_ns)
+        self._turn.began(now_ns)
 
     def ended(self, now_ns: int) -> None:
-        """Its last frame is in."""
-        if self._turn is not None:
-            self._turn.ended(now_ns)
+        self._turn.ended(now_ns)
 
     def verdict(self, now_ns: int) -> Spoiled | bool | None:
-        """What became of the sweep that ended: True, it counts; None: not known yet."""
-        if (turn := self._turn) is None:
-            return True
-        if (found := turn.verdict(now_ns)) is not None:
-            turn.over(now_ns)
+        """The lease ends with it."""
+        if (found := self._turn.verdict(now_ns)) is not None:
+            self._turn.over(now_ns)
         return found
 
     def missed(self, now_ns: int) -> None:
-        """The sweep did not end in time."""
-        if self._turn is not None and self._turn.swept:
+        if self._turn.swept:
             self._turn.fail(now_ns)
 
     def lamps(self) -> tuple[str, ...]:
-        """That burned in the newest sweep."""
-        return () if self._turn is None else self._turn.burned
+        return self._turn.burned

@@ -123,8 +123,11 @@ class Pursuit:
             return False
         if believed is None or seek.roam is not None:
             camera, body, surface_m = self._calibration.camera, self._fleet.body, self._fleet.tank.surface_m
-            rests = self._gaze.sees(now_ns)
-            seek.track(of.name, *self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns), now_ns)
+            rests = self._gaze.sees(now_ns) or seek.lit_m is not None
+            way_deg = self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns)
+            if seek.lit_m is not None:  # for whoever looks there
+                way_deg = look_at(seek.lit_m, pose_of(here), body, *level, surface_m)
+            seek.track(of.name, *way_deg, now_ns)
             self._lens = None
             return True
         x, y, psi = (at + AHEAD_S * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))

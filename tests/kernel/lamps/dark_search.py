@@ -1,4 +1,4 @@
-"""Robots that swim in search of a ball in the dark, in virtual time (dark_water.py): robots and ball at drawn places."""
+"""Robots that swim in search of a ball in the dark, in virtual time (dark_water.py), all at drawn places."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class DarkEyes(Eyes):
 
 
 class DarkWater(Swimmers):
-    """Robots with lamps. path: where the target is; radius_m, plain: how large, and what share of all light shows it."""
+    """Robots with lamps. path: where the target is; radius_m, plain: how large, and what share of light shows it."""
 
     def __init__(self, fleet: Fleet, bodies: Bodies, path: BallPath, radius_m: float, plain: float) -> None:
         super().__init__(fleet, bodies, path if fleet.target["ball"].radius_m else None)

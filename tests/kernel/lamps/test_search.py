@@ -59,7 +59,7 @@ def test_places_are_ahead_and_beside_that_then_farther_out_and_none_outside_the_
     ],
 )
 def test_a_place_counts_that_others_lamps_show_and_the_own_does_not(choice: Choice | None, counts: bool) -> None:
-    assert LightSearch(FLEET, "r1").worth(choice) is counts
+    assert LightSearch(FLEET, "r1").worth(choice, FLEET.target["ball"]) is counts
 
 
 def test_what_was_glimpsed_by_anothers_light_is_the_next_place_once() -> None:
