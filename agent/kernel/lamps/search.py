@@ -9,8 +9,8 @@ lit.
 A robot that swims in search of a target has a gaze that goes all around (control/roam.py), and wants light where that
 is. When that has gone round often by its own lamp, a look that shows nothing is lit once, farther out, before the next.
 That is for half of the time at most, for all hold still meanwhile, and what nobody sees from afar is found by who comes
-near. What swims is looked for by a gaze that never rests (control/scan.py): after a while in vain it stays for a lit look,
-too, and goes on from there.
+near. What swims is looked for by a gaze that never rests (control/scan.py): after a while in vain it stays for a lit
+look, too, and goes on from there.
 """
 
 from __future__ import annotations
