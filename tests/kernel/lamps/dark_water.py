@@ -82,6 +82,13 @@ class DarkWater(Swimmers):
         found = worth(pairs, math.dist(camera_m, target_m), self._radius_m, FOCAL_PX, 1.0)
         return found.contrast >= self._plain
 
+    def off_deg(self, name: str, at_m: Vector) -> float:
+        """By how much its camera's axis passes a place."""
+        eye, _ = look(self.bodies.pose(name), self.fleet.body.camera_m)
+        way = np.array(at_m) - np.array(eye.position_m)
+        along = float(np.asarray(eye.rotation)[:, 2] @ way) / float(np.linalg.norm(way))
+        return math.degrees(math.acos(min(max(along, -1.0), 1.0)))
+
     def _shines(self, name: str, target_m: Vector) -> Vector | None:
         """Where its lamp is, if that is aimed at the target."""
         x, y, yaw = self.place(name)
