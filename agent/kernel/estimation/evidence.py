@@ -153,10 +153,10 @@ class Evidence:
         self._outlive(now_ns)
         if prior is not None:
             self._measured += 1
-            nis = self._mode.add(self._measured, prior, now_ns)
+            innovation = self._mode.add(self._measured, prior, now_ns)
             self._recent.append((self._measured, prior))
-            if nis is not None:
-                self._motion.sample(nis)
+            if innovation is not None:
+                self._motion.sample(innovation)
             if self._motion.moves and not self.epoch.moving:
                 self._vote.propose(self.epoch, now_ns)
         concluded = self._mode.conclude(self.valid, self._believed, now_ns)

@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 
 from agent.kernel.estimation.evidence_checks import Bounds
 from agent.kernel.estimation.interface import Bearing, Posterior, Prior
+from agent.kernel.estimation.motion import Innovation
 from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics
 from agent.kernel.messages import Explain, Gossip, Symmetric
 from agent.kernel.trust.authority import Authority
@@ -44,8 +45,8 @@ class Mode(Protocol):
 
     outlived: int | None  # an incarnation of ours that is newer than the one we write under
 
-    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> float | None:
-        """Take in an own sample; returns its normalised innovation squared, None where nothing was expected."""
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
+        """Take in an own sample; returns its innovation, None where nothing was expected."""
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
         """Take in what a neighbour passed on at `arrived_ns`; returns the kinds of what was not believed."""

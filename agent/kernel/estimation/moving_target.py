@@ -16,8 +16,9 @@ from agent.kernel.estimation.delivery_ledger import DeliveryLedger
 from agent.kernel.estimation.evidence_checks import floored, inside
 from agent.kernel.estimation.fuse import Ballot, Doubt, Opinion, doubts, mixture, vote
 from agent.kernel.estimation.interface import Bearing, Posterior, Prior
-from agent.kernel.estimation.matrix import apply, inverse, invert, plus, trace
+from agent.kernel.estimation.matrix import apply, difference, inverse, invert, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
+from agent.kernel.estimation.motion import Innovation
 from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
 from agent.kernel.estimation.tracks.track import Track, nis, nis_of_bearing, predict
 from agent.kernel.estimation.tracks.track_distance import distances2
@@ -47,8 +48,8 @@ class MovingTarget:
         self._newest: Held | None = None
         self.outlived: int | None = None
 
-    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> float | None:
-        """Take in an own sample. Returns its normalised innovation squared against the own track so far.
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
+        """Take in an own sample. Returns its innovation against the own track so far.
 
         A track remembers one or two samples of each robot at a sample a second, so what does not average out has no
         time to seem to: random and systematic covariance count together. (Normalised error squared on the experiment's
@@ -61,11 +62,13 @@ class MovingTarget:
         information = inverse(covariance)
         if information is None:
             raise ValueError(f"covariance of the prior {covariance} is singular")
-        self._nis = None
+        innovation, self._nis = None, None
         if self._mine is not None:
-            self._nis = nis(predict(self._mine, prior.t_ns, self._me.dynamics), prior.x_m, covariance)
+            mine = predict(self._mine, prior.t_ns, self._me.dynamics)
+            self._nis = nis(mine, prior.x_m, covariance)
+            innovation = Innovation(difference(prior.x_m, mine.x_m), plus(mine.A, covariance), self._nis)
         self._measure(number, prior.x_m, information, prior.t_ns)
-        return self._nis
+        return innovation
 
     def _add_bearing(self, number: int, bearing: Bearing) -> None:
         """Nothing to ask for rest and motion: its innovation has fewer degrees of freedom."""

@@ -10,8 +10,9 @@ from agent.kernel.estimation.evidence_checks import entry_fault, floored
 from agent.kernel.estimation.evidence_table import Key, Table, mark
 from agent.kernel.estimation.fuse import Fused, fuse
 from agent.kernel.estimation.interface import Bearing, Posterior, Prior
-from agent.kernel.estimation.matrix import apply, distance2, inverse, plus, trace
+from agent.kernel.estimation.matrix import apply, difference, distance2, inverse, plus, trace
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
+from agent.kernel.estimation.motion import Innovation
 from agent.kernel.messages import Entry, Epoch, Explain, Gossip, Holding
 from agent.kernel.trust.authority import HEARSAY
 from agent.kernel.trust.signed import entry_bytes
@@ -34,8 +35,8 @@ class StaticTarget:
         self._gain = 0.0  # share of the newest own sample in the own sum
         self._nis: float | None = None
 
-    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> float | None:
-        """Take in an own sample. Returns its normalised innovation squared against the own samples before it."""
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
+        """Take in an own sample. Returns its innovation against the own samples before it."""
         before = self._table.entries.get(self._me.key)
         information = self._table.measure(self._me.key, prior)
         self._gain = trace(information) / trace(self._table.entries[self._me.key].information)
@@ -43,11 +44,11 @@ class StaticTarget:
         self._news_ns[self._me.key[0]] = now_ns
         random = None if before is None else inverse(before.information)
         self._nis = None
-        if before is not None and random is not None and isinstance(prior, Prior):
-            x, y, z = apply(random, before.vector)
-            step = (prior.x_m[0] - x, prior.x_m[1] - y, prior.x_m[2] - z)
-            self._nis = distance2(plus(random, floored(prior.random_m2)), step)
-        return self._nis
+        if before is None or random is None or not isinstance(prior, Prior):
+            return None
+        step, covariance = difference(prior.x_m, apply(random, before.vector)), plus(random, floored(prior.random_m2))
+        self._nis = distance2(covariance, step)
+        return Innovation(step, covariance, self._nis)
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
         faults, ledger, table = [], self._ledgers[src], self._table
