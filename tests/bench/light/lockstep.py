@@ -53,6 +53,7 @@ class Ended(NamedTuple):
     kept: int  # sweeps that gave a place
     by_lent: int  # of them by another's lamp
     rejected: int
+    epochs: int  # that its estimate went through after the first: a ball at rest has none
 
 
 class Diver:
@@ -91,7 +92,7 @@ class Diver:
         self.box: StepBox | None = None  # where its steps are written, if anywhere
         self.sightings: tuple[Sighting, ...] = ()  # of the newest step
         self.history = History([])
-        self.ended = Ended(None, None, 0, 0, 0)
+        self.ended = Ended(None, None, 0, 0, 0, 0)
 
     def tick(self) -> Outputs | None:
         """10 ms; in every fifth a step, whose outputs are returned."""
@@ -141,17 +142,21 @@ class Diver:
 
 
 def night(
-    fleet: Fleet, calibrations: Mapping[str, Calibration], seconds: float, loss: float = 0.0
+    fleet: Fleet, calibrations: Mapping[str, Calibration], seconds: float, loss: float = 0.0, whole: bool = False
 ) -> tuple[float | None, dict[str, Ended]]:
-    """When all had settled, s, or None; and each robot."""
+    """When all had settled, s, or None; and each robot. whole: it goes on after that."""
     truth_m, settled_s = np.array(scene_of(fleet).solid[0].position_m), None
     for dive, divers in under_way(fleet, calibrations, loss):
         histories = [diver.history for diver in divers.values()]
-        if dive.ticks % 100 == 0 and settled(histories, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
+        waits = settled_s is None and dive.ticks % 100 == 0
+        if waits and settled(histories, SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
             settled_s = (dive.now_ns - START_NS) * 1e-9
-        if settled_s is not None or dive.now_ns - START_NS >= seconds * 1e9:
+        if (settled_s is not None and not whole) or dive.now_ns - START_NS >= seconds * 1e9:
             break
-    return settled_s, {name: diver.ended._replace(error_mm=off_mm(diver, truth_m)) for name, diver in divers.items()}
+    return settled_s, {
+        name: diver.ended._replace(error_mm=off_mm(diver, truth_m), epochs=diver.agent.current.estimator.epoch.counter)
+        for name, diver in divers.items()
+    }
 
 
 def under_way(
