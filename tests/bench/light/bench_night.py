@@ -61,4 +61,5 @@ def dived(fleet: Fleet, calibrations: Mapping[str, Calibration]) -> dict[str, An
 def story(ended: Ended) -> str:
     first = "never in view" if ended.first_s is None else f"in view after {ended.first_s:.1f} s"
     moves = f"; taken to move or rest anew {ended.epochs} times" if ended.epochs else ""
-    return f"{first}, {ended.kept} of {ended.kept + ended.rejected} sweeps, {ended.by_lent} by lent light{moves}"
+    nis = "" if ended.nis is None else f", mean NIS {ended.nis:.1f}"
+    return f"{first}, {ended.kept} of {ended.kept + ended.rejected} sweeps, {ended.by_lent} by lent light{nis}{moves}"

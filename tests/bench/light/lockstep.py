@@ -53,6 +53,7 @@ class Ended(NamedTuple):
     kept: int  # sweeps that gave a place
     by_lent: int  # of them by another's lamp
     rejected: int
+    nis: float | None  # of its sweeps against those before, mean; of three where they scatter as they say
     epochs: int  # that its estimate went through after the first: a ball at rest has none
 
 
@@ -92,7 +93,7 @@ class Diver:
         self.box: StepBox | None = None  # where its steps are written, if anywhere
         self.sightings: tuple[Sighting, ...] = ()  # of the newest step
         self.history = History([])
-        self.ended = Ended(None, None, 0, 0, 0, 0)
+        self.ended = Ended(None, None, 0, 0, 0, None, 0)
 
     def tick(self) -> Outputs | None:
         """10 ms; in every fifth a step, whose outputs are returned."""
@@ -154,7 +155,11 @@ def night(
         if (settled_s is not None and not whole) or dive.now_ns - START_NS >= seconds * 1e9:
             break
     return settled_s, {
-        name: diver.ended._replace(error_mm=off_mm(diver, truth_m), epochs=diver.agent.current.estimator.epoch.counter)
+        name: diver.ended._replace(
+            error_mm=off_mm(diver, truth_m),
+            nis=mean_nis(diver.history),
+            epochs=diver.agent.current.estimator.epoch.counter,
+        )
         for name, diver in divers.items()
     }
 
@@ -199,6 +204,12 @@ def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
 def off_mm(diver: Diver, truth_m: np.ndarray) -> float | None:
     believed_m = diver.agent.current.believed_m
     return None if believed_m is None else 1000.0 * float(np.linalg.norm(np.array(believed_m) - truth_m))
+
+
+def mean_nis(history: History) -> float | None:
+    """Of all iterations that had a sample of the robot's own."""
+    found = {state.t: state.explain.nis for state in history.states if state.explain and state.explain.nis is not None}
+    return sum(found.values()) / len(found) if found else None
 
 
 def calibrated(fleet: Fleet, name: str) -> Calibration:
