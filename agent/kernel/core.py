@@ -168,8 +168,8 @@ class Agent:
 
     def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
         ball = self.current.ball
-        outline, cues = self.lights.seen(peak, eye, ball, self._fleet.ranging.cues)
-        return locate(self._calibration, eye, outline, peak.lens_position, peak.sigma, ball, cues, own)
+        outline, sigma, cues = self.lights.seen(peak, eye, ball, self._fleet.ranging.cues)
+        return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own)
 
     def _sight(self, peak: Measurement, known: tuple[Belief, OwnPose], prior: Prior, now_ns: int) -> bool:
         """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also

@@ -19,7 +19,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit, FocusFit
 from agent.kernel.ranging.camera_model import centre_behind_skin_m, pixel
-from agent.kernel.ranging.fix import CENTRE_NOISE_PX
+from agent.kernel.ranging.cues import CENTRE_NOISE_PX
 from agent.kernel.step_io import Sighting, SweepPlan
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose

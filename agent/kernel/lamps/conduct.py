@@ -18,7 +18,7 @@ from agent.kernel.control.attitude import Attitude, AttitudeLog
 from agent.kernel.control.seek import Seek
 from agent.kernel.control.sweep import Measurement, Rejected
 from agent.kernel.lamps.aim import others
-from agent.kernel.lamps.aside import cues_by, whole
+from agent.kernel.lamps.aside import SCATTERS, WANDERS_PX, cues_by, whole
 from agent.kernel.lamps.follow_light import FollowLight
 from agent.kernel.lamps.lights import Lights
 from agent.kernel.lamps.onlookers import lamp_state
@@ -120,11 +120,11 @@ class LentLights(Lights):
         seek.take_back()
         return Rejected(pending.sweep, f"spoiled: {found.reason}", held_width=pending.held_width)
 
-    def seen(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, Cues]:
+    def seen(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, float, Cues]:
         if set(self._turn.burned) <= {self._name}:
-            return peak.outline, cues
+            return peak.outline, peak.sigma, cues
         outline = whole(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, self._lamps_m)
-        return outline, cues_by(cues)
+        return outline._replace(centre_sigma_px=WANDERS_PX), SCATTERS * peak.sigma, cues_by(cues)
 
     def lens(self, told: int | UnsetType | None) -> int | UnsetType | None:
         """Where the target is believed to be sharp, which out of focus does not show in the dark; of robots that swim

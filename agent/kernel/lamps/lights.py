@@ -56,9 +56,10 @@ class Lights:
         """What became of sweeps: one that ended now waits until all lamps are known not to have changed in it."""
         return result
 
-    def seen(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, Cues]:
-        """The outline of a ball and the cues to its range, as the light leaves them in which it was swept."""
-        return peak.outline, cues
+    def seen(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, float, Cues]:
+        """The outline of a ball, how well its peak is known, in lens positions, and the cues to its range, as the light
+        leaves them in which it was swept."""
+        return peak.outline, peak.sigma, cues
 
     def lens(self, told: int | UnsetType | None) -> int | UnsetType | None:
         """Where the lens shall be between sweeps. told: by whoever else moves it."""

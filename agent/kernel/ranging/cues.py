@@ -24,6 +24,7 @@ from agent.kernel.ranging.lens_sag import at_tilt
 EDGE_BIAS_PX = 0.09
 EDGE_NOISE_PX = 0.03
 ARC_POWER = 1.5  # where vision states no sigma, share ** -1.5 times as much: 0.25 px of half an outline
+CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
 WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
 DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
 
@@ -43,6 +44,7 @@ class Outline(NamedTuple):
     lens_position: float | None  # of that frame
     size_px: tuple[float, float] | None = None  # width and height of the box; None: a ball
     radius_sigma_px: float | None = None  # standard deviation of the radius, as vision states it; None: it does not
+    centre_sigma_px: float = CENTRE_NOISE_PX  # of the middle, each way
 
 
 class Range(NamedTuple):

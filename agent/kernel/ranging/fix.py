@@ -27,7 +27,6 @@ HEIGHT_SIGMA_M = 0.0007  # pressure: what the tare leaves, and the drift of four
 HEADING_SIGMA_DEG = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
 LEVEL_SIGMA_DEG = 0.1  # roll and pitch: drift and noise of pressure over a base of 0.26 m
 BOX_NOISE = 0.05  # of a box's width and height: trackers tremble by so much, and people draw no better
-CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
 
 
 class Fix(NamedTuple):
@@ -70,7 +69,7 @@ def locate(
     r = apply(eye.rotation, m)
     x, y, z = (p + camera.ahead_m * a + d.distance_m * c for p, a, c in zip(eye.position_m, axis, r, strict=True))
     right, down = apply(eye.rotation, (1.0, 0.0, 0.0)), apply(eye.rotation, (0.0, 1.0, 0.0))
-    px2 = camera.noise_px**2 + CENTRE_NOISE_PX**2
+    px2 = camera.noise_px**2 + outline.centre_sigma_px**2
     gimbal = math.radians(camera.noise_deg) ** 2
     turns = [(cross(axis_, r), d.distance_m**2 * gimbal) for axis_ in (right, down)]
     along_x, along_y = (_slope_shift(e, r, m_e, m[2], d) for e, m_e in ((right, m[0]), (down, m[1])))

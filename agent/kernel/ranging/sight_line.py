@@ -16,8 +16,8 @@ from agent.kernel.estimation.matrix import plus, times
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.kernel.ranging.camera_model import Eye, apply, ray
-from agent.kernel.ranging.cues import Outline, size_range
-from agent.kernel.ranging.fix import CENTRE_NOISE_PX, LEVEL_SIGMA_DEG
+from agent.kernel.ranging.cues import CENTRE_NOISE_PX, Outline, size_range
+from agent.kernel.ranging.fix import LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
 BENDING = 0.03  # of a box's longer side, by which a body that bends moves the middle of its box

@@ -103,7 +103,7 @@ def test_random_covariance_is_that_of_draws(cue, d, off):
     rng, here = np.random.default_rng(1), eye()
     outline, rho, _ = seen(here, d, off)
     ours = locate(KNOWN, here, outline, rho, 1.1, BALL, cue)
-    s_px = math.hypot(CAMERA.noise_px, fix.CENTRE_NOISE_PX)
+    s_px = math.hypot(CAMERA.noise_px, cues.CENTRE_NOISE_PX)
     gimbal, right, down = math.radians(CAMERA.noise_deg), *np.array(here.rotation).T[:2]
     places = []
     for e in rng.normal(0, 1, (DRAWS, 6)):
