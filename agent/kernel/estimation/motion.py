@@ -17,7 +17,8 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from agent.kernel.estimation.matrix import ZERO, apply, invert, plus, quadratic
+from agent.kernel.estimation.matrix import apply, invert, quadratic
+from agent.kernel.estimation.tracks.track import summed
 from agent.kernel.messages import Symmetric, Vector
 
 BATCH = 5  # samples whose sum is judged; two batches in a row must agree
@@ -77,9 +78,6 @@ class Motion:
 
 def _of_mean(batch: list[Innovation]) -> float:
     """The part of the sum that the mean of the batch has."""
-    total, x, y, z = ZERO, 0.0, 0.0, 0.0
-    for each in batch:
-        information = invert(each.covariance_m2)
-        total, (u, v, w) = plus(total, information), apply(information, each.step_m)
-        x, y, z = x + u, y + v, z + w
-    return quadratic(invert(total), (x, y, z))
+    known = [(invert(each.covariance_m2), each.step_m) for each in batch]
+    information, vector = summed([(precision, apply(precision, step_m)) for precision, step_m in known])
+    return quadratic(invert(information), vector)

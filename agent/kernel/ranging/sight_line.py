@@ -16,7 +16,7 @@ from agent.kernel.estimation.matrix import plus, times
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import CameraFit, at_lens_position
 from agent.kernel.ranging.camera_model import Eye, apply, ray
-from agent.kernel.ranging.cues import CENTRE_NOISE_PX, Outline, size_range
+from agent.kernel.ranging.cues import Outline, size_range
 from agent.kernel.ranging.fix import LEVEL_SIGMA_DEG
 from agent.kernel.ranging.own_pose import OwnPose, carried
 
@@ -73,7 +73,9 @@ def sight_line(
     up_m = range_m * tilt_sigma_rad
     pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
     pose_m2 = plus(pose_m2, (0.0, 0.0, 0.0, 0.0, 0.0, up_m * up_m))
-    px_sigma = math.hypot(camera.noise_px, CENTRE_NOISE_PX, *_bent_px(outline, target, camera.f_px / range_m, side))
+    px_sigma = math.hypot(
+        camera.noise_px, outline.centre_sigma_px, *_bent_px(outline, target, camera.f_px / range_m, side)
+    )
     sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
     if far_m is None:

@@ -151,7 +151,7 @@ def nis(track: Track, x_m: Vector, covariance_m2: Symmetric) -> float:
 
 
 def summed(samples: list[tuple[Symmetric, Vector]]) -> tuple[Symmetric, Vector]:
-    """Sum of information pairs of one moment."""
+    """Sum of information pairs, of one moment or of one batch."""
     information, x, y, z = ZERO, 0.0, 0.0, 0.0
     for matrix, vector in samples:
         information = plus(information, matrix)
