@@ -14,7 +14,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -25,12 +24,10 @@ from agent.ground.console import OrderConsole
 from agent.kernel.codec import decode
 from agent.kernel.config import Fleet
 from agent.kernel.orders.words import Answer
-from agent.kernel.toml_files import dump
 from agent.kernel.topics import ANSWER
 from agent.keys.fleet_certificates import credentials
 from agent.transport import Observer
-from tests.bench.network.bench_orders import of_three
-from tests.killing import killed_after
+from tests.bench.network.bench_orders import agents_of_three
 from tests.network.conftest import unused_port
 from tests.places import ROOT
 
@@ -47,43 +44,36 @@ def run() -> dict[str, dict[str, Any]]:
         sys.stderr.write("no MAVProxy: MAVPROXY=PATH of mavproxy.py; nothing is measured\n")
         return {}
     rows: dict[str, dict[str, Any]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        fleet, path = of_three("tls", Path(folder)), Path(folder) / "fleet.toml"
-        path.write_text(dump(fleet), encoding="utf-8")
-        processes: dict[str, subprocess.Popen[Any]] = {}
-        with killed_after(processes):
-            for name in fleet.robot:
-                agent = [sys.executable, "-m", "tests.network.scripted_agent", str(path), name, folder]
-                processes[name] = subprocess.Popen(agent, cwd=ROOT)
-            with OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console:
-                _until(lambda: len(console.states()) == len(fleet.robot))
-            for first in ("MAVProxy", "bridge"):
-                port = unused_port()
-                bridge = [sys.executable, "-m", "agent", "bridge", "mavlink", str(path), "--as", "ann"]
-                station = Station(program, port, folder) if first == "MAVProxy" else None
-                if station is not None:
-                    station.until("Waiting for heartbeat")
+    with agents_of_three("tls") as (fleet, path, processes):
+        with OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console:
+            _until(lambda: len(console.states()) == len(fleet.robot))
+        for first in ("MAVProxy", "bridge"):
+            port = unused_port()
+            bridge = [sys.executable, "-m", "agent", "bridge", "mavlink", str(path), "--as", "ann"]
+            station = Station(program, port, str(path.parent)) if first == "MAVProxy" else None
+            if station is not None:
+                station.until("Waiting for heartbeat")
+            began_s = time.monotonic()
+            processes["bridge"] = subprocess.Popen([*bridge, "--port", str(port)], cwd=ROOT)
+            if station is None:
+                time.sleep(SEEN_WANTED_S)
                 began_s = time.monotonic()
-                processes["bridge"] = subprocess.Popen([*bridge, "--port", str(port)], cwd=ROOT)
-                if station is None:
-                    time.sleep(SEEN_WANTED_S)
-                    began_s = time.monotonic()
-                    station = Station(program, port, folder)
-                processes["MAVProxy"] = station.process
-                station.until_seen(len(fleet.robot))
-                took_s = time.monotonic() - began_s
-                last = "bridge" if first == "MAVProxy" else "MAVProxy"
-                rows[f"three vehicles, {first} runs already: from the start of the {last}"] = {
-                    "value": took_s,
-                    "unit": "s",
-                    "against": f"{SEEN_WANTED_S:g} s",
-                    "ratio": took_s / SEEN_WANTED_S,
-                }
-                if first == "bridge":
-                    rows |= _orders(fleet, path, station)
-                for name in ("MAVProxy", "bridge"):
-                    processes[name].kill()  # MAVProxy does not end otherwise
-                    processes[name].wait()
+                station = Station(program, port, str(path.parent))
+            processes["MAVProxy"] = station.process
+            station.until_seen(len(fleet.robot))
+            took_s = time.monotonic() - began_s
+            last = "bridge" if first == "MAVProxy" else "MAVProxy"
+            rows[f"three vehicles, {first} runs already: from the start of the {last}"] = {
+                "value": took_s,
+                "unit": "s",
+                "against": f"{SEEN_WANTED_S:g} s",
+                "ratio": took_s / SEEN_WANTED_S,
+            }
+            if first == "bridge":
+                rows |= _orders(fleet, path, station)
+            for name in ("MAVProxy", "bridge"):
+                processes[name].kill()  # MAVProxy does not end otherwise
+                processes[name].wait()
     return rows
 
 

@@ -73,22 +73,31 @@ def stops(console: OrderConsole) -> Iterator[Any]:
 
 
 @contextmanager
-def three(kind: str) -> Iterator[tuple[OrderConsole, dict[str, subprocess.Popen[bytes]]]]:
-    """Three robots that a console hears."""
+def agents_of_three(kind: str) -> Iterator[tuple[Fleet, Path, dict[str, subprocess.Popen[Any]]]]:
+    """Processes of scripted agents, and the fleet file that they have read; all that is among them in the end ends."""
     with tempfile.TemporaryDirectory() as folder:
         fleet, path = of_three(kind, Path(folder)), Path(folder) / "fleet.toml"
         path.write_text(dump(fleet), encoding="utf-8")
-        processes: dict[str, subprocess.Popen[bytes]] = {}
+        processes: dict[str, subprocess.Popen[Any]] = {}
         with killed_after(processes):
             for name in fleet.robot:
                 agent = [sys.executable, "-m", "tests.network.scripted_agent", str(path), name, folder]
                 processes[name] = subprocess.Popen(agent, cwd=ROOT)
-            with OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console:
-                ends_s = time.monotonic() + WELL_S
-                while len(console.states()) < len(fleet.robot):
-                    assert time.monotonic() < ends_s, console.states().keys()
-                    time.sleep(0.1)
-                yield console, processes
+            yield fleet, path, processes
+
+
+@contextmanager
+def three(kind: str) -> Iterator[tuple[OrderConsole, dict[str, subprocess.Popen[bytes]]]]:
+    """Three robots that a console hears."""
+    with (
+        agents_of_three(kind) as (fleet, path, processes),
+        OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console,
+    ):
+        ends_s = time.monotonic() + WELL_S
+        while len(console.states()) < len(fleet.robot):
+            assert time.monotonic() < ends_s, console.states().keys()
+            time.sleep(0.1)
+        yield console, processes
 
 
 def of_three(kind: str, folder: Path) -> Fleet:
