@@ -33,6 +33,7 @@ from agent.kernel.ranging.camera_model import Eye
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix, locate
 from agent.kernel.ranging.own_pose import EXACT, OwnPose
+from agent.kernel.savepoint import Revertible
 from agent.kernel.status import Status, sweep_outcome
 from agent.kernel.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
 from agent.kernel.target_state import TargetState
@@ -41,7 +42,7 @@ from agent.kernel.topics import next_due_ns
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
-class Agent:
+class Agent(Revertible):
     """One robot's mind: what it knows between steps."""
 
     def __init__(

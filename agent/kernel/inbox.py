@@ -14,6 +14,7 @@ from agent.kernel.lamps.lights import Lights
 from agent.kernel.messages import Estimate
 from agent.kernel.navigation.neighbours import Neighbours
 from agent.kernel.presence import Presence
+from agent.kernel.savepoint import Revertible
 from agent.kernel.status import Status
 from agent.kernel.step_io import DroppedPayloads, Heard
 from agent.kernel.target_state import TargetState
@@ -23,7 +24,7 @@ FOR_PEOPLE = ("clock", "fleet file", "schema")  # refusals that somebody has to 
 FAULT_NS = 10_000_000_000  # how long such a thing is told after it was last seen
 
 
-class Inbox:
+class Inbox(Revertible):
     """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
 
     def __init__(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from agent.kernel.messages import MAX_TEXT, Level, LogLine
+from agent.kernel.savepoint import Revertible
 
 AGAIN_NS = 1_000_000_000  # the same text at most once in this time
 SELDOM_NS = 5_000_000_000  # about one subject at most one line in this time, for texts that are never the same
@@ -18,7 +19,7 @@ class Held(NamedTuple):
     more: int = 0  # how often it came again since, unwritten
 
 
-class Logbook:
+class Logbook(Revertible):
     """The lines since they were last fetched, and which texts were written lately."""
 
     def __init__(self, robot: str) -> None:

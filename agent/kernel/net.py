@@ -14,7 +14,7 @@ from typing import NamedTuple
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
-from agent.kernel.savepoint import Savepoint
+from agent.kernel.savepoint import Revertible, Savepoint
 from agent.kernel.step_io import Heard, Inputs, Ordered, Outputs, SetPoint
 
 Work = Callable[[Inputs, int], Outputs]
@@ -35,7 +35,7 @@ class Broken(NamedTuple):
 
 
 class Net:
-    """What one robot remembers of steps that broke; no savepoint undoes it."""
+    """What one robot remembers of steps that broke. It is not Revertible: no savepoint undoes it."""
 
     def __init__(self) -> None:
         self._refused: dict[bytes, None] = {}  # digests of payloads, oldest first
@@ -55,14 +55,14 @@ class Net:
         """Whether the newest step gave nothing but a set-point."""
         return self._in_a_row > 0
 
-    def step(self, state: object, work: Work, inputs: Inputs, now_ns: int) -> Outputs:
+    def step(self, state: Revertible, work: Work, inputs: Inputs, now_ns: int) -> Outputs:
         """`work(inputs, now_ns)`, whose effects on `state` are undone where it raises."""
         if self._keys is not UNSET and inputs.keys is UNSET:
             inputs = replace(inputs, keys=self._keys)
         self._keys = UNSET
         if self._refused:
             inputs = only(inputs, tuple(word for word in words(inputs) if digest(word) not in self._refused))
-        before = Savepoint(state, apart=self)
+        before = Savepoint(state)
         outputs: Outputs | None
         try:
             outputs = work(inputs, now_ns)

@@ -1,8 +1,8 @@
 """A savepoint: all that the kernel remembers, so that a step which breaks can be undone.
 
-The kernel's state is objects of its own classes, and dicts, lists, deques and sets, of things that never change:
-numbers, tuples, frozen structs. A shallow copy of each container is enough, and takes a hundredth of the time of a
-deep one.
+The kernel's state is Revertible objects, and dicts, lists, deques and sets, of things that never change: numbers,
+tuples, frozen structs. A shallow copy of each container is enough, and takes a hundredth of the time of a deep one.
+What lies in a tuple, a struct or an array is not looked into: tests/kernel/test_savepoint.py refuses state there.
 """
 
 from __future__ import annotations
@@ -11,21 +11,25 @@ from collections import deque
 from collections.abc import Collection
 from typing import Any
 
-import msgspec
-
 ROWS = (list, deque, set)
 CONSTANT: set[type] = set()  # classes that were met and are known not to change
+
+
+class Revertible:
+    """Base of each class of the kernel whose objects change: a step that breaks puts back their attributes.
+
+    It adds nothing to an object. The attributes lie in `__dict__`: such a class has no `__slots__`.
+    """
 
 
 class Savepoint:
     """The state of everything that can be reached from one object, at one moment."""
 
-    def __init__(self, root: object, apart: object = None) -> None:
-        """apart: what keeps its state, though it can be reached."""
+    def __init__(self, root: Revertible) -> None:
         self._objects: list[tuple[dict[str, Any], dict[str, Any]]] = []
         self._dicts: list[tuple[dict[Any, Any], dict[Any, Any]]] = []
         self._rows: list[tuple[Any, Any]] = []  # lists, deques and sets
-        self._save(root, apart)
+        self._save(root)
 
     def restore(self) -> None:
         """Put everything back, in place: who shares a container goes on sharing it."""
@@ -36,8 +40,8 @@ class Savepoint:
             row.clear()
             row.update(before) if isinstance(row, set) else row.extend(before)
 
-    def _save(self, root: object, apart: object) -> None:
-        seen = {id(apart)}
+    def _save(self, root: Revertible) -> None:
+        seen: set[int] = set()
         found: list[Any] = [root]
         while found:
             each = found.pop()
@@ -63,10 +67,4 @@ class Savepoint:
 
 def changes(kind: type) -> bool:
     """Whether things of this class may change."""
-    return kind is dict or kind in ROWS or has_state(kind)
-
-
-def has_state(kind: type) -> bool:
-    """Whether objects of this class change: those of the kernel's own classes that are neither tuples nor structs."""
-    ours = kind.__module__.startswith("agent.kernel.")
-    return ours and not issubclass(kind, (tuple, msgspec.Struct))
+    return kind is dict or kind in ROWS or issubclass(kind, Revertible)

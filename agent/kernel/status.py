@@ -13,6 +13,7 @@ from agent.kernel.logbook import Logbook
 from agent.kernel.messages import MAX_TEXT, NeighbourState, State, Symmetric
 from agent.kernel.ranging.cues import NoRange
 from agent.kernel.ranging.fix import Fix
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Inputs, SweepOutcome
 from agent.kernel.target_state import TargetState
 
@@ -20,7 +21,7 @@ FAILSAFE = "failsafe level"
 NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
 
 
-class Status:
+class Status(Revertible):
     """Keeps what only observers need: nothing here is read back by the control of the robot."""
 
     def __init__(self, fleet: str, robot: str, incarnation: int) -> None:

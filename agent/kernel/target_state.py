@@ -19,6 +19,7 @@ from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.estimation.matrix import plus, times, trace
 from agent.kernel.estimation.tracks.dynamics import Dynamics, growth
 from agent.kernel.messages import Estimate, State, Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 
 Knows = Literal["blind", "told", "sees"]
 OLD_NS = 1_000_000_000
@@ -39,7 +40,7 @@ class TargetEstimate(NamedTuple):
         return math.sqrt(self.cov_m2[0] + self.cov_m2[3])
 
 
-class TargetState:
+class TargetState(Revertible):
     """What one robot keeps about one target between steps."""
 
     def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int, common: str = "") -> None:

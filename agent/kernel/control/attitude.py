@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Telemetry
 
 KEEP_NS = 6_000_000_000  # longer than a full sweep: the sharpest frame may be its first
@@ -17,7 +18,7 @@ class Attitude(NamedTuple):
     pitch_deg: float
 
 
-class AttitudeLog:
+class AttitudeLog(Revertible):
     """Telemetry in order of arrival."""
 
     def __init__(self) -> None:

@@ -18,6 +18,7 @@ import math
 from collections.abc import Sequence
 
 from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 
 LOST_NS = 400_000_000  # four frames without it
 ELSEWHERE_NS = 200_000_000  # several steps
@@ -27,7 +28,7 @@ SIGMAS = 2.0  # to either side
 SHOWN_DEG = 7.0  # to either side of the gaze, of a view of 30 degrees and a target that is whole in it
 
 
-class Gaze:
+class Gaze(Revertible):
     """Of one robot. share: of a period, by which its triangle is ahead of others'."""
 
     def __init__(self, share: float) -> None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+from agent.kernel.savepoint import Revertible
+
 LOWEST_US, HIGHEST_US = 500, 2500  # pulses of a servo; a board leaves all servos where they are that is told others
 PLAY_US = 25  # how far below the goal an approach starts: more than any servo's play
 LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
@@ -31,7 +33,7 @@ SEARCH_DEG = (  # around the told direction, (pan, tilt): near ones first
 )
 
 
-class Pointing:
+class Pointing(Revertible):
     """Pulses of the camera's pan and tilt servos over time."""
 
     def __init__(self) -> None:
@@ -81,7 +83,7 @@ def reachable(goal_us: tuple[int, int]) -> tuple[int, int]:
     return pan_us, tilt_us
 
 
-class Search:
+class Search(Revertible):
     """Looks around a direction, one step of the pattern after the other, for ever."""
 
     def __init__(self) -> None:

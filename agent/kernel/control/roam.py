@@ -10,6 +10,7 @@ import math
 
 from agent.kernel.config import Body
 from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.savepoint import Revertible
 
 Ways = tuple[tuple[float, float], ...]  # pan and tilt, degrees
 
@@ -21,7 +22,7 @@ PITCH = 0.8  # of the spiral, in views: from one turn to the next, and from look
 WIDEST_DEG = 90.0  # of the spiral
 
 
-class Roam:
+class Roam(Revertible):
     """One search's looks, one after the other. It is moved on by control/seek.py."""
 
     def __init__(self, target: str, spiral: Ways, around: Ways, since_ns: int = 0) -> None:

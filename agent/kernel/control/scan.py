@@ -13,12 +13,13 @@ from agent.kernel.config import Body
 from agent.kernel.control.gaze import SWIFTEST_DEG_S, triangle
 from agent.kernel.control.roam import rows_deg
 from agent.kernel.ranging.calibration import CameraFit
+from agent.kernel.savepoint import Revertible
 
 AWAY_NS = 200_000_000  # several steps
 ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew
 
 
-class Scan:
+class Scan(Revertible):
     """Of one robot. share: of a round, by which it is ahead of others'."""
 
     def __init__(self, share: float) -> None:

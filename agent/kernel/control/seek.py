@@ -12,6 +12,7 @@ from agent.kernel.control.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Sighting, SweepPlan, Telemetry
 
 CENTRED = 0.09  # share of the image width: nearer to the middle than this, the gimbal stays still
@@ -19,7 +20,7 @@ IN_VIEW_NS = 600_000_000  # two frames between sweeps
 LOST_NS = 1_200_000_000  # not found for this long, with the gimbal at rest
 
 
-class TargetMemory:
+class TargetMemory(Revertible):
     """What is remembered of one target, also while the camera looks at another."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
@@ -31,7 +32,7 @@ class TargetMemory:
         return self.seen is not None and now_ns - self.seen.t_ns < IN_VIEW_NS
 
 
-class Seek:
+class Seek(Revertible):
     """Gimbal and lens of one robot. They are at one target at a time; `act` is told which."""
 
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:

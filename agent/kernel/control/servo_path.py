@@ -14,6 +14,7 @@ from collections import deque
 from typing import NamedTuple
 
 from agent.kernel.control.pointing import SLEW_US_PER_S
+from agent.kernel.savepoint import Revertible
 
 # Of the way through host and module, 20 ms at most each, and of a small digital servo under a camera's load.
 SERVO_LAG_S = 0.06
@@ -42,7 +43,7 @@ class Leg(NamedTuple):
     jumps_until_ns: int = 0  # farther than at full speed; a swift servo is there long before a slow one
 
 
-class ServoPath:
+class ServoPath(Revertible):
     """Of the last seconds in which each step had a set-point of its own."""
 
     def __init__(self) -> None:

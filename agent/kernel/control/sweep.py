@@ -27,6 +27,7 @@ from agent.kernel.control.lens_positions import (
 from agent.kernel.ranging.calibration import FocusFit
 from agent.kernel.ranging.cues import Outline
 from agent.kernel.ranging.focus import Peak, fit_peak, phase_sigma
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Sighting, SweepPlan, Telemetry
 
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
@@ -77,7 +78,7 @@ class ByLight(NamedTuple):
     aside: bool  # others' lamps burn: some frames show the lit part of a ball as a ball of its own
 
 
-class Sweep:
+class Sweep(Revertible):
     """Plans sweeps and collects their frames. The caller decides when the next may start."""
 
     def __init__(self, fit: FocusFit, full_steps: int) -> None:

@@ -17,11 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from agent.kernel.savepoint import Revertible
+
 TURN = 5  # iterations: one goes by while the gimbal turns, and a search looks in two directions
 PATIENCE = 2
 
 
-class TargetScheduler:
+class TargetScheduler(Revertible):
     """Whose turn it is."""
 
     def __init__(self, targets: tuple[str, ...]) -> None:

@@ -25,6 +25,7 @@ from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer, pose_of
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.savepoint import Revertible
 from agent.kernel.status import Status
 from agent.kernel.step_io import BlockPeaks, Heard, SweepPlan
 from agent.kernel.topics import CLAIM, KEYFRAME
@@ -41,7 +42,7 @@ class Swept(NamedTuple):
     hulls_m: tuple[Vector, ...]  # of other robots, world frame
 
 
-class Conduct:
+class Conduct(Revertible):
     """Of one robot, between steps."""
 
     def __init__(

@@ -19,6 +19,7 @@ from agent.kernel.coverage.grid import FARTHEST_M, FLOOR_MM, NEAREST_M, Grid, in
 from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
 from agent.kernel.keyframes.keyframe import UNIT_M, Frame, measured
 from agent.kernel.messages import Vector
+from agent.kernel.savepoint import Revertible
 
 STARTS = 4
 ALONE_COS = 0.7  # of a block without neighbours that tell how its surface lies
@@ -38,7 +39,7 @@ class Held(NamedTuple):
     bytes: bytes  # which of two different ones is first
 
 
-class CoverageMap:
+class CoverageMap(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self, grid: Grid) -> None:

@@ -19,6 +19,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.coverage.evidence import CoverageMap, Key
 from agent.kernel.keyframes.claim import SHORT_MASK, Claim, Has, View, claim_fault
 from agent.kernel.keyframes.keyframe import Frame, Keyframe, frame_fault
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.letters import Letters
 from agent.kernel.trust.transit import CLOCKS_NS
 
@@ -31,7 +32,7 @@ FOLDS = 4  # keyframes taken in in one step; those beyond are sent again
 MOST_HAS = 128
 
 
-class Exchange:
+class Exchange(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self, fleet: Fleet, name: str, incarnation: int, known: CoverageMap) -> None:

@@ -34,6 +34,7 @@ from agent.kernel.navigation.angle import wrap
 from agent.kernel.navigation.barrier import MARGIN_M, WALL_M, Planar
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import Eye
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import BlockPeaks, SweepPlan
 
 Phase = Literal["choose", "go", "look", "sweep", "done"]
@@ -49,7 +50,7 @@ CLEAR_M, ABOVE_M = 0.36, 0.14  # from things that were found near a robot's heig
 FIRST_SWEEP = 1_000_000  # numbers of a survey's plans: no target's sweep gets there
 
 
-class Surveyor:
+class Surveyor(Revertible):
     """Of one robot of a fleet with [coverage], between steps."""
 
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:

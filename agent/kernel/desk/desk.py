@@ -22,6 +22,7 @@ from agent.kernel.logbook import Logbook
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.orders.verbs import CLOCK, URGENT, Args, Resume, Set, arguments, in_words
 from agent.kernel.orders.words import MAX_ORDER, MAX_WORDS, Answer, Order
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Ordered, Outputs
 
 PARTS = {**dict.fromkeys(("stop", "disarm", "surface", "arm"), "motors"), "look": "camera", "lamp": "lamp"}
@@ -30,7 +31,7 @@ STALE_NS = 3_000_000_000
 BROKE = "the step that it came with broke, and it was left out; order again"
 
 
-class Desk:
+class Desk(Revertible):
     """Of one robot, between steps."""
 
     def __init__(

@@ -24,13 +24,14 @@ from agent.kernel.orders.verbs import (
     Stop,
     Surface,
 )
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Motors, TargetBox
 
 MOST_SEND_HZ, LEAST_SEND_HZ, MOST_PREVIEW_HZ = 20.0, 0.2, 5.0
 MIN_SIDE_PX = 8.0  # of a box that can be followed
 
 
-class Doing:
+class Doing(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self, fleet: Fleet, name: str, swimmer: Swimmer | None, lights: Lights) -> None:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from agent.kernel.orders.verbs import URGENT
 from agent.kernel.orders.words import Answer, Order
+from agent.kernel.savepoint import Revertible
 
 ORDERS = 64  # of each console
 CONSOLES = 16  # a fleet file names fewer; where everybody may order, the one that was silent for longest is forgotten
@@ -16,7 +17,7 @@ class Answered(NamedTuple):
     answer: Answer
 
 
-class Memory:
+class Memory(Revertible):
     """Of one robot, since its start; what came before that is refused by its State's incarnation."""
 
     def __init__(self) -> None:

@@ -14,6 +14,7 @@ from agent.kernel.lamps.lights import Lights
 from agent.kernel.messages import Mode, State
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.net import Net
+from agent.kernel.savepoint import Revertible
 from agent.kernel.status import Status
 from agent.kernel.target_state import TargetState
 from agent.kernel.topics import next_due_ns
@@ -21,7 +22,7 @@ from agent.kernel.topics import next_due_ns
 STATE_NS = 200_000_000  # 5 Hz to whoever looks
 
 
-class Showing:
+class Showing(Revertible):
     """Of one robot, between steps."""
 
     def __init__(

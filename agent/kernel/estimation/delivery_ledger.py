@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 from agent.kernel.messages import Holding
+from agent.kernel.savepoint import Revertible
 
 Key = TypeVar("Key", bound=tuple[Any, ...])  # begins with origin and incarnation
 
@@ -17,7 +18,7 @@ DIGEST_NS = 1_000_000_000  # a digest at least this often: repairs what stopped 
 LINES = 64  # of a digest in one message; longer ones go out in turns
 
 
-class DeliveryLedger(Generic[Key]):
+class DeliveryLedger(Revertible, Generic[Key]):
     """Bookkeeping for one neighbour in one epoch."""
 
     def __init__(self) -> None:

@@ -36,6 +36,7 @@ from agent.kernel.estimation.static_target import StaticTarget
 from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics
 from agent.kernel.estimation.window import WINDOW
 from agent.kernel.messages import Epoch, Estimate, Gossip, Proposal, Symmetric
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.authority import HEARSAY, Authority, Verify
 from agent.kernel.trust.epoch_vote import EpochVote, epoch_of
 from agent.kernel.trust.letters import Letter
@@ -47,7 +48,7 @@ DOUBTED = 10  # iterations in a row, after which a robot begins anew
 ANEW_NS = 10_000_000_000  # and not again before this
 
 
-class Evidence:
+class Evidence(Revertible):
     """State of one robot for one target. `incarnation` must differ from that of every earlier start.
 
     subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; where it

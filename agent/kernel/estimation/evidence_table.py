@@ -28,6 +28,7 @@ from agent.kernel.estimation.matrix import (
     trace,
 )
 from agent.kernel.messages import Entry, Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 
 Key = tuple[str, int]  # origin, incarnation
 
@@ -36,7 +37,7 @@ NOTHING_M2 = 1e-12  # a micrometre
 INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day must not fill everybody's memory
 
 
-class Table:
+class Table(Revertible):
     """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
 
     def __init__(self) -> None:

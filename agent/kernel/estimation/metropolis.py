@@ -25,12 +25,13 @@ from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.estimation.matrix import trace
 from agent.kernel.estimation.paper import UNKNOWN, mix
 from agent.kernel.messages import Estimate, Explain, Vector
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.letters import Letter
 
 CLIP = 3.0  # sigma of the own samples' mean: honest neighbours, who share most of their past, are nearer
 
 
-class Metropolis:
+class Metropolis(Revertible):
     """State of one robot for one target."""
 
     def __init__(self, me: str, validity_ns: int, degree: int, clip: bool = False) -> None:

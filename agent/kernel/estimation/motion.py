@@ -20,6 +20,7 @@ from typing import NamedTuple
 from agent.kernel.estimation.matrix import apply, invert, quadratic
 from agent.kernel.estimation.tracks.track import summed
 from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 
 BATCH = 5  # samples whose sum is judged; two batches in a row must agree
 MOVED = 37.70  # chi^2, 15 degrees of freedom, 0.999
@@ -39,7 +40,7 @@ class Innovation(NamedTuple):
     nis: float  # that step, normalised and squared
 
 
-class Motion:
+class Motion(Revertible):
     """Evidence for and against motion, of one robot in one epoch."""
 
     def __init__(self) -> None:

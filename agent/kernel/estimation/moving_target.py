@@ -24,6 +24,7 @@ from agent.kernel.estimation.tracks.track import Track, nis, nis_of_bearing, pre
 from agent.kernel.estimation.tracks.track_distance import distances2
 from agent.kernel.estimation.window import MASK, Key, Window
 from agent.kernel.messages import Epoch, Explain, Gossip, Sample, Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.authority import HEARSAY
 from agent.kernel.trust.signed import sample_bytes
 
@@ -31,7 +32,7 @@ MATTERS = 0.02  # weight of a track without somebody below which it is not worth
 SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold
 
 
-class MovingTarget:
+class MovingTarget(Revertible):
     """One robot's window of samples in one epoch, and what its neighbours hold of it."""
 
     def __init__(self, me: Me, epoch: Epoch) -> None:

@@ -18,10 +18,11 @@ from collections.abc import Mapping, Sequence
 from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
 from agent.kernel.estimation.mailbox import Mailbox
 from agent.kernel.messages import Estimate, Explain, Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.letters import Letter
 
 
-class Paper:
+class Paper(Revertible):
     """State of one robot for one target."""
 
     def __init__(self, validity_ns: int) -> None:

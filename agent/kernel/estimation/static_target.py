@@ -14,13 +14,14 @@ from agent.kernel.estimation.matrix import apply, difference, distance2, inverse
 from agent.kernel.estimation.mode import SEEN_NS, Conclusion, Me, outliving
 from agent.kernel.estimation.motion import Innovation
 from agent.kernel.messages import Entry, Epoch, Explain, Gossip, Holding
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.authority import HEARSAY
 from agent.kernel.trust.signed import entry_bytes
 
 LET_GO_NS = 10_000_000_000  # for so long neighbours are told that an entry is here no more, and may send a better one
 
 
-class StaticTarget:
+class StaticTarget(Revertible):
     """One robot's table in one epoch, and what its neighbours hold of it."""
 
     def __init__(self, me: Me, epoch: Epoch) -> None:

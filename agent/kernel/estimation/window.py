@@ -15,6 +15,7 @@ from collections.abc import Collection
 from agent.kernel.estimation.evidence_checks import Bounds, sample_fault
 from agent.kernel.estimation.tracks.fixed_lag_filter import Held
 from agent.kernel.messages import Holding, Sample
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.origin_clocks import OriginClocks
 
 Key = tuple[str, int, int]  # origin, incarnation, number
@@ -24,7 +25,7 @@ KEPT = 48  # samples of one robot, those with the largest numbers: twice what an
 MASK = 32  # samples before the newest that one line of a digest can tell of; more than a window holds
 
 
-class Window:
+class Window(Revertible):
     """All samples of one epoch of one target that can still matter."""
 
     def __init__(self, bounds: Bounds) -> None:

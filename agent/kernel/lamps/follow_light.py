@@ -25,6 +25,7 @@ from agent.kernel.navigation.pursuit import AHEAD_S, ALL_LOST_NS, carried_on
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.camera_model import camera_pose
+from agent.kernel.savepoint import Revertible
 from agent.kernel.target_state import TargetState
 
 
@@ -45,7 +46,7 @@ class Known(NamedTuple):
     lamps_m: Mapping[str, Vector]  # of those that can burn, aimed at it
 
 
-class FollowLight:
+class FollowLight(Revertible):
     """Of one robot that swims, between steps."""
 
     def __init__(

@@ -20,11 +20,12 @@ from agent.kernel.lighting.words import Light
 from agent.kernel.messages import LampState
 from agent.kernel.ranging.camera_model import Eye
 from agent.kernel.ranging.cues import Outline
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Heard, SweepOutcome
 from agent.kernel.target_state import TargetState
 
 
-class Lights:
+class Lights(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self) -> None:

@@ -15,6 +15,7 @@ from agent.kernel.lighting.settings import Lighting
 from agent.kernel.lighting.words import LampNow, Why
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer
+from agent.kernel.savepoint import Revertible
 
 AWAKE_NS = 1_000_000_000  # after a start nobody knows how the module's lamp burned before
 NEAR_US = 22  # of a lamp that goes with its camera: it stays where it is for less, 2 degrees
@@ -31,7 +32,7 @@ class Obeyed(NamedTuple):
     dark: Why  # why it does not, though it is named
 
 
-class OwnLamp:
+class OwnLamp(Revertible):
     """Of one robot, between steps; of one without a lamp it stays dark."""
 
     def __init__(self, fleet: Fleet, name: str, lighting: Lighting, swimmer: Swimmer | None) -> None:

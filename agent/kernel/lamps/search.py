@@ -27,6 +27,7 @@ from agent.kernel.lighting.followers import FAINT, PLAIN
 from agent.kernel.lighting.lease import Party
 from agent.kernel.messages import Vector
 from agent.kernel.ranging.camera_model import Eye, camera_pose
+from agent.kernel.savepoint import Revertible
 
 # From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from
 # 0.7 m before it to 0.7 m behind; nearer than that the own lamp shows what there is.
@@ -45,7 +46,7 @@ SWIMS_NS = 3_000_000_000  # between lit looks of robots that swim, which all hol
 SHOWN_NS = 900_000_000  # of light and gimbal at rest, without a target: three frames
 
 
-class LightSearch:
+class LightSearch(Revertible):
     """Of one robot that looks for a target from where it is, between steps."""
 
     def __init__(self, fleet: Fleet, name: str) -> None:

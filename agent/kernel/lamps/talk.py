@@ -10,6 +10,7 @@ from agent.kernel.config import Fleet
 from agent.kernel.lighting.lease import Party, ack_to, acquainted, ask, hear, release, said_lease, tick
 from agent.kernel.lighting.proof import Baseline, Spoiled, baseline, verdict
 from agent.kernel.lighting.words import LampNow, Lease, Light, Why, light_fault
+from agent.kernel.savepoint import Revertible
 from agent.kernel.topics import LIGHT, next_due_ns
 from agent.kernel.trust.letters import Letters
 
@@ -17,7 +18,7 @@ SLOW_NS = round(1e9 / LIGHT.hz)
 JUDGE_NS = 1_500_000_000  # after a sweep: by then all have been heard, or it does not count
 
 
-class Talk:
+class Talk(Revertible):
     """Of one robot of a fleet with [lighting]."""
 
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:

@@ -15,10 +15,11 @@ from agent.kernel.lighting.lease import lit_by
 from agent.kernel.logbook import Logbook
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer
+from agent.kernel.savepoint import Revertible
 from agent.kernel.target_state import TargetState
 
 
-class TargetLight:
+class TargetLight(Revertible):
     """Of one robot, between steps."""
 
     def __init__(

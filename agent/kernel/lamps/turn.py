@@ -7,6 +7,7 @@ from agent.kernel.lamps.talk import Talk
 from agent.kernel.lighting.lease import Phase, lit_by
 from agent.kernel.lighting.proof import Spoiled
 from agent.kernel.lighting.words import Lease
+from agent.kernel.savepoint import Revertible
 
 LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
 MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed
@@ -14,7 +15,7 @@ AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that gave
 RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
 
 
-class Turn:
+class Turn(Revertible):
     """Of one robot of a fleet with [lighting], between steps."""
 
     def __init__(self, talk: Talk, own: OwnLamp) -> None:

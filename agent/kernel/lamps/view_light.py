@@ -15,6 +15,7 @@ from agent.kernel.lamps.wish import Wishes
 from agent.kernel.lighting.frames import FrameScene
 from agent.kernel.lighting.proof import Spoiled
 from agent.kernel.logbook import Logbook
+from agent.kernel.savepoint import Revertible
 
 
 class View(Protocol):
@@ -27,7 +28,7 @@ class View(Protocol):
         """How long the sweep can take."""
 
 
-class ViewLight:
+class ViewLight(Revertible):
     """Of one robot, between steps; of a fleet without [lighting]: by day."""
 
     def lets(self, view: View, seek: Seek, level: Attitude, now_ns: int) -> bool:

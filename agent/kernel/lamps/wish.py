@@ -20,11 +20,12 @@ from agent.kernel.messages import Vector
 from agent.kernel.navigation.swimmer import Swimmer
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.ranging.focus import lens_position
+from agent.kernel.savepoint import Revertible
 
 PATIENCE_NS = 6_000_000_000  # with a neighbour that looks for landmarks, and goes on and on
 
 
-class Wishes:
+class Wishes(Revertible):
     """Of one robot of a fleet with [lighting]."""
 
     def __init__(

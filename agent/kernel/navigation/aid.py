@@ -32,6 +32,7 @@ from agent.kernel.navigation.pose.dense import dot
 from agent.kernel.navigation.pose.event_ring import RING_NS, Event, EventRing, sighting
 from agent.kernel.navigation.pose.pose_filter import Belief, Drift
 from agent.kernel.ranging.own_pose import carried
+from agent.kernel.savepoint import Revertible
 
 NEED_M = 0.02  # one sigma of place: a robot that sees tags between its sweeps knows better by itself
 LATE_NS = 4_000_000_000  # the sharpest frame of a sweep may be its first
@@ -48,7 +49,7 @@ class Seen(NamedTuple):
     alike_m2: Symmetric  # does not
 
 
-class Aid:
+class Aid(Revertible):
     """Of one robot, by one target at a time. The filter runs while it is needed, else only what happens is kept."""
 
     def __init__(self, hull: Hull, within: Basin | None = None) -> None:

@@ -16,6 +16,7 @@ from agent.kernel.navigation.neighbours import Neighbours, content_fault
 from agent.kernel.navigation.pilot import Reference
 from agent.kernel.navigation.pose.pose_filter import Belief
 from agent.kernel.presence import Presence
+from agent.kernel.savepoint import Revertible
 from agent.kernel.topics import NEAR, next_due_ns
 
 NEAR_NS = round(1e9 / NEAR.hz)
@@ -24,7 +25,7 @@ WAIT_WITHIN = 2.0  # times as unsure as where a look is due: until then one that
 YIELD_NS = 500_000_000  # two that began at once have heard of it by now; the one whose name comes first goes on
 
 
-class Company:
+class Company(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:

@@ -16,6 +16,7 @@ from agent.kernel.navigation.behaviours.search import Hunt
 from agent.kernel.navigation.behaviours.surroundings import Surroundings, velocity_m_s
 from agent.kernel.navigation.neighbours import Neighbours
 from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.savepoint import Revertible
 from agent.kernel.target_state import TargetEstimate
 
 SCREEN_NS = 6_000_000_000  # remembered for so long: where exactly it is nobody knows, and a fish swims on
@@ -29,7 +30,7 @@ class Screen(NamedTuple):
     since_ns: int
 
 
-class Errand:
+class Errand(Revertible):
     """Of one robot, between steps; of a behaviour that is about no target it knows nothing."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:

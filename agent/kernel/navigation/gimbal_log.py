@@ -17,6 +17,7 @@ from agent.kernel.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing
 from agent.kernel.control.servo_path import ServoPath, Stand
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.camera_model import gimbal_deg
+from agent.kernel.savepoint import Revertible
 
 TURNS = 16  # that are remembered: more than a key frame's four seconds hold
 REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)
@@ -37,7 +38,7 @@ class Turn(NamedTuple):
     goal_us: tuple[int, int]
 
 
-class GimbalLog:
+class GimbalLog(Revertible):
     """Of one robot's camera."""
 
     def __init__(self, camera: CameraFit, body: Body) -> None:

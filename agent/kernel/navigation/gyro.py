@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from msgspec import UNSET
 
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Telemetry
 
 FULL_SCALE_RAD_S = math.radians(249.0)  # of 250 deg/s, hw/firmware/gyro.py
@@ -26,7 +27,7 @@ class Rate(NamedTuple):
     rad_s: float
 
 
-class Gyro:
+class Gyro(Revertible):
     """Of one robot of a fleet that has them."""
 
     def __init__(self) -> None:

@@ -33,6 +33,7 @@ from agent.kernel.navigation.tags.tag_priors import TURNING_DEG, Priors, priors,
 from agent.kernel.ranging.calibration import BodyFit, Calibration
 from agent.kernel.ranging.fix import Fix
 from agent.kernel.ranging.own_pose import MEMORY_S, OwnPose, carried, kappa, longest_gap_s
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Flow, SeenTags
 
 STILL: Wrench = (*AT_REST, 0.0)
@@ -67,7 +68,7 @@ class Unsettled(NamedTuple):
     filtered: Prior  # by what was known when it was made
 
 
-class Localizer:
+class Localizer(Revertible):
     """Of one robot."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:

@@ -15,6 +15,7 @@ from agent.kernel.estimation.matrix import semidefinite, trace
 from agent.kernel.messages import Vector
 from agent.kernel.navigation.barrier import RINGS_M, Disc, Planar, robot
 from agent.kernel.presence import Presence
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.letters import Letter, Letters
 
 FASTEST_M_S = 2.0  # a robot that drops from a hand; none swims at a quarter of it
@@ -23,7 +24,7 @@ LONGEST_NS = 2_000_000_000  # a claim on glancing ends by itself: who claimed ma
 SILENT_NS = 3_000_000_000  # by then a robot may be a metre and more from where it was going
 
 
-class Neighbours:
+class Neighbours(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self, fleet: Fleet, me: str) -> None:

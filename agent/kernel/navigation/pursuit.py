@@ -30,6 +30,7 @@ from agent.kernel.ranging.camera_model import camera_pose, look_at
 from agent.kernel.ranging.cues import Outline
 from agent.kernel.ranging.focus import lens_position
 from agent.kernel.ranging.sight_line import NEAREST_M, sight_line
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Sighting
 from agent.kernel.target_state import TargetState, grown
 
@@ -43,7 +44,7 @@ REMEMBERS = 2.0
 AHEAD_S = SERVO_LAG_S + 0.05
 
 
-class Pursuit:
+class Pursuit(Revertible):
     """Of one robot, between steps; of one whose behaviour is about no target that swims it does nothing."""
 
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, swimmer: Swimmer | None) -> None:

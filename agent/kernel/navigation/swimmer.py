@@ -45,6 +45,7 @@ from agent.kernel.navigation.task import Task
 from agent.kernel.net import SURFACE_M
 from agent.kernel.presence import Presence
 from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Flow, SeenTags, Telemetry
 from agent.kernel.target_state import TargetEstimate
 
@@ -60,7 +61,7 @@ NOTHING = Sure(math.inf, 180.0)
 ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
 
 
-class Swimmer:
+class Swimmer(Revertible):
     """Between steps, of one robot of a fleet with `[navigation]`."""
 
     def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:

@@ -11,9 +11,10 @@ from agent.kernel.navigation.barrier import Planar
 from agent.kernel.navigation.behaviours.behaviour import Progress, reference, start
 from agent.kernel.navigation.behaviours.surroundings import Surroundings
 from agent.kernel.navigation.pilot import Reference
+from agent.kernel.savepoint import Revertible
 
 
-class Task:
+class Task(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self, robot: Robot) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust import signed
 
 DIRECT_NS = 3_000_000_000  # a robot heard directly this lately speaks for itself
@@ -23,7 +24,7 @@ OVERDRAWN = "not yet verified"  # comes again: what is not shown to be held is s
 HEARSAY = "hearsay"  # no fault of the relay: it cannot know whom we hear ourselves
 
 
-class Authority:
+class Authority(Revertible):
     """One robot's judgement of mouths, for one target."""
 
     def __init__(self, neighbours: tuple[str, ...], verify: Verify = signed.verify) -> None:

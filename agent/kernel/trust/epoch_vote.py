@@ -11,6 +11,7 @@ Epochs at rest have even counters, those in motion odd ones; every robot names t
 from __future__ import annotations
 
 from agent.kernel.messages import Epoch, Proposal
+from agent.kernel.savepoint import Revertible
 
 ALARM_NS = 20_000_000_000  # a proposal that nobody seconds for so long was a knock
 WITNESSES = 2  # one more than may lie
@@ -25,7 +26,7 @@ def epoch_of(counter: int) -> Epoch:
     return Epoch(counter, counter % 2 == 1)
 
 
-class EpochVote:
+class EpochVote(Revertible):
     """Who proposes which epoch, as one robot knows it."""
 
     def __init__(self, me: str) -> None:

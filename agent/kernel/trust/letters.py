@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from agent.kernel.codec import Refusal
+from agent.kernel.savepoint import Revertible
 from agent.kernel.trust.transit import CLOCKS_NS, Transit
 
 SAID_HZ = 100  # messages of a neighbour on one key, at most: five times what a fleet file can ask for
@@ -59,7 +60,7 @@ class Sender(NamedTuple, Generic[M]):
     doubled_ns: int | None = None  # when two incarnations last took turns
 
 
-class Letters(Generic[M]):
+class Letters(Revertible, Generic[M]):
     """Newest letter per neighbour; refuses what cannot be a neighbour's next word."""
 
     def __init__(self, fleet: str, me: str, neighbours: tuple[str, ...]) -> None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from agent.kernel.savepoint import Revertible
+
 DRIFT = 1e-3  # the offset falls no faster than this, as better ways are found; no quartz is as bad
 RISE = 1e-4  # and rises so fast where all ways seem to have become longer: the worst drift of two quartzes
 
@@ -21,7 +23,7 @@ class Offset(NamedTuple):
     direct: bool  # from its own mouth
 
 
-class OriginClocks:
+class OriginClocks(Revertible):
     """What one robot knows of the clocks of all others."""
 
     def __init__(self) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from agent.kernel.savepoint import Revertible
+
 CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
 WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
 BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
@@ -22,7 +24,7 @@ class Late(NamedTuple):
     most_ns: int
 
 
-class Transit:
+class Transit(Revertible):
     """Memory of one neighbour since its start."""
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from agent.kernel.codec import encode
 from agent.kernel.core import Agent
-from agent.kernel.savepoint import has_state
+from agent.kernel.savepoint import Revertible
 from agent.kernel.step_io import Flow, SeenTag
 from tests.kernel.navigation.swimming_agent import CALIBRATION, DEPTH_M, STEP_NS
 from tests.sample_messages import telemetry
@@ -18,7 +18,7 @@ SQUARE = ((-0.05, -0.05), (0.05, -0.05), (0.05, 0.05), (-0.05, 0.05))
 
 def memory(of):
     """All that one object of the kernel remembers."""
-    if has_state(type(of)):
+    if isinstance(of, Revertible):
         return {key: memory(value) for key, value in of.__dict__.items()}
     if isinstance(of, dict):
         return {key: memory(value) for key, value in of.items()}

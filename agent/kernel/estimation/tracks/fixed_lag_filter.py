@@ -14,6 +14,7 @@ from agent.kernel.estimation.tracks.dynamics import ROLLING, Dynamics
 from agent.kernel.estimation.tracks.line import placed
 from agent.kernel.estimation.tracks.track import Track, begin, correct, predict, summed
 from agent.kernel.messages import Symmetric, Vector
+from agent.kernel.savepoint import Revertible
 
 ANYWHERE_M = (10.0, 10.0, 10.0)  # where nobody says how large the tank is
 
@@ -28,7 +29,7 @@ class Held(NamedTuple):
     signature: bytes = b""
 
 
-class FixedLagFilter:
+class FixedLagFilter(Revertible):
     """A track over the samples that it is shown; those up to the horizon it remembers, the others it must see again.
 
     tank_m: where the target is for certain, which is all that a first bearing knows of the way along it.

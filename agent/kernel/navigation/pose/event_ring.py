@@ -18,6 +18,7 @@ from agent.kernel.navigation.pose.basin import Basin, kept_in
 from agent.kernel.navigation.pose.body_model import Hull, Wrench
 from agent.kernel.navigation.pose.corrections import add_fix, add_flow, add_rate, add_sighting
 from agent.kernel.navigation.pose.pose_filter import Belief, Drift, ask, keep_key, predict
+from agent.kernel.savepoint import Revertible
 
 RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
 KEEP_NS = 6_000_000_000  # as long as telemetry is kept (control/attitude.py)
@@ -59,7 +60,7 @@ def sighting(t_ns: int, offset_m: Vector, noise_m2: Symmetric) -> Event:
     return Event(t_ns, "6 sighting", 0, (*offset_m, *noise_m2))
 
 
-class EventRing:
+class EventRing(Revertible):
     """The beliefs of one robot about itself over the last seconds.
 
     What follows a late event is done again when somebody asks for it, so that several that come together, a fix and

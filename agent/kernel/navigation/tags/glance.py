@@ -12,6 +12,7 @@ from agent.kernel.navigation.tags.facing import facing
 from agent.kernel.navigation.tags.layout import Marker
 from agent.kernel.ranging.calibration import CameraFit
 from agent.kernel.ranging.camera_model import look_at
+from agent.kernel.savepoint import Revertible
 
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
 CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, nobody says
@@ -41,7 +42,7 @@ class Way(NamedTuple):
     sigma_deg: float  # of its direction, for all that is known of the pose
 
 
-class Glance:
+class Glance(Revertible):
     """One look for landmarks after the other, until the pose is sure enough."""
 
     def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float, half_deg: float) -> None:
