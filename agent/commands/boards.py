@@ -16,7 +16,7 @@ def board() -> None:
 
 @app.command("reboot", epilog="Example: aucamp board reboot fleet.toml --robot r1")
 def board_reboot(fleet: FleetFile, robot: RobotName) -> None:
-    """Begin anew: what latched it (watchdog, emergency stop) is over, what was set and not saved is lost.
+    """Begin anew: what latched it (watchdog, emergency stop at the bench) is over, what was set and not saved is lost.
 
     Look at the robot first: it was latched for a reason. Refused while its motors are on.
     """

@@ -113,7 +113,7 @@ class Stm32:
         self._stop(wire.MODE, wire.SURFACE, 0)
 
     def emergency_stop(self) -> None:
-        """Motors off, and no arming until the board was restarted."""
+        """Motors off, and no arming until the board was restarted. For the bench: no order of a fleet does it."""
         self._stop(wire.ESTOP)
 
     def mode(self, mode: Mode, thruster: int = 0) -> Future[Outcome]:

@@ -15,11 +15,14 @@ from agent.clock.clock import SystemClock
 from agent.clock.keeper import start_clock
 from agent.clock.run_clock import RunClock
 from agent.kernel.config import ConfigError
+from agent.kernel.step_io import Telemetry
 from hw.firmware import failsafe, wire
 from hw.stm32.driver import Stm32
 from hw.stm32.fields import Level
+from hw.stm32.motors import AGAIN_NS, Motors
 from hw.stm32.port import open_port_path
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
+from tests.kernel.desk.ordering import Ordering
 from tests.waiting import until
 
 
@@ -42,6 +45,12 @@ def driver(port):
 
 def armed(driver: Stm32) -> Callable[[], bool]:
     return lambda: driver._protocol.armed
+
+
+def newest(desk, driver: Stm32) -> Telemetry:
+    """What the board shows a few frames from now."""
+    heard = driver.counters.rx_ok
+    return drive(desk, driver, lambda: driver.counters.rx_ok > heard + 20)[-1]
 
 
 def test_arms_after_waiting_for_the_escs(desk, driver):
@@ -102,6 +111,48 @@ def test_firmware_that_disarms_is_not_armed_again(desk, driver):
         drive(desk, driver, armed(driver), ticks=500)
     driver.arm()
     drive(desk, driver, armed(driver))
+
+
+def test_an_ordered_stop_latches_nothing_and_lasts_until_an_order_to_arm(desk, driver):
+    """STOP ALL is the order `stop` to each robot, Start all the order `arm`."""
+    robot, motors = Ordering(), Motors(driver, arm=True)
+    driver.arm()
+    drive(desk, driver, armed(driver))
+    robot.run(1.0)
+    assert robot.give("stop").ok
+    motors.obey(robot.outputs.motors, time.time_ns())
+    drive(desk, driver, lambda: not armed(driver)())
+    assert desk.tick()[1:9] == (1500,) * 8
+    shown = newest(desk, driver)
+    assert not shown.armed and shown.ladder == failsafe.OK
+    motors.feel((shown,), time.time_ns() + 2 * AGAIN_NS)
+    with pytest.raises(AssertionError):
+        drive(desk, driver, armed(driver), ticks=500)
+    robot.run(1.0)
+    assert robot.give("arm").ok
+    motors.obey(robot.outputs.motors, time.time_ns())
+    drive(desk, driver, armed(driver))
+    shown = newest(desk, driver)
+    assert shown.armed and shown.ladder == failsafe.OK
+
+
+def test_an_emergency_stop_lasts_until_the_board_was_rebooted(desk, driver):
+    motors = Motors(driver, arm=True)
+    driver.arm()
+    drive(desk, driver, armed(driver))
+    driver.emergency_stop()
+    drive(desk, driver, lambda: not armed(driver)())
+    assert desk.tick()[1:9] == (1500,) * 8
+    motors.obey("arm", time.time_ns())
+    drive(desk, driver, lambda: not driver.wants_armed)
+    assert newest(desk, driver).ladder == failsafe.LATCHED and motors.fault() is not None
+    assert any("fault latched; look at the robot, then `aucamp board reboot`" in text for text in desk.said)
+    rebooted, before = driver.reboot(), driver.greeting
+    drive(desk, driver, lambda: rebooted.done() and driver.greeting != before)
+    assert rebooted.result().ok
+    motors.obey("arm", time.time_ns())
+    drive(desk, driver, armed(driver))
+    assert newest(desk, driver).ladder == failsafe.OK
 
 
 def test_restarted_board_is_not_armed_again(desk, driver):
