@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test bench firmware fuzz lint format rooms clean
+.PHONY: venv run test bench firmware fuzz lint format clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -33,9 +33,6 @@ lint: .venv/ready-test
 format: .venv/ready-test
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
-
-rooms: .venv/ready-test
-	$(BIN)/python docs/draw_rooms.py
 
 .venv/bin/python:
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'Python 3.11 or newer is needed: make PYTHON=python3.11')"

@@ -1,14 +1,12 @@
 """Order of the house: rooms and files stay small, imports run one way, and contracts speak of rooms."""
 
 import graphlib
-import html
 import re
 import tomllib
 
 import grimp
 import pytest
 
-from docs import draw_rooms
 from tests.places import ROOT
 
 PACKAGES = ("agent", "hw", "replay", "router_config")
@@ -59,14 +57,8 @@ def test_contracts_name_rooms_and_no_files(contract: dict) -> None:
     assert not [module for module in ours if not (ROOT / module.replace(".", "/")).is_dir()]
 
 
-def test_the_picture_shows_the_rooms_as_they_are() -> None:
-    drawn = html.unescape(draw_rooms.OUT.read_text(encoding="utf-8"))
-    assert draw_rooms.in_words(draw_rooms.rooms()) in drawn, "out of date: make rooms"
-
-
-def test_the_map_names_every_room_and_none_that_is_gone() -> None:
+def test_the_map_names_no_room_that_is_gone() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     paths = set(re.findall(r"`((?:agent|hw|replay|router_config)(?:/\w+)*)`", page))
+    assert len(paths) > 10
     assert not [path for path in paths if not (ROOT / path).is_dir()]
-    folders = {name.replace(".", "/") for name in draw_rooms.rooms() if draw_rooms.is_folder(name)}
-    assert not [folder for folder in folders if not any(path.startswith(folder) for path in paths)]

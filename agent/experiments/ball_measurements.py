@@ -16,7 +16,6 @@ from typing import NamedTuple, NoReturn, get_args
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
 from agent.experiments.choices import DEFAULT_SENSOR
@@ -39,8 +38,6 @@ from agent.perception.vision import HOMING_S, Vision
 from hw.camera.camera import CameraError
 from hw.twin.physics.body import SURVEY_DEG, SURVEY_M
 from hw.twin.scene import Solid
-
-Array = NDArray[np.float64]
 
 ROBOT = "r1"
 RANGE_M = (0.25, 1.20)  # camera to ball

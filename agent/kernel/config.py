@@ -1,4 +1,4 @@
-"""The tables of fleet.toml as frozen structs. Reading them is fleet.py's, what may not be in them fleet_rules.py's."""
+"""The tables of fleet.toml as frozen structs: fleet_reader.py reads them, fleet_rules.py holds them to its rules."""
 
 from __future__ import annotations
 

@@ -46,12 +46,6 @@ def build(views: Sequence[View], cell_m: float, stereo: bool, show: Show) -> Bui
     return Built(given, mesh, share)
 
 
-def focus_surface(views: Sequence[View], cell_m: float) -> Mesh:
-    """The surface by focus alone, which takes seconds. Raises Failed where nothing has a depth."""
-    stack = stacked(views)
-    return coloured(mesh_of(fuse(stack, cell_m)), stack)
-
-
 def sharpened(
     views: Sequence[View], cell_m: float, progress: Progress = lambda done, total: None
 ) -> tuple[list[View], float]:

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from agent.__main__ import main
 from agent.kernel.config import ConfigError
+from agent.perception.enhancement.enhance import WEIGHTS
 from agent.pictures import enhance as enhance_source
 from agent.pictures.sources import pictures
 from agent.training import evaluate as enhance_evaluate
@@ -106,9 +107,9 @@ def test_mistakes_are_one_line_and_exit_2(arguments, line, tmp_path, monkeypatch
     (lambda path: stamp(path, b"no tensors"), "own.safetensors: not the weights of this network"),
 ])  # fmt: skip
 def test_weights_that_cannot_be_used(spoil, line, tmp_path, monkeypatch, capsys):
-    lu2net = pytest.importorskip("agent.perception.enhancement.lu2net", reason="the network needs torch")
+    pytest.importorskip("agent.perception.enhancement.lu2net", reason="the network needs torch")
     path = tmp_path / "own.safetensors"
-    stamp(path, lu2net.shipped("own").read_bytes())
+    stamp(path, (WEIGHTS / "own.safetensors").read_bytes())
     spoil(path)
     write(tmp_path / "a.png")
     assert command(["a.png", "--weights", str(path)], tmp_path, monkeypatch) == 2

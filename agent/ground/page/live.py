@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import logging
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from threading import Event
@@ -21,8 +20,6 @@ from agent.kernel.codec import Refusal
 from agent.kernel.config import Fleet
 from agent.kernel.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
 from agent.transport import Observer, Received
-
-logger = logging.getLogger(__name__)
 
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often

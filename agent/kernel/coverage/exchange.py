@@ -124,15 +124,6 @@ class Exchange(Revertible):
         )
         return tuple(replace(said, dst=neighbour) for neighbour in self.letters.senders)
 
-    def equal_to(self) -> tuple[str, ...]:
-        """Neighbours whose newest word says that their map is the same as ours."""
-        mine = self.known.digest()
-        return tuple(
-            name
-            for name, sender in self.letters.senders.items()
-            if sender.newest and sender.newest.message.digest == mine
-        )
-
     def _speaks(self, origin: str, now_ns: int) -> bool:
         """Whether an origin is a neighbour of which a word was heard of late."""
         if origin not in self.letters.senders:

@@ -42,7 +42,6 @@ LONGEST_M = 0.5  # new key frames are due every 0.25 m; what is farther than twi
 
 Planar = tuple[float, float]
 Pair = tuple[float, float, float, float]  # slopes x, y then; x, y now
-Normal = tuple[list[list[float]], list[float]]
 Box = tuple[float, float, float]  # length, breadth and depth of the water, m
 
 

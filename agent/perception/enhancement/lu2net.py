@@ -12,7 +12,6 @@ when a picture is made of them.
 from __future__ import annotations
 
 import hashlib
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,6 @@ from agent.kernel.config import ConfigError
 from agent.perception.enhancement.published import is_published, read
 
 STRIDE = 4  # two halvings: sides are padded to multiples of it
-DEFAULT = "real"  # see weights/README.md
 CLOSE, WIDE = 3, 7  # taps of the axial convolutions: between the halves, and in encoder and decoder
 
 
@@ -173,16 +171,6 @@ def _checkpoint(path: Path) -> dict[str, Tensor]:
     if any(not bool(tensor.isfinite().all()) for tensor in tensors.values()):
         raise ConfigError(f"{path}: holds values that are no numbers; fetch it again")
     return tensors
-
-
-def shipped(name: str = DEFAULT) -> Path:
-    """File of weights that comes with the package; weights/README.md says what each is worth. Raises ConfigError."""
-    folder = Path(str(resources.files("agent.perception.enhancement") / "weights"))
-    file = folder / f"{name}.safetensors"
-    if not file.is_file():
-        known = ", ".join(sorted(path.stem for path in folder.glob("*.safetensors")))
-        raise ConfigError(f"{name}: no such weights come with the package; it has {known}")
-    return file
 
 
 def save(net: LU2Net, path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 Variant = Literal["plain", "folded", "fast", "classic", "auto"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)

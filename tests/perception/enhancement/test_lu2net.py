@@ -95,13 +95,14 @@ def test_weights_of_another_network_are_one_line(tmp_path):
 
 @pytest.mark.parametrize("name", ["own", "real"])
 def test_shipped_weights_bring_new_pictures_closer_to_their_targets_and_keep_what_is_warm(name):
+    from agent.perception.enhancement.enhance import WEIGHTS
     from agent.training.degrade import pair
     from agent.training.landscapes import landscape
     from agent.training.metrics import psnr
     from agent.training.things import with_things
     from agent.training.warm import kept_hue
 
-    file = lu2net.shipped(name)
+    file = WEIGHTS / f"{name}.safetensors"
     assert file.stat().st_size < 1_000_000
     net = lu2net.load(file)
     gains, warm = [], []
@@ -124,8 +125,3 @@ def test_real_buoys_stay_warm():
     for image, discs in islice(bench_warm.balls(bench_warm.BALLS), 36, None, 5):  # the two runs with large balls
         found += [kept_warm(apply(image), white_balance(image), disc) for disc in discs]
     assert sum(k.kept for k in found) > 0.7 * sum(k.pixels for k in found) > 0
-
-
-def test_weights_that_are_not_shipped_are_one_line():
-    with pytest.raises(ConfigError, match="it has own, real"):
-        lu2net.shipped("best")
