@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.reconstruction.coverage import missed_coverage
 from agent.experiments.reconstruction.intrinsics import camera_of
 from agent.experiments.reconstruction.noisy import OWN, SHARED, noisy
@@ -15,7 +16,7 @@ from agent.experiments.reconstruction.pictures import into_truth, missed_picture
 from agent.experiments.reconstruction.render import TRUTH_STEP, Rendered
 from agent.experiments.reconstruction.run import Settings, missed, run
 from agent.experiments.reconstruction.score import distances, nearest_m, score, seen_twice
-from agent.experiments.reconstruction.swum import swum
+from agent.experiments.reconstruction.swum import WideBodies, fleet_of, swum
 from agent.experiments.reconstruction.tables import swimmers_table, table
 from agent.experiments.reconstruction.world import (
     CLEAR_M,
@@ -145,6 +146,18 @@ def test_a_bar_that_is_missed_is_said() -> None:
     focus = {"median_mm": 2.6, "complete_10mm": 90.0}
     one = {"seed": 1, "water": "tap", "poses": "exact", "focus": focus, "sweep": {"objects_mean_mm": 0.7}, "f5": 90.0}
     assert missed([one, {**one, "poses": "noisy"}]) == ["seed 1, tap: median by focus 2.60 mm"]
+
+
+def test_what_swimmers_that_survey_say_is_believed() -> None:
+    fleet = fleet_of(9)
+    swimmers, heard = Swimmers(fleet, WideBodies(fleet)), set()
+    for _ in range(40):
+        swimmers.step()
+        heard |= {each.topic for inputs in swimmers.inputs.values() for each in inputs.heard}
+    assert {"near", "claim"} <= heard
+    assert [agent.inbox.refused for agent in swimmers.agents.values()] == [{}] * 3
+    claims = [agent.survey.exchange.letters for agent in swimmers.agents.values()]
+    assert all(sender.newest for letters in claims for sender in letters.senders.values())
 
 
 def test_swimmers_begin_to_know_the_floor_and_wrong_blocks_are_among_what_they_see() -> None:

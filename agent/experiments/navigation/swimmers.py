@@ -20,11 +20,13 @@ from agent.experiments.navigation.drawn_camera import DrawnCamera
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
-from agent.kernel.messages import Message, Vector
+from agent.kernel.messages import Estimate, Message, Vector
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
+from agent.kernel.topics import TOPICS
 
 FRAME_STEPS, LATE_STEPS = 2, 2
+ROW = {row.message: row.name for row in TOPICS}  # on whose keys a message travels
 
 
 class Frame(NamedTuple):
@@ -127,17 +129,13 @@ class Swimmers:
             self._deliver(name, outputs)
 
     def _deliver(self, src: str, outputs: Outputs) -> None:
-        """Whatever an agent says to somebody, of whatever kind, is there with the next step.
-
-        What is no estimate comes on keys of its own, where the kernel tells these apart.
-        """
-        for field in outputs.__struct_fields__:
-            said = getattr(outputs, field)
-            topic = {"topic": field} if field != "says" and "topic" in Heard.__struct_fields__ else {}
-            for letter in said if isinstance(said, tuple) else ():
-                if isinstance(letter, Message) and hasattr(letter, "dst") and not self.lost(letter):
-                    heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(letter), **topic}
-                    self._post[letter.dst].append(Heard(**heard))
+        """Whatever an agent says to somebody, of whatever kind, is there with the next step, as from its own key."""
+        told = (outputs.near, outputs.claims, outputs.keyframes, outputs.light)
+        for letter in (*outputs.says, *(each for said in told for each in said or ())):
+            if not self.lost(letter):
+                topic = {} if isinstance(letter, Estimate) else {"topic": ROW[type(letter)]}
+                heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(letter), **topic}
+                self._post[letter.dst].append(Heard(**heard))
 
     def swims(self, name: str) -> bool:
         """Whether it is armed, and does what it is told."""
