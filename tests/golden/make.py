@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,22 +17,26 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
+from agent.kernel.codec import encode
+from agent.kernel.config import Fleet, Target
 from agent.kernel.fleet_reader import load_fleet
 from agent.kernel.lighting.settings import Lighting, WaterOptics
-from agent.kernel.messages import Estimate, Vector
+from agent.kernel.messages import Vector
 from agent.kernel.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
 from agent.keys.key_files import public_bytes
 from agent.keys.signing import signing, unsigned
 from replay.files.log import parts
 from replay.files.names import active
+from tests.golden.fleet_files import write
 from tests.golden.frames import paint
+from tests.golden.light import dark_survey, fish
+from tests.golden.orders import BROKEN, LAMP, ORDERS
+from tests.golden.strange import forge, strange
 from tests.golden.survey import survey
+from tests.golden.swim import swim
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 from tests.places import GOLDEN, ROOT
-from tests.replay.step_box import StepBox
+from tests.replay.step_box import Recorded, Said
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z, whatever the day: the files come out the same
 STEP_NS = 50_000_000  # 20 Hz, as the real loop
@@ -55,6 +58,10 @@ class Case(NamedTuple):
     lit: bool = False  # robots have lamps, and light for each other
     fleet: str = "tank"
     targets_m: dict[str, Vector] = {"ball": TARGET_M}  # noqa: RUF012 - nobody changes it
+    carried: tuple[float, float] = (0.0, 0.0)  # somebody carries all targets along y, and leaves them there
+    orders: tuple[Said, ...] = ()
+    boxed: bool = False  # there is something else that somebody draws a box around
+    strange: bool = False  # r1 is told what cannot be, by others and by its devices
 
 
 HARBOUR = Lighting(
@@ -73,10 +80,18 @@ CASES = {
     "signed": Case("evidence", 16.0, signed=True, forged=(11.0, 13.0)),
     "lit": Case("evidence", 16.0, lit=True),
     "two": Case("evidence", 17.0, fleet="two_balls", targets_m=TWO_M),
+    "carried": Case("evidence", 26.0, carried=(9.0, 14.0), dead=(10.0, 12.0)),
+    "dark": Case("evidence", 20.0, lit=True, hidden=(0.0, 20.0)),
+    "orders": Case("paper", 14.0, lit=True, orders=ORDERS, boxed=True),
+    "spoiled": Case("evidence", 14.0, lit=True, orders=LAMP),
+    "strange": Case("evidence", 14.0, strange=True, orders=BROKEN),
 }
+CARRIED_M_S = 0.02
 TORN = "torn"  # r1 of `three`, cut
 SURVEY = "survey"  # two robots that map a drawn tank
 SEEN = "seen"  # frames, for vision
+SWUM = {"swim": swim, "fish": fish, "dark_survey": dark_survey}  # robots that swim
+FILES = "fleet_files.jsonl"  # what is said of fleet files
 TILT_DEG, SINK_M, SWINGS_HZ, CALMS_S = 9.0, 0.03, 1.6, 0.5  # what a knock does, and how it dies away
 
 
@@ -91,6 +106,10 @@ def make(folder: Path, names: list[str]) -> None:
             survey(out)
         elif name == SEEN:
             paint(fleet_of(CASES["three"]), out, START_NS, STEP_NS)
+        elif name in SWUM:
+            SWUM[name](out)
+        elif name == FILES:
+            write(out)
         else:
             dive(CASES[name], out)
 
@@ -122,6 +141,10 @@ class Clock:
     def __call__(self) -> int:
         return self.now_ns
 
+    @property
+    def step(self) -> int:
+        return (self.now_ns - START_NS) // STEP_NS
+
     def within(self, span_s: tuple[float, float]) -> bool:
         return span_s[0] <= (self.now_ns - START_NS) * 1e-9 < span_s[1]
 
@@ -131,11 +154,11 @@ class Robot:
 
     def __init__(self, fleet: Fleet, name: str, case: Case, clock: Clock) -> None:
         self.fleet, self.name, self.clock = surveyed(fleet, name, case), name, clock
-        self.calibration = replace(CALIBRATION, robot=name)
-        self.script = Slow(fleet, name, clock, lambda: clock.within(case.hidden), case.targets_m)
+        self.case, self.calibration = case, replace(CALIBRATION, robot=name)
+        self.script = Slow(fleet, name, clock, case)
         self.motors = Knocked(self.script, clock, case.pushed) if name == "r2" else Motors(self.script)
         self.sign, self.keys = (signing(name, KEY[name]), public_keys()) if case.signed else (unsigned, UNSET)
-        self.agent: Agent | None = None
+        self.agent: Recorded | None = None
         self.post: list[Heard] = []
         self.starts = 0
 
@@ -144,30 +167,28 @@ class Robot:
         if alive and self.agent is None:
             self.start(out)
         elif not alive and self.agent is not None:
+            self.agent.box.finish()
             self.agent = None
-            self.box.finish()
 
     def start(self, out: Path) -> None:
         self.starts += 1
         self.told, self.post, self.script.sweep = False, [], None
         incarnation = self.clock.now_ns
-        self.agent = Agent(self.fleet, self.name, self.calibration, incarnation)
-        file = f"{self.name}.mcap" if self.starts == 1 else f"{self.name}.{self.starts}.mcap"
-        self.box = StepBox(out / file, self.fleet, self.name, self.calibration, incarnation)
+        file = out / (f"{self.name}.mcap" if self.starts == 1 else f"{self.name}.{self.starts}.mcap")
+        self.agent = Recorded(file, self.fleet, self.name, self.calibration, incarnation, self.case.orders)
 
     def step(self) -> list[tuple[str, Heard]]:
         """One step; returns what it says to whom."""
         assert self.agent is not None
         now_ns = self.clock.now_ns
         telemetry, _ = self.motors.drain()
-        # Through bytes and back, so that nothing but what is recorded can reach the kernel.
         keys, self.told = UNSET if self.told else self.keys, True
-        inputs = encode(
-            Inputs(telemetry=tuple(telemetry), sightings=tuple(self.script.drain()), heard=tuple(self.post), keys=keys)
-        )
+        sightings = tuple(self.script.drain())
+        inputs = Inputs(telemetry=tuple(telemetry), sightings=sightings, heard=tuple(self.post), keys=keys)
         self.post = []
-        outputs = self.agent.step(decode(inputs, Inputs, limit=10**6), now_ns)
-        self.box.add(now_ns, inputs, encode(outputs))
+        if self.case.strange and self.name == "r1":
+            inputs = strange(inputs, self.clock.step)
+        outputs = self.agent.step(inputs, now_ns)
         self.act(outputs.set_point, outputs.sweep)
         words = [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(self.sign(e)))) for e in outputs.says]
         for light in outputs.light or ():
@@ -210,11 +231,9 @@ class Knocked(Motors):
 class Slow(Script):
     """The script's camera as on a robot: one frame of a sweep each step, and a target that can be out of sight."""
 
-    def __init__(
-        self, fleet: Fleet, name: str, clock: Clock, hidden: Callable[[], bool], targets_m: dict[str, Vector]
-    ) -> None:
-        super().__init__(fleet, name, clock, targets_m)
-        self._hidden = hidden
+    def __init__(self, fleet: Fleet, name: str, clock: Clock, case: Case) -> None:
+        super().__init__(fleet, name, clock, case.targets_m)
+        self._time, self._case = clock, case
         self._waiting: list[tuple[int, int, int, str | None]] = []  # focus, sweep, index, target
 
     def drain(self) -> list[Sighting]:
@@ -227,8 +246,11 @@ class Slow(Script):
         return super().drain()
 
     def look(self, now_ns: int, focus: int | None, sweep: int, index: int, target: str | None = None) -> Sighting:
+        since, until = self._case.carried
+        carried_s = min(max((now_ns - START_NS) * 1e-9, since), until) - since
+        self.targets_m = {n: (x, y - CARRIED_M_S * carried_s, z) for n, (x, y, z) in self._case.targets_m.items()}
         seen = super().look(now_ns, focus, sweep, index, target)
-        if not self._hidden():
+        if not self._time.within(self._case.hidden):
             return seen
         return replace(seen, found=False, centre_px=None, radius_px=None, clarity=None, area_px=None, score=0.0)
 
@@ -244,6 +266,8 @@ def fleet_of(case: Case) -> Fleet:
     if case.lit:
         robots = {name: replace(robot, lamp=True) for name, robot in robots.items()}
         fleet = replace(fleet, lighting=HARBOUR)
+    if case.boxed:
+        fleet = replace(fleet, target={**fleet.target, "thing": Target(detector="box")})
     return replace(fleet, robot=robots, estimation=replace(fleet.estimation, protocol=case.protocol))
 
 
@@ -261,16 +285,6 @@ def public_keys() -> dict[str, bytes]:
     return {name: public_bytes(private.public_key()) for name, private in KEY.items()}
 
 
-def forge(heard: Heard) -> Heard:
-    """The same message, which says beside it that r3 has seen the target where r2 did, and oftener. r2 signed that."""
-    said = decode(heard.payload, Estimate)
-    if said.gossip is None:
-        return heard
-    as_r3 = tuple(replace(e, origin="r3", count=e.count + 100) for e in said.gossip.entries if e.origin == "r2")
-    gossip = replace(said.gossip, entries=(*said.gossip.entries, *as_r3))
-    return replace(heard, payload=encode(replace(said, gossip=gossip)))
-
-
 def tear(whole: Path, out: Path) -> None:
     """A file as SIGKILL leaves it: cut, without a summary, under the name of one that is being written."""
     data = parts(whole)[0].read_bytes()
@@ -279,4 +293,4 @@ def tear(whole: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    make(GOLDEN, sys.argv[1:] or [*CASES, TORN, SURVEY, SEEN])
+    make(GOLDEN, sys.argv[1:] or [*CASES, TORN, SURVEY, SEEN, *SWUM, FILES])

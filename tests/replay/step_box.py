@@ -1,14 +1,25 @@
 """The steps of a robot as a black box without frames: all that `aucamp replay check` needs."""
 
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from agent.agent_process import run_facts
+from agent.kernel.codec import decode, encode
 from agent.kernel.config import Fleet
+from agent.kernel.core import Agent
+from agent.kernel.orders.words import Arg, Order
 from agent.kernel.ranging.calibration import Calibration
+from agent.kernel.step_io import Inputs, Ordered, Outputs
 from agent.kernel.toml_files import dump
 from replay.files.backlog import Entry
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.mcap_file import Part
+
+LIMIT = 10**6  # bytes of a step's inputs
 
 
 class StepBox:
@@ -33,3 +44,52 @@ class StepBox:
 
     def finish(self) -> None:
         self._part.finish("aucamp.end", {"cause": "clean"})
+
+
+class Said(NamedTuple):
+    """An order that somebody gives."""
+
+    at_s: float  # since the start
+    verb: str
+    args: Mapping[str, Arg] = {}
+    console: str = "ann"
+    seen_s: float | None = math.inf  # when the State was said that was looked at; infinite: in the step before
+    number: int | None = None  # None: one more than the order before
+    again: bool = False  # the order before, once more
+    robot: str = "r1"  # who is ordered
+
+
+class Recorded(Agent):
+    """An agent whose steps go into a black box. It takes them in through bytes, so that nothing else reaches it."""
+
+    def __init__(
+        self, file: Path, fleet: Fleet, name: str, calibration: Calibration, start_ns: int, orders: Sequence[Said] = ()
+    ) -> None:
+        super().__init__(fleet, name, calibration, start_ns)
+        self._start_ns, self._before_ns = start_ns, start_ns
+        mine = (said for said in orders if said.robot == name)
+        self._to_order, self._given = sorted(mine, key=lambda said: said.at_s), 0
+        self._order = Order(id=0, verb="clock")  # the newest
+        self.box = StepBox(file, fleet, name, calibration, start_ns)
+
+    def step(self, inputs: Inputs, now_ns: int) -> Outputs:
+        if orders := tuple(self._due(now_ns)):
+            inputs = replace(inputs, orders=orders)
+        data = encode(inputs)
+        outputs = super().step(decode(data, Inputs, limit=LIMIT), now_ns)
+        self.box.add(now_ns, data, encode(outputs))
+        self._before_ns = now_ns
+        return outputs
+
+    def _due(self, now_ns: int) -> Iterator[Ordered]:
+        """Each order once."""
+        while self._given < len(self._to_order) and now_ns - self._start_ns >= self._to_order[self._given].at_s * 1e9:
+            said = self._to_order[self._given]
+            self._given += 1
+            if not said.again:
+                number, seen = said.number or self._given, None
+                if said.seen_s is not None:
+                    since_ns = self._before_ns if math.isinf(said.seen_s) else self._start_ns + round(said.seen_s * 1e9)
+                    seen = self._start_ns, since_ns
+                self._order = Order(id=number, verb=said.verb, args=said.args, seen=seen)
+            yield Ordered(arrived_ns=now_ns, console=said.console, payload=encode(self._order))

@@ -94,7 +94,9 @@ class Swimmers:
         self.agents = {name: Agent(fleet, name, known, START_NS) for name, known in self.calibrations.items()}
         self.eyes = {name: Eyes(fleet, name, bodies, ball_m) for name in fleet.robot}
         self.lost: Callable[[Message], bool] = lambda letter: False  # on its way
+        self.forged: Callable[[Message], Message] = lambda letter: letter  # likewise
         self.sees_tags: Callable[[int], bool] = lambda now_ns: True
+        self.follows_points = True  # from frame to frame
         self.inputs: dict[str, Inputs] = {}
         self.outputs: dict[str, Outputs] = {}
         self._wanted = {name: SetPoint(depth_m=robot.depth_m) for name, robot in fleet.robot.items()}
@@ -119,7 +121,7 @@ class Swimmers:
                 sightings=tuple(frame.sighting for frame in frames if frame.sighting is not None),
                 heard=tuple(post[name]),
                 landmarks=tuple(frame.tags for frame in frames if frame.tags is not None) or UNSET,
-                flow=tuple(frame.flow for frame in frames if frame.flow is not None) or UNSET,
+                flow=tuple(frame.flow for frame in frames if frame.flow is not None and self.follows_points) or UNSET,
                 blocks=tuple(frame.blocks for frame in frames if frame.blocks is not None) or UNSET,
             )
             outputs = self.outputs[name] = agent.step(inputs, now_ns)
@@ -132,10 +134,11 @@ class Swimmers:
         """Whatever an agent says to somebody, of whatever kind, is there with the next step, as from its own key."""
         told = (outputs.near, outputs.claims, outputs.keyframes, outputs.light)
         for letter in (*outputs.says, *(each for said in told for each in said or ())):
-            if not self.lost(letter):
-                topic = {} if isinstance(letter, Estimate) else {"topic": ROW[type(letter)]}
-                heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(letter), **topic}
-                self._post[letter.dst].append(Heard(**heard))
+            if self.lost(letter):
+                continue
+            topic = {} if isinstance(letter, Estimate) else {"topic": ROW[type(letter)]}
+            heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(self.forged(letter))}
+            self._post[letter.dst].append(Heard(**heard, **topic))
 
     def swims(self, name: str) -> bool:
         """Whether it is armed, and does what it is told."""
