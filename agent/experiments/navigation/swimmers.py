@@ -20,13 +20,13 @@ from agent.experiments.navigation.drawn_camera import DrawnCamera
 from agent.kernel.codec import encode
 from agent.kernel.config import Fleet
 from agent.kernel.core import Agent
-from agent.kernel.messages import Estimate, Message, Vector
+from agent.kernel.messages import Message, Vector
 from agent.kernel.ranging.calibration import Calibration
 from agent.kernel.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
-from agent.kernel.topics import TOPICS
+from agent.kernel.topics import CLAIM, KEYFRAME, LIGHT, NEAR
 
 FRAME_STEPS, LATE_STEPS = 2, 2
-ROW = {row.message: row.name for row in TOPICS}  # on whose keys a message travels
+NAMES: dict[type[Message], Any] = {row.message: row.name for row in (NEAR, CLAIM, KEYFRAME, LIGHT)}
 
 
 class Frame(NamedTuple):
@@ -134,11 +134,10 @@ class Swimmers:
         """Whatever an agent says to somebody, of whatever kind, is there with the next step, as from its own key."""
         told = (outputs.near, outputs.claims, outputs.keyframes, outputs.light)
         for letter in (*outputs.says, *(each for said in told for each in said or ())):
-            if self.lost(letter):
-                continue
-            topic = {} if isinstance(letter, Estimate) else {"topic": ROW[type(letter)]}
-            heard: dict[str, Any] = {"arrived_ns": self.now_ns, "src": src, "payload": encode(self.forged(letter))}
-            self._post[letter.dst].append(Heard(**heard, **topic))
+            if not self.lost(letter):
+                topic, payload = NAMES.get(type(letter), UNSET), encode(self.forged(letter))
+                heard = Heard(arrived_ns=self.now_ns, src=src, payload=payload, topic=topic)
+                self._post[letter.dst].append(heard)
 
     def swims(self, name: str) -> bool:
         """Whether it is armed, and does what it is told."""
