@@ -50,9 +50,7 @@ ORDERS = (
     Said(12.0, "look", {"pan_deg": -20.0}),
 )
 # While steps break (strange.py): what came with them is left out, but for a stop.
-BROKEN = (
-    *(Said(8.95 + 0.05 * k, "look", {"pan_deg": float(k)}) for k in range(9)),
-    *(Said(11.95 + 0.05 * k, "stop") for k in range(9)),
-)
+WITH_IT = ("hold", {"depth_m": 0.3}), ("stop", {}), ("fly", {})
+BROKEN = tuple(Said(5.9 + 0.05 * k, verb, args) for k in range(5) for verb, args in WITH_IT)
 # r2's lamp changes, whoever has the light: a sweep of r1 is spoiled.
 LAMP = tuple(Said(6.0 + 0.9 * k, "lamp", {"light": 0.5 * (k % 3)}, robot="r2") for k in range(9))

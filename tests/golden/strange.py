@@ -95,7 +95,7 @@ def strange(inputs: Inputs, step: int) -> Inputs:
         heard += tuple(replace(each, topic=TOPICS[step // 40 % len(TOPICS)]) for each in inputs.heard)
         inputs = replace(inputs, refused=REFUSED, faults=("recording: disk full",))
     if step % 60 < 8:  # a place in a picture that nothing can be made of: the step breaks
-        beyond = tuple(replace(each, centre_px=(1e308, 1e308)) for each in inputs.sightings if each.found)
+        beyond = tuple(replace(each, found=True, centre_px=(1e308, 1e308)) for each in inputs.sightings)
         inputs = replace(inputs, sightings=beyond)
     return replace(inputs, heard=heard)
 

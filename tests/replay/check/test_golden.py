@@ -13,8 +13,10 @@ from pathlib import Path
 import pytest
 
 from agent.kernel.codec import decode
+from agent.kernel.desk.desk import BROKE
 from agent.kernel.messages import Explain, LogLine, State
 from agent.kernel.orders.verbs import VERBS
+from agent.kernel.orders.words import Answer
 from agent.kernel.step_io import Outputs
 from agent.perception.rerun_vision import rerun_vision
 from replay.check.black_box import open_box, open_boxes
@@ -35,6 +37,11 @@ def states(file: Path) -> list[State]:
 
 def explains(case: str) -> list[Explain]:
     return [state.explain for state in states(GOLDEN / case / "r1.mcap") if state.explain is not None]
+
+
+def answers(case: str) -> list[Answer]:
+    outputs = (decode(step.outputs, Outputs, limit=10**6) for step in open_box(GOLDEN / case / "r1.mcap").steps())
+    return [answer for each in outputs for answer in each.answers or ()]
 
 
 def log_lines(file: Path) -> list[LogLine]:
@@ -107,6 +114,8 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
     assert set(VERBS) <= {order.verb for order in (*orders.ORDERS, *swim.ORDERS)}
     strange = states(GOLDEN / "strange" / "r1.mcap")[-1]
     assert strange.mode == "degraded" and len(strange.refused) > 10
+    left_out = [answer.why == BROKE for answer in answers("strange") if answer.order.startswith("hold")]
+    assert True in left_out and False in left_out, "an order that came with what broke a step"
 
 
 MUTATIONS = {
