@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from agent.commands import (
+from agent.cli import (
     boards,
     bridging,
     calibrating,
@@ -28,10 +28,10 @@ from agent.commands import (
     replaying,
     seeing,
 )
-from agent.failure import Failed
-from agent.kernel.config import ConfigError
-from agent.parent_watch import exit_with_parent
-from agent.stop_signal import leave
+from agent.core.config import ConfigError
+from agent.process.failure import Failed
+from agent.process.parent_watch import exit_with_parent
+from agent.process.stop_signal import leave
 from hw.camera.camera import CameraError
 
 app = typer.Typer(

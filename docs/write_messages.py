@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from agent.kernel import topics
-from agent.kernel.codec import encoding
-from agent.kernel.orders.words import MAX_ORDER
-from agent.observing.schemas import QUERIES, TOKENS, kinds, schema, write
+from agent.core import topics
+from agent.core.codec import encoding
+from agent.core.orders_words import MAX_ORDER
+from agent.ground.schemas import QUERIES, TOKENS, kinds, schema, write
 
 PAGE = Path(__file__).with_name("messages.md")
 SCHEMAS = Path(__file__).with_name("schemas")

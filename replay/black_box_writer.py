@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Sighting
-from agent.kernel.toml_files import dump
+from agent.core.codec import encode
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import Calibration
+from agent.core.step_io import Sighting
+from agent.core.toml_files import dump
 from replay.files import channels
 from replay.files.channels import entry_on
 from replay.files.clock_rate import RateNotes

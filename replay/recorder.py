@@ -16,12 +16,12 @@ from pathlib import Path
 
 from agent.clock import machine
 from agent.clock.clock import Clock
-from agent.kernel import topics
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import SCHEMA
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import Topic
+from agent.core import topics
+from agent.core.codec import Refusal, decode
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import SCHEMA
+from agent.core.toml_files import dump
+from agent.core.topics import Topic
 from replay.files.auto_recover import recovering, torn_files
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import NETWORK, PRESENCE, name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 
 from agent.clock import machine
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 
 SILENCE_S = 3.0  # of the wall: a fleet's own clock stands while there is no twin. Links are up within one
 NAMED = 5  # robots in a line

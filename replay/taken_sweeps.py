@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.codec import decode
-from agent.kernel.messages import Whereabouts
-from agent.kernel.step_io import Inputs, Outputs, Sighting
+from agent.core.codec import decode
+from agent.core.messages import Whereabouts
+from agent.core.step_io import Inputs, Outputs, Sighting
 from replay.check.black_box import STEP_BYTES, BlackBox
 from replay.files.channels import STEP_IN, STEP_OUT, VISION
 from replay.files.frames import Frames, Picture, pixels

@@ -14,7 +14,7 @@ from typing import Any
 
 from agent.clock import machine
 from agent.clock.clock import Clock
-from agent.kernel.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet
 from replay.files.backlog import Entry
 from replay.files.clock_rate import RateNotes
 from replay.recorder import CHANNELS, PERIOD_S, Arrivals, receiving

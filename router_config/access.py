@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from agent.kernel import topics
-from agent.kernel.config import Fleet
+from agent.core import topics
+from agent.core.config import Fleet
 
 Rule = dict[str, Any]
 

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple, Self
 import zenoh
 from zenoh.handlers import Callback
 
-from agent.kernel.codec import encoding
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Message
-from agent.kernel.topics import Topic
+from agent.core.codec import encoding
+from agent.core.config import ConfigError
+from agent.core.messages import Message
+from agent.core.topics import Topic
 
 logger = logging.getLogger(__name__)
 

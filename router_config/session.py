@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from router_config.access import access_control
 from router_config.metadata import metadata
 

@@ -6,8 +6,8 @@ import itertools
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.kernel.codec import decode
-from agent.kernel.step_io import Inputs, Sighting
+from agent.core.codec import decode
+from agent.core.step_io import Inputs, Sighting
 from replay.files.channels import STEP_IN, VISION
 from replay.files.log import read
 

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from agent.kernel.messages import Estimate
-from agent.kernel.presence import Presence
-from agent.kernel.step_io import Telemetry
+from agent.core.messages import Estimate
+from agent.core.presence import Presence
+from agent.core.step_io import Telemetry
 
 
 def estimate(src: str = "r2", dst: str = "r1", **about: Any) -> Estimate:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from agent.kernel.step_io import Sighting
+from agent.core.step_io import Sighting
 from agent.perception.vision import Vision
 
 

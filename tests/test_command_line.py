@@ -15,10 +15,10 @@ from typer.testing import CliRunner
 
 import agent
 from agent.__main__ import app, main
-from agent.failure import Failed
-from agent.launch import Child, Crew, crew, wait_for
-from agent.ports import free_ports
-from agent.run_folder import temporary_folder
+from agent.process.failure import Failed
+from agent.process.launch import Child, Crew, crew, wait_for
+from agent.process.ports import free_ports
+from agent.process.run_folder import temporary_folder
 from tests.waiting import until
 
 TANK = str(Path(agent.__file__).parent / "fleets" / "tank.toml")
@@ -143,7 +143,7 @@ def test_a_crew_ends_with_its_block_and_names_who_failed(tmp_path: Path) -> None
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.launch.STOP_S", 0.3)
+    monkeypatch.setattr("agent.process.launch.STOP_S", 0.3)
     program = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); time.sleep(60)"
     deaf = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
     assert deaf.stdout.readline() == b"\n", "it is deaf from here on"
@@ -204,11 +204,11 @@ def test_processes_end_with_a_command_that_is_killed() -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
 def test_one_that_hangs_when_its_parent_is_gone_ends_too(tmp_path: Path) -> None:
-    child = "import signal, time, agent.parent_watch as w; w.GRACE_S = 0.2\n"
+    child = "import signal, time, agent.process.parent_watch as w; w.GRACE_S = 0.2\n"
     child += "signal.signal(15, lambda *_: print(15)); w.exit_with_parent()\n"
     child += "while True: time.sleep(60)"
     parent = (
-        "import subprocess, sys, time, agent.parent_watch as w; watch = w.watched_by_us()\n"
+        "import subprocess, sys, time, agent.process.parent_watch as w; watch = w.watched_by_us()\n"
         f"subprocess.Popen([sys.executable, '-c', {child!r}], pass_fds=(watch.given,), env=watch.environment())\n"
         "time.sleep(60)"
     )

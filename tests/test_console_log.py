@@ -2,8 +2,8 @@
 
 import threading
 
-from agent.console_log import AGAIN_NS, ConsoleLog, standing
-from agent.kernel.messages import LogLine, NeighbourState, State
+from agent.core.messages import LogLine, NeighbourState, State
+from agent.process.console_log import AGAIN_NS, ConsoleLog, standing
 
 START_NS = 1_700_000_000_000_000_000
 

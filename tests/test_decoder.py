@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.decoder import decode
-from agent.kernel.codec import encode
-from agent.kernel.messages import LogLine
-from agent.kernel.step_io import Heard
+from agent.core.codec import encode
+from agent.core.messages import LogLine
+from agent.core.step_io import Heard
+from agent.ground.decoder import decode
 
 
 def test_a_message_is_one_line_of_json() -> None:

@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from agent import stop_signal
 from agent.__main__ import app, command_line
+from agent.core.config import ConfigError
+from agent.core.ranging.calibration import Calibration
+from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
-from agent.failure import Failed
-from agent.fleet_files import shipped_names
-from agent.kernel.config import ConfigError
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.toml_files import dump
-from agent.ports import free_ports
-from agent.run_folder import new_recording, temporary_folder
+from agent.process import stop_signal
+from agent.process.failure import Failed
+from agent.process.fleet_files import shipped_names
+from agent.process.ports import free_ports
+from agent.process.run_folder import new_recording, temporary_folder
 from tests.known_lens import TWIN, TWIN_CAMERA
 
 WITHOUT_VIEW = pytest.mark.skipif(not importlib.util.find_spec("foxglove"), reason="the extra `view` is not installed")

@@ -8,15 +8,15 @@ import time
 
 import pytest
 
-from agent import stop_signal
-from agent.stop_signal import Stop, until_signal
+from agent.process import stop_signal
+from agent.process.stop_signal import Stop, until_signal
 from tests.places import ROOT
 from tests.waiting import until
 
 # A handler that sets the event every 50 us, while the main thread looks at it as often as it can.
 WAITS = """
 import signal, sys, threading, time
-from agent.stop_signal import Stop
+from agent.process.stop_signal import Stop
 event = Stop()
 signal.signal(signal.SIGALRM, lambda *_: event.set())
 signal.setitimer(signal.ITIMER_REAL, 5e-5, 5e-5)

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from agent.kernel.config import Fleet
-from agent.kernel.keyframes.claim import Claim
+from agent.core.claim import Claim
+from agent.core.config import Fleet
 
 
 class SurveyWatch:

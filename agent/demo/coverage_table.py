@@ -6,13 +6,13 @@ from msgspec import UNSET
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from agent.console_log import hears
+from agent.capabilities.survey.rays import place_m, rotation
+from agent.core.claim import Claim, View, holds
+from agent.core.messages import State
+from agent.core.status import fault_kind
 from agent.demo.coverage import SurveyWatch
 from agent.demo.history import Histories
-from agent.kernel.coverage.rays import place_m, rotation
-from agent.kernel.keyframes.claim import Claim, View, holds
-from agent.kernel.messages import State
-from agent.kernel.status import fault_kind
+from agent.process.console_log import hears
 
 
 def survey_table(histories: Histories, survey: SurveyWatch, title: str) -> Table:

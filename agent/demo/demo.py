@@ -20,6 +20,12 @@ from rich.console import Console
 from rich.live import Live
 
 from agent.clock import machine
+from agent.core.claim import Claim
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet, Protocol
+from agent.core.messages import State
+from agent.core.toml_files import dump
+from agent.core.topics import CLAIM, STATE
 from agent.demo.coverage import SurveyWatch
 from agent.demo.coverage_table import survey_table
 from agent.demo.display import how_to_look, progress_table, progress_title, result_table
@@ -29,22 +35,16 @@ from agent.demo.following import FOLLOW_S, followed_s, scored, swims
 from agent.demo.history import Histories, History
 from agent.demo.look import open_page
 from agent.demo.summary import is_box, settled, summarize
-from agent.failure import Failed
-from agent.fleet_clock import fleet_clock
-from agent.fleet_files import fleet_file, with_pictures
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet, Protocol
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.keyframes.claim import Claim
-from agent.kernel.messages import State
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import CLAIM, STATE
-from agent.keys.make import FOLDER, make_all
-from agent.keys.robot_keys import VARIABLE
-from agent.launch import Crew, crew, wait_for
-from agent.progress import with_spinner
-from agent.run_folder import run_folder, temporary_folder
-from agent.transport import Observer
+from agent.ground.make import FOLDER, make_all
+from agent.process.failure import Failed
+from agent.process.fleet_clock import fleet_clock
+from agent.process.fleet_files import fleet_file, with_pictures
+from agent.process.launch import Crew, crew, wait_for
+from agent.process.progress import with_spinner
+from agent.process.robot_keys import VARIABLE
+from agent.process.run_folder import run_folder, temporary_folder
+from agent.process.transport import Observer
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.devices.twin_folder import twin_dir
 
 CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work

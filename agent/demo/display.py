@@ -13,16 +13,16 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from agent.console_log import hears
+from agent.core.config import Fleet
+from agent.core.messages import LampState, State
+from agent.core.status import fault_kind
+from agent.core.topics import EVERY_FLEET
 from agent.demo import following
 from agent.demo.history import Histories
 from agent.demo.summary import PASS_PERCENT, SIGMAS
-from agent.kernel.config import Fleet
-from agent.kernel.messages import LampState, State
-from agent.kernel.status import fault_kind
-from agent.kernel.topics import EVERY_FLEET
-from agent.keys.fleet_certificates import CONSOLE_FILE
-from agent.keys.robot_keys import VARIABLE
+from agent.process.console_log import hears
+from agent.process.fleet_certificates import CONSOLE_FILE
+from agent.process.robot_keys import VARIABLE
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from agent.core.config import Fleet
+from agent.core.messages import Symmetric
 from agent.demo.history import History
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Symmetric
 from replay.check.black_box import black_boxes, open_boxes
 from replay.report.creature_track import CreatureTrack, Held, creature_track
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.kernel.messages import State, Vector
+from agent.core.messages import State, Vector
 
 
 class History(NamedTuple):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from agent.core.config import Fleet
 from agent.ground.page.server import PORT, websockets_or_why
-from agent.kernel.config import Fleet
-from agent.launch import Crew, wait_for
-from agent.ports import free_ports, is_free
+from agent.process.launch import Crew, wait_for
+from agent.process.ports import free_ports, is_free
 
 READY_S = 60.0  # of the wall
 ME = "me"  # as whom orders are given where the fleet file names nobody: on one computer everybody may

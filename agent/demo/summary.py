@@ -15,11 +15,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from agent.core.config import Fleet
+from agent.core.messages import State, Vector
 from agent.demo import following
 from agent.demo.coverage import SurveyWatch
 from agent.demo.history import Histories, History
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State, Vector
 
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 SIGMAS = 3.0  # how many of its own standard deviations an estimate may lie outside of a thing in a box

@@ -18,23 +18,23 @@ import msgspec
 import numpy as np
 
 from agent.clock.clock import StandingClock
+from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
+from agent.core.control.sweep import Measurement, Sweep
+from agent.core.messages import Vector
+from agent.core.ranging.calibration import Calibration, at_lens_position
+from agent.core.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, pixel, servos_us, to_camera
+from agent.core.ranging.cues import NoRange, distance
+from agent.core.ranging.fix import locate
+from agent.core.step_io import Sighting
 from agent.experiments.choices import DEFAULT_SENSOR
 from agent.experiments.measured_level import level_of
 from agent.experiments.posed_robot import PosedRobot, rotation_of
 from agent.experiments.result import Row
-from agent.fleet_files import shipped_fleet
-from agent.kernel.config import Cues, Fleet, Pose, Target, WaterKind
-from agent.kernel.control.sweep import Measurement, Sweep
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Vector
-from agent.kernel.ranging.calibration import Calibration, at_lens_position
-from agent.kernel.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, pixel, servos_us, to_camera
-from agent.kernel.ranging.cues import NoRange, distance
-from agent.kernel.ranging.fix import locate
-from agent.kernel.step_io import Sighting
 from agent.perception.clarity.region import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import CameraError
 from hw.twin.physics.body import SURVEY_DEG, SURVEY_M
 from hw.twin.scene import Solid

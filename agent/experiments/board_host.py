@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 
-from agent.kernel.step_io import SetPoint, Telemetry
+from agent.core.step_io import SetPoint, Telemetry
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board
 from hw.twin.dive import Dive

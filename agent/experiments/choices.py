@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-from agent.kernel.config import WaterKind
+from agent.core.config import WaterKind
 
 Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens
 LocalizationKind = Literal["accuracy", "liar"]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 from hw.twin.physics.body import SENSOR_M
 from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
 

@@ -10,9 +10,9 @@ from rich.console import Console, RenderableType
 
 from agent.experiments.figure_files import Figures, write_figures
 from agent.experiments.result import NAME, ExperimentResult, write_result
-from agent.failure import Failed
-from agent.progress import Progress, with_bar
-from agent.run_folder import run_folder
+from agent.process.failure import Failed
+from agent.process.progress import Progress, with_bar
+from agent.process.run_folder import run_folder
 
 S = TypeVar("S")
 R = TypeVar("R", bound=ExperimentResult)

@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.calibration.procedure import BACKLASH_US, calibrate
-from agent.kernel.config import Fleet, WaterKind
-from agent.kernel.messages import Vector
-from agent.kernel.ranging.calibration import Calibration
+from agent.core.config import Fleet, WaterKind
+from agent.core.messages import Vector
+from agent.core.ranging.calibration import Calibration
+from agent.tools.procedure import BACKLASH_US, calibrate
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import Bench
 from hw.twin.landmarks import PaintedTag

@@ -10,9 +10,9 @@ import math
 import msgspec
 import numpy as np
 
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import CHESSBOARD_SIZE_M
 from hw.twin.optics.lens import Vcm, draw_lens

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.ranging.focus import Array
 from agent.experiments.still_camera import StillCamera, View
-from agent.failure import Failed
-from agent.kernel.ranging.focus import Array
 from agent.perception.clarity.breathing import measure_growth
 from agent.perception.clarity.clarity import grid
-from agent.pictures.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
+from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
+from agent.process.failure import Failed
 from hw.camera.camera import Image, Roi
 
 BLOCK_PX = 50  # the paper's

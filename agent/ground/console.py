@@ -13,14 +13,14 @@ from typing import NamedTuple, Self
 from msgspec.structs import replace
 
 from agent.clock import machine
-from agent.kernel import topics
-from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.desk.rights import why_closed
-from agent.kernel.messages import State
-from agent.kernel.orders.verbs import CLOCK, URGENT, arguments, prepare_all
-from agent.kernel.orders.words import Answer, Arg, Order
-from agent.kernel.topics import STATE
+from agent.core import topics
+from agent.core.codec import Refusal, decode, encode
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import State
+from agent.core.orders_words import Answer, Arg, Order
+from agent.core.topics import STATE
+from agent.robot.rights import why_closed
+from agent.robot.verbs import CLOCK, URGENT, arguments, prepare_all
 from router_config.door import Reply, Sample, Session, unusable
 from router_config.session import observer_config
 

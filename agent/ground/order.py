@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import msgspec
 
+from agent.core.codec import Refusal
+from agent.core.config import ConfigError, Fleet
+from agent.core.orders_words import Arg
 from agent.ground.console import OrderConsole, Outcome
-from agent.kernel.codec import Refusal
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.desk.rights import why_closed
-from agent.kernel.fleet_reader import load_robot
-from agent.kernel.orders.verbs import CLOCK, URGENT, arguments
-from agent.kernel.orders.words import Arg
-from agent.keys.fleet_certificates import credentials
+from agent.process.fleet_certificates import credentials
+from agent.robot.fleet_reader import load_robot
+from agent.robot.rights import why_closed
+from agent.robot.verbs import CLOCK, URGENT, arguments
 
 ALL = "all"
 

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.messages import MAX_JPEG, Image
-from agent.kernel.step_io import Sighting
+from agent.core.messages import MAX_JPEG, Image
+from agent.core.step_io import Sighting
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from hw.camera.camera import Frame
 

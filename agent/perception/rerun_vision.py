@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
-from agent.kernel.config import Fleet
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import Sighting
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import Sighting
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
 from hw.camera.camera import Camera, CameraError, Frame, Roi

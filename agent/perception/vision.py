@@ -18,9 +18,9 @@ import cv2
 from agent.clock import machine
 from agent.clock.clock import Clock, Part
 from agent.clock.part_names import CAMERA, part_name
-from agent.kernel.config import Fleet
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import BlockPeaks, Sighting, SweepPlan
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import BlockPeaks, Sighting, SweepPlan
 from agent.perception.clarity.block_sweep import BlockSweep
 from agent.perception.clarity.region import UNSEEN, around, prepare, target_clarity
 from agent.perception.detection.detectors import Detector

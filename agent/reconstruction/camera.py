@@ -5,7 +5,7 @@ p has the slopes (x, y) = (p_x, p_y) / (p_z - ahead_m) and is seen at
 
     u = cx + f x (1 + bend (x^2 + y^2)),  v = cy + f y (1 + bend (x^2 + y^2))
 
-which is the model of agent/kernel/ranging/camera_model.py, with the centre of the first pixel at (0, 0). A depth is
+which is the model of agent/core/ranging/camera_model.py, with the centre of the first pixel at (0, 0). A depth is
 p_z, from the pivot along the axis.
 """
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.focus import Array
+from agent.core.ranging.focus import Array
 from hw.camera.camera import Image
 
 Picture = NDArray[np.float32]

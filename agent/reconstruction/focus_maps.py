@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.calibration import FocusFit
-from agent.pictures.depth_peaks import GridPeaks
-from agent.pictures.depth_sweep import DepthMap
+from agent.core.ranging.calibration import FocusFit
+from agent.perception.depth_peaks import GridPeaks
+from agent.perception.depth_sweep import DepthMap
 from agent.reconstruction.camera import Floats
 
 MOST_SPREAD = 0.12  # of the range: four blocks that differ by more are not on one surface

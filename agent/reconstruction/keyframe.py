@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.ranging.calibration import Calibration, at_lens_position
-from agent.kernel.ranging.focus import Array
-from agent.kernel.ranging.lens_sag import at_tilt
+from agent.core.ranging.calibration import Calibration, at_lens_position
+from agent.core.ranging.focus import Array
+from agent.core.ranging.lens_sag import at_tilt
 from agent.perception.clarity.breathing import measure_growth
-from agent.pictures.depth_sweep import clarity_of, measure
+from agent.perception.depth_sweep import clarity_of, measure
 from agent.reconstruction.camera import Camera, shrunk
 from agent.reconstruction.composite import Picture, composite, shrunk_frame
 from agent.reconstruction.focus_maps import FocusMap, focus_map

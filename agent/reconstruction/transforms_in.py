@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from agent.kernel.config import ConfigError
-from agent.progress import Show
+from agent.core.config import ConfigError
+from agent.process.progress import Show
 from agent.reconstruction.camera import Camera, Floats
 from agent.reconstruction.composite import linear, shrunk_frame
 from agent.reconstruction.keyframe import reduction

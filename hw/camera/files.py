@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from agent.clock import machine
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 from hw.picture_files import read_picture
 

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from msgspec import UNSET
 
-from agent.kernel.step_io import SetPoint, Telemetry
+from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import wire
 
 TTL_MS = 500  # of a set-point; the board holds position after it

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, Protocol
 
-from agent.kernel.step_io import Motors as Ordered
-from agent.kernel.step_io import Telemetry
+from agent.core.step_io import Motors as Ordered
+from agent.core.step_io import Telemetry
 from hw.firmware import wire
 from hw.firmware.failsafe import SURFACE
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.firmware import parameters
 from hw.stm32.parameter_texts import TEXTS
 

@@ -6,7 +6,7 @@ import errno
 import os
 from pathlib import Path
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 
 
 def open_port_path(url: str, twin_dir: Path) -> str:

@@ -6,7 +6,7 @@ from collections import deque
 from concurrent.futures import Future
 from typing import NamedTuple
 
-from agent.kernel.step_io import SetPoint, Telemetry
+from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
 from hw.stm32.arming import Arming
 from hw.stm32.fields import (

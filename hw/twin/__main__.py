@@ -16,9 +16,9 @@ import msgspec
 
 from agent.clock.keeper import how_it_went, start_clock
 from agent.clock.run_clock import RunClock
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.fleet_reader import load_fleet, load_robot
-from agent.kernel.fleet_rules import two_worlds
+from agent.core.config import ConfigError, Fleet
+from agent.robot.fleet_reader import load_fleet, load_robot
+from agent.robot.fleet_rules import two_worlds
 from hw.camera.camera import CameraError
 from hw.camera.frame_server import FrameServer
 from hw.twin.bench import Bench

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from hw.camera.camera import FocusRange, Frame, Roi
 from hw.twin.devices.camera_device import EXPOSURE_NS, FrameClock, look
 from hw.twin.history import RobotPose

@@ -11,8 +11,8 @@ from typing import assert_never
 import numpy as np
 
 from agent.clock import machine
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Vector
+from agent.core.config import Fleet
+from agent.core.messages import Vector
 from hw.twin import faults
 from hw.twin.creatures.lookout import Lookout
 from hw.twin.creatures.school import School

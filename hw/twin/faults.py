@@ -15,8 +15,8 @@ from typing import Annotated, get_args
 
 from msgspec import Meta
 
-from agent.kernel.config import ConfigError, Name, Positive, Struct
-from agent.kernel.messages import Vector
+from agent.core.config import ConfigError, Name, Positive, Struct
+from agent.core.messages import Vector
 
 Sensor = Annotated[int, Meta(ge=1, le=4)]
 Thruster = Annotated[int, Meta(ge=1, le=8)]

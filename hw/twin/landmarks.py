@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Face, Landmarks, Tag
+from agent.core.config import Face, Landmarks, Tag
 from hw.twin.physics.rotation import matrix, quaternion
 from hw.twin.scene import generator
 

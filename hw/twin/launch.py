@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from hw.twin.physics.body import BODY, draw_body
 from hw.twin.physics.plant import Plant, set_body
 from hw.twin.physics.rotation import quaternion

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 from hw.twin.landmarks import PaintedTag
 from hw.twin.scene import Solid
 

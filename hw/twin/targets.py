@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.kernel.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet
 from hw.twin.scene import Creature, Scene, Solid
 
 

@@ -12,12 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from agent.kernel.codec import READABLE
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.core import Agent
-from agent.kernel.messages import SCHEMA
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.toml_files import convert
+from agent.core.codec import READABLE
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import SCHEMA
+from agent.core.ranging.calibration import Calibration
+from agent.core.toml_files import convert
+from agent.robot.core import Agent
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import damages
 from replay.files.log import info, parts, read

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from agent.kernel.config import ConfigError, Struct
-from agent.kernel.toml_files import convert
+from agent.core.config import ConfigError, Struct
+from agent.core.toml_files import convert
 
 
 class Absent:

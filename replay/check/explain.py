@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from msgspec import UNSET
 
-from agent.kernel.codec import decode
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Explain, LampState, LogLine, State
-from agent.kernel.step_io import Outputs, SweepOutcome
+from agent.core.codec import decode
+from agent.core.config import ConfigError
+from agent.core.messages import Explain, LampState, LogLine, State
+from agent.core.step_io import Outputs, SweepOutcome
 from replay.check.black_box import STEP_BYTES, open_box
 from replay.files.suspect import suspecting
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from agent.kernel.codec import Refusal
+from agent.core.codec import Refusal
 from replay.check.black_box import BlackBox, Step
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection
 from functools import cache
 
-from agent.kernel.messages import SCHEMA
+from agent.core.messages import SCHEMA
 from replay.check.compare import ABSENT, Difference
 
 NUMBERED = ("says.schema", "state.schema", "log.schema")  # fields that say the schema itself

@@ -15,17 +15,17 @@ from typing import Any, Literal, NamedTuple
 from msgspec import UNSET
 
 from agent.clock import machine
-from agent.kernel.codec import READABLE, Refusal, decode, encode
-from agent.kernel.core import Agent
-from agent.kernel.keyframes.claim import Claim
-from agent.kernel.keyframes.keyframe import Keyframe
-from agent.kernel.lighting.words import Light
-from agent.kernel.messages import SCHEMA, Estimate
-from agent.kernel.orders.verbs import arguments, in_words
-from agent.kernel.orders.words import Order
-from agent.kernel.presence import Presence
-from agent.kernel.step_io import Heard, Inputs, Ordered
-from agent.kernel.topics import CLAIM, KEYFRAME, LIGHT, NEAR
+from agent.core.claim import Claim
+from agent.core.codec import READABLE, Refusal, decode, encode
+from agent.core.keyframe import Keyframe
+from agent.core.messages import SCHEMA, Estimate
+from agent.core.orders_words import Order
+from agent.core.presence import Presence
+from agent.core.step_io import Heard, Inputs, Ordered
+from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
+from agent.core.words import Light
+from agent.robot.core import Agent
+from agent.robot.verbs import arguments, in_words
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences, written
 from replay.check.older import must_differ, note

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import UNSET
 
-from agent.kernel.codec import decode
-from agent.kernel.control.sweep import Measurement, Rejected, peak_of, usable
-from agent.kernel.messages import State
-from agent.kernel.ranging.camera_model import Eye, camera_pose
-from agent.kernel.ranging.cues import NoRange
-from agent.kernel.ranging.fix import Fix, locate
-from agent.kernel.step_io import Outputs, Sighting, SweepOutcome
+from agent.core.codec import decode
+from agent.core.control.sweep import Measurement, Rejected, peak_of, usable
+from agent.core.messages import State
+from agent.core.ranging.camera_model import Eye, camera_pose
+from agent.core.ranging.cues import NoRange
+from agent.core.ranging.fix import Fix, locate
+from agent.core.step_io import Outputs, Sighting, SweepOutcome
 from replay.check.black_box import STEP_BYTES, BlackBox
 
 Key = tuple[str, int]  # target, number of the sweep

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import SCHEMA, State, Vector
-from agent.kernel.step_io import Outputs
+from agent.core.codec import decode, encode
+from agent.core.config import ConfigError
+from agent.core.messages import SCHEMA, State, Vector
+from agent.core.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox, open_boxes
 from replay.check.reexecute import reexecute, take
 from replay.files.backlog import Entry

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import Sighting
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import Sighting
 from replay.check.black_box import BlackBox, open_boxes
 from replay.check.sweeps_again import SweepPair, by_sweep, sweep_pairs
 from replay.check.vision_limits import (

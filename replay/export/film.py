@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel import topics
-from agent.kernel.codec import READABLE, Refusal, decode
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Image
-from agent.kernel.step_io import Sighting
+from agent.core import topics
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.config import ConfigError
+from agent.core.messages import Image
+from agent.core.step_io import Sighting
 from replay.check.black_box import BlackBox, open_box
 from replay.export.source import recordings_of, wanted, whole_or_none
 from replay.files.channels import VISION, network_topic

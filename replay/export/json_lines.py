@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.export.source import recordings_of, whole_or_none
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records
 from replay.files.names import parts

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.check.black_box import black_boxes, recordings
 
 

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.kernel.codec import decode
-from agent.kernel.messages import State
-from agent.kernel.step_io import Inputs, Sighting, Telemetry
+from agent.core.codec import decode
+from agent.core.messages import State
+from agent.core.step_io import Inputs, Sighting, Telemetry
 from replay.check.black_box import STEP_BYTES, BlackBox
 from replay.export.source import wanted
 from replay.files.suspect import suspecting

@@ -10,7 +10,7 @@ import re
 from functools import cache
 from typing import Literal, NamedTuple
 
-from agent.kernel import topics
+from agent.core import topics
 from replay.files.backlog import Entry
 
 Encoding = Literal["msgpack", "json", "protobuf", "application/octet-stream"]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.clock.in_words import how_fast
-from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.messages import Message
+from agent.core.codec import Refusal, decode, encode
+from agent.core.messages import Message
 from replay.files.backlog import Entry
 from replay.files.channels import CLOCK, entry_on
 

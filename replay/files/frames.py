@@ -16,11 +16,11 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Message
-from agent.kernel.picture_head import stated_size
-from agent.kernel.step_io import Sighting
+from agent.core.codec import decode, encode
+from agent.core.config import ConfigError
+from agent.core.messages import Message
+from agent.core.picture_head import stated_size
+from agent.core.step_io import Sighting
 from replay.files import channels
 from replay.files.backlog import Entry
 from replay.files.images import compressed, image

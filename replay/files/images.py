@@ -7,7 +7,7 @@ from typing import Any
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from agent.kernel.codec import Refusal
+from agent.core.codec import Refusal
 from replay.files.protobuf import stamp
 
 

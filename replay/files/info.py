@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.kernel import topics
+from agent.core import topics
 from replay.files.channels import CLOCK, STEP_IN, STEP_OUT, network_topic
 from replay.files.clock_rate import Moment, Pace, moment, pace
 from replay.files.digests import BEFORE, OWN

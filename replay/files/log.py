@@ -20,7 +20,7 @@ from typing import NamedTuple, Self
 import msgpack
 
 from agent.clock import machine
-from agent.kernel.codec import prepare
+from agent.core.codec import prepare
 from replay.files.backlog import Backlog, Drop, Entry
 from replay.files.channels import DROPS, entry_on
 from replay.files.info import ChannelInfo, Info, info

@@ -15,7 +15,7 @@ from typing import IO, Any
 
 from mcap.writer import CompressionType, Writer
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.backlog import Entry
 from replay.files.digests import ATTACHED, BEFORE, HashedFile, of_attachments, stamped
 from replay.files.environment import version

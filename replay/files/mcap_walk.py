@@ -37,7 +37,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.mcap_audit import Audit, Damage
 
 __all__ = ["Attachment", "Channel", "Damage", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.backlog import Entry
 from replay.files.backlog import Schema as ChannelSchema
 from replay.files.channels import CUT, STEP_IN, STEP_OUT

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent.kernel.codec import Refusal
-from agent.kernel.config import ConfigError
+from agent.core.codec import Refusal
+from agent.core.config import ConfigError
 
 PACKAGE = Path(__file__).parents[2]
 MOST = 160  # characters of what was wrong

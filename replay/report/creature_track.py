@@ -18,9 +18,9 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from agent.kernel.codec import decode
-from agent.kernel.messages import Symmetric, Vector
-from agent.kernel.step_io import Inputs, Outputs
+from agent.core.codec import decode
+from agent.core.messages import Symmetric, Vector
+from agent.core.step_io import Inputs, Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox
 
 CREATURES, BOXES = "creatures.csv", "boxes.csv"  # as the twin leaves them

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.messages import Symmetric, Vector
+from agent.core.messages import Symmetric, Vector
 from replay.report.figures_belief import VARIANCES
 from replay.report.robot_timeline import Array, RobotTimeline
 

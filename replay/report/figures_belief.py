@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from agent.kernel.messages import State, Vector
+from agent.core.messages import State, Vector
 from replay.report.robot_timeline import Belief, RobotTimeline
 
 AXES = "xyz"

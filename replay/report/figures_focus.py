@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from agent.kernel.ranging.calibration import FocusFit
-from agent.kernel.ranging.focus import h
+from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.focus import h
 from replay.report.robot_timeline import Array, LoggedSweep, RobotTimeline
 
 SHOWN = 6  # sweeps in one figure; more hide each other

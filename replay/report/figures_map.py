@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Symmetric, Vector
+from agent.core.config import Fleet
+from agent.core.messages import Symmetric, Vector
 from replay.report.robot_timeline import RobotTimeline
 
 

@@ -7,7 +7,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from replay.report.surveyed import Surveyed, floor_known
 
 NONE, SOME, KNOWN, THING = "0.88", "#fee08b", "#1a9850", "#4d4d4d"

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from replay.report.creature_track import EVERY_NS, CreatureTrack, Held
 
 SEES, KNOWS, BLIND = "C2", "C1", "0.85"

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.codec import READABLE, Refusal, decode
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import Estimate, LogLine, State
-from agent.kernel.orders.words import Answer
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import Estimate, LogLine, State
+from agent.core.orders_words import Answer
 from replay.check.black_box import attached_toml, head, schema_of
 from replay.check.links import Link
 from replay.files.channels import network_topic

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from msgspec import UNSET
 
-from agent.kernel.step_io import SweepOutcome
+from agent.core.step_io import SweepOutcome
 from replay.report.page_template import Row, Table
 from replay.report.robot_timeline import RobotTimeline
 
-SPOILED = "spoiled: "  # agent.kernel.lamps.conduct writes it
+SPOILED = "spoiled: "  # agent.capabilities.light.conduct writes it
 FREE = "0.75"  # of a lamp that is its own robot's
 
 

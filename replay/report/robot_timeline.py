@@ -15,11 +15,11 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, LogLine, State, Symmetric, Vector
-from agent.kernel.orders.words import Answer
-from agent.kernel.step_io import Inputs, Outputs, Sighting, SweepOutcome
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, LogLine, State, Symmetric, Vector
+from agent.core.orders_words import Answer
+from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
 from replay.check.black_box import STEP_BYTES, BlackBox
 
 Array = NDArray[np.float64]

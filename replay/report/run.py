@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Vector
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import Vector
+from agent.robot.fleet_reader import load_fleet
 from replay.check.black_box import BlackBox, black_boxes, head, open_boxes, recordings
 from replay.check.links import Link, links
 from replay.files.channels import CLOCK

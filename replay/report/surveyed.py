@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.grid import grid_of
-from agent.kernel.keyframes.claim import holds
-from agent.kernel.keyframes.keyframe import Frame
-from agent.kernel.step_io import Outputs
+from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.grid import grid_of
+from agent.core.claim import holds
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.keyframe import Frame
+from agent.core.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox
 from replay.files.channels import STEP_OUT
 from replay.files.log import read

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from replay.report.creature_track import EVERY_NS, CreatureTrack, Held, Look
 from replay.report.page_template import Table
 

@@ -12,11 +12,11 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from agent.kernel import topics
-from agent.kernel.codec import READABLE, Refusal, decode
-from agent.kernel.messages import State, Vector
-from agent.kernel.status import fault_kind
-from agent.kernel.step_io import Outputs
+from agent.core import topics
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.messages import State, Vector
+from agent.core.status import fault_kind
+from agent.core.step_io import Outputs
 from replay.check.black_box import STEP_BYTES
 from replay.files.channels import STEP_OUT, network_topic
 from replay.files.log import read

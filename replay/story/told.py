@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.info import Info, as_json, describe, info
 from replay.files.names import parts
 from replay.files.suspect import suspecting

@@ -26,10 +26,10 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
-from agent.kernel.config import Body
-from agent.kernel.config import Pose as Place
-from agent.kernel.messages import Level, LogLine, State, Vector
-from agent.kernel.ranging.calibration import CameraFit
+from agent.core.config import Body
+from agent.core.config import Pose as Place
+from agent.core.messages import Level, LogLine, State, Vector
+from agent.core.ranging.calibration import CameraFit
 from replay.files.protobuf import stamp
 
 WORLD = "world"

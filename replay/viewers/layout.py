@@ -13,8 +13,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.topics import target_chunk
+from agent.core.config import ConfigError, Fleet
+from agent.core.topics import target_chunk
 from replay.files.channels import COVERAGE, KEYFRAME_POINTS, NEXT_VIEW, PREVIEW, SURVEY, match, name
 
 FIRST = "r1"  # the robot whose channels are repeated

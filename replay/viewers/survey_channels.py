@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from msgspec import UNSET
 
-from agent.kernel.config import Fleet
-from agent.kernel.coverage.evidence import CoverageMap, Key
-from agent.kernel.coverage.grid import ONE, grid_of
-from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
-from agent.kernel.keyframes.claim import Claim, View, claim_fault, holds
-from agent.kernel.keyframes.keyframe import TURN_ONE, UNIT_M, Frame, Keyframe, frame_fault, measured
+from agent.capabilities.survey.evidence import CoverageMap, Key
+from agent.capabilities.survey.grid import ONE, grid_of
+from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
+from agent.core.claim import Claim, View, claim_fault, holds
+from agent.core.config import Fleet
+from agent.core.keyframe import TURN_ONE, UNIT_M, Frame, Keyframe, frame_fault, measured
 from replay.files import channels
 from replay.files.channels import name
 from replay.viewers import foxglove

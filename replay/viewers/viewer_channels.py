@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 
 from msgspec import UNSET
 
-from agent.kernel import topics
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet, Pose
-from agent.kernel.keyframes.claim import Claim
-from agent.kernel.keyframes.keyframe import Keyframe
-from agent.kernel.messages import Image, LogLine, Message, State
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Inputs, Outputs, Sighting, Telemetry
+from agent.core import topics
+from agent.core.claim import Claim
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet, Pose
+from agent.core.keyframe import Keyframe
+from agent.core.messages import Image, LogLine, Message, State
+from agent.core.ranging.calibration import Calibration
+from agent.core.step_io import Inputs, Outputs, Sighting, Telemetry
 from replay.files import channels
 from replay.files.backlog import Entry
 from replay.files.channels import name, network_topic

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.codec import decode
-from agent.kernel.ranging.calibration import Calibration, CameraFit
-from agent.kernel.step_io import Sighting
+from agent.core.codec import decode
+from agent.core.ranging.calibration import Calibration, CameraFit
+from agent.core.step_io import Sighting
 from replay.files.channels import VISION
 from replay.files.frames import Frames, Picture, pixels
 from replay.files.log import Record

@@ -9,12 +9,12 @@ from unittest.mock import patch
 
 import numpy as np
 
+from agent.core.estimation.fuse import Opinion, fuse, vote
+from agent.core.matrix import apply, inverse, invert, quadratic, upper
+from agent.core.messages import Symmetric, Vector
 from agent.experiments.localization.cases import Case
 from agent.experiments.localization.draws import mean_score, score_draw
 from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
-from agent.kernel.estimation.fuse import Opinion, fuse, vote
-from agent.kernel.estimation.matrix import apply, inverse, invert, quadratic, upper
-from agent.kernel.messages import Symmetric, Vector
 
 DRAWS = {3: 1500, 5: 1000, 10: 500}
 SAMPLES = (1, 10, 60)  # of each robot
@@ -30,7 +30,7 @@ def run() -> dict[str, dict]:
 def moving() -> dict:
     """The whole estimator, whose tracks are doubted too."""
     doubting, nees = swum_mm()
-    with patch.multiple("agent.kernel.estimation.fuse", **NEVER):
+    with patch.multiple("agent.core.estimation.fuse", **NEVER):
         believing, nees_before = swum_mm()
     return compared(doubting, nees, believing, nees_before)
 

@@ -44,9 +44,9 @@ def run() -> dict[str, dict]:
 def fidelity() -> dict[str, dict]:
     from agent.perception.enhancement import enhance
     from agent.perception.enhancement.lu2net import load
-    from agent.training import degrade
-    from agent.training.landscapes import landscape
-    from agent.training.metrics import psnr
+    from agent.tools import degrade
+    from agent.tools.landscapes import landscape
+    from agent.tools.metrics import psnr
 
     net = load(enhance.shipped_weights())
     works = {way: enhance.network_enhancer(net, way).apply for way in ("plain", "folded", "fast")}

@@ -7,14 +7,14 @@ from random import Random
 from statistics import median
 from typing import Any
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.estimation.evidence import Evidence
-from agent.kernel.estimation.evidence_checks import Bounds
-from agent.kernel.estimation.interface import Estimator, Prior
-from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.estimation.metropolis import Metropolis
-from agent.kernel.estimation.paper import Paper
-from agent.kernel.messages import Epoch, Estimate
+from agent.core.codec import decode, encode
+from agent.core.estimation.evidence import Evidence
+from agent.core.estimation.evidence_checks import Bounds
+from agent.core.estimation.interface import Estimator, Prior
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.estimation.metropolis import Metropolis
+from agent.core.estimation.paper import Paper
+from agent.core.messages import Epoch, Estimate
 from tests.sample_messages import estimate
 
 NEIGHBOURS = (3, 10, 50)

@@ -6,7 +6,7 @@ import time
 import cv2
 import numpy as np
 
-from agent.kernel.config import Tank
+from agent.core.config import Tank
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.view import Eye

@@ -6,7 +6,7 @@ import time
 from importlib import resources
 from pathlib import Path
 
-from agent.kernel.fleet_reader import load_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive
 from hw.twin.physics.tank import STEP_S, STEPS_PER_TICK, TICK_NS, advance
 

@@ -6,8 +6,8 @@ as it has where vision needs none.
 
 import cv2
 
-from agent.kernel.config import Link
-from agent.kernel.step_io import Sighting
+from agent.core.config import Link
+from agent.core.step_io import Sighting
 from agent.perception.detection.detect import find_ball
 from agent.perception.enhancement.enhance import default, one_thread
 from agent.perception.enhancement.on_demand import DUE_NS, SHARE, OnDemandEnhancer

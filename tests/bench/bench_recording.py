@@ -23,14 +23,14 @@ import numpy as np
 import zenoh
 from mcap.writer import Writer
 
-from agent.kernel import topics
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate, NeighbourState, State
-from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting
-from agent.kernel.toml_files import dump
-from agent.ports import free_ports
+from agent.core import topics
+from agent.core.codec import encode
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, NeighbourState, State
+from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
+from agent.core.toml_files import dump
+from agent.process.ports import free_ports
+from agent.robot.fleet_reader import load_fleet
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION
 from replay.files.frames import frame_entries

@@ -11,16 +11,16 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.messages import Estimate
-from agent.kernel.trust.signed import entry_bytes, verify
-from agent.keys.key_files import public_bytes
-from agent.keys.key_folder import read_keys
-from agent.keys.make import make_keys
-from agent.keys.signing import signing
-from agent.runtime import STEP_NS
+from agent.core.codec import decode, encode
+from agent.core.messages import Estimate
+from agent.core.signed import entry_bytes, verify
+from agent.ground.make import make_keys
+from agent.process.key_files import public_bytes
+from agent.process.key_folder import read_keys
+from agent.process.runtime import STEP_NS
+from agent.process.signing import signing
 from tests.bench.bench_vision import medians_s, row
-from tests.keys.said import EPOCH, FOREIGN, entry, said
+from tests.process.said import EPOCH, FOREIGN, entry, said
 
 ROBOTS = tuple(f"r{k}" for k in range(1, 11))
 TIMES = 40  # of each work in one measurement

@@ -10,17 +10,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from agent.calibration.landmarks import known_tags, survey
-from agent.calibration.rotation import turned_by
-from agent.calibration.survey_bundle import SurveyFrame
-from agent.calibration.survey_views import Views, fresh
+from agent.core.config import Fleet, Tag
+from agent.core.ranging.calibration import Calibration, at_lens_position
+from agent.core.ranging.focus import lens_position
 from agent.experiments.posed_robot import PosedRobot
-from agent.fleet_files import shipped_fleet
-from agent.kernel.config import Fleet, Tag
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import Calibration, at_lens_position
-from agent.kernel.ranging.focus import lens_position
 from agent.perception.landmarks.tags import find_tags
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
+from agent.tools.landmarks import known_tags, survey
+from agent.tools.rotation import turned_by
+from agent.tools.survey_bundle import SurveyFrame
+from agent.tools.survey_views import Views, fresh
 from hw.twin.landmarks import PaintedTag, true_tags
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

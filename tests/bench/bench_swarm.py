@@ -17,13 +17,13 @@ from typing import Any
 
 import msgspec
 
+from agent.core.config import Fleet, Robot
+from agent.core.messages import State
+from agent.core.toml_files import dump
+from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
-from agent.kernel.config import Fleet, Robot
-from agent.kernel.messages import State
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
-from agent.ports import free_ports
-from agent.transport import Observer
+from agent.process.ports import free_ports
+from agent.process.transport import Observer
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import WATCHER, Swarm
 from tests.places import ROOT

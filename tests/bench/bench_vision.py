@@ -10,8 +10,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.focus import fit_peak, fit_peaks
+from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.focus import fit_peak, fit_peaks
 from agent.perception.clarity.clarity import grid, tenengrad_grid
 from agent.perception.clarity.peaks import block_peaks
 from agent.perception.clarity.region import around, disc_clarity

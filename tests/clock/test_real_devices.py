@@ -11,14 +11,14 @@ import pytest
 
 from agent.clock.clock import SystemClock
 from agent.clock.keeper import start_clock
-from agent.fleet_clock import fleet_clock
-from agent.fleet_files import shipped_fleet
-from agent.kernel.config import Fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import SweepPlan
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import SweepPlan
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
+from agent.process.fleet_clock import fleet_clock
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.stm32.driver import Stm32
 from hw.twin.devices.twin_folder import clock_path
 from tests.hw.camera.fake_v4l2 import FakeComputer

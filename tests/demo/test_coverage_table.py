@@ -5,16 +5,16 @@ import io
 import msgspec
 from rich.console import Console
 
+from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.exchange import holdings
+from agent.capabilities.survey.rays import along, place_m, rotation
+from agent.core.claim import Claim, View
+from agent.core.messages import Whereabouts
 from agent.demo.coverage import SurveyWatch
 from agent.demo.coverage_table import floor_spot, survey_table
 from agent.demo.history import History
-from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.exchange import holdings
-from agent.kernel.coverage.rays import along, place_m, rotation
-from agent.kernel.keyframes.claim import Claim, View
-from agent.kernel.messages import Whereabouts
+from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
 from tests.demo.test_display import STATE
-from tests.kernel.coverage.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
 
 FRAMES = drawn_frames(7)
 VIEW = View(FRAMES[0].place, FRAMES[0].turn, LENS, ROWS, SIGMA)

@@ -5,12 +5,12 @@ import io
 import msgspec
 from rich.console import Console
 
+from agent.core.messages import NeighbourState, State
 from agent.demo.display import progress_row, progress_table, progress_title, result_table, verdict
 from agent.demo.following import score
 from agent.demo.history import History
-from agent.fleet_files import fleet_file
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import NeighbourState, State
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from tests.swum_track import swum
 
 NEIGHBOURS = tuple(NeighbourState(robot=f"r{k}", age_s=0.1, valid=True) for k in (2, 3, 4, 5))

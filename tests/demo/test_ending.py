@@ -7,11 +7,11 @@ import pytest
 from rich.console import Console
 
 import agent.demo.demo
+from agent.core.config import ConfigError
 from agent.demo.demo import calibrate, keeping
 from agent.demo.display import how_to_look, program
 from agent.demo.fleet import demo_fleet, with_access
-from agent.failure import Failed
-from agent.kernel.config import ConfigError
+from agent.process.failure import Failed
 
 
 class FakeCrew:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from agent.core.config import ConfigError
+from agent.core.toml_files import dump
 from agent.demo.demo import demo
 from agent.demo.fleet import demo_fleet
-from agent.fleet_files import fleet_file, shipped_fleet, shipped_names
-from agent.kernel.config import ConfigError
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.toml_files import dump
+from agent.process.fleet_files import fleet_file, shipped_fleet, shipped_names
+from agent.robot.fleet_reader import load_fleet
 
 TANK = shipped_fleet().read_text()
 NO_TWIN = TANK.replace('camera = "twin:r2"', 'camera = "v4l2:/dev/video0"').replace('"twin:r2"', '"/dev/ttyACM0"')

@@ -3,11 +3,11 @@
 import pytest
 from msgspec.structs import replace
 
+from agent.core.messages import State
 from agent.demo.following import FOLLOW_S, followed_s, reasons, score, swims
 from agent.demo.history import History
-from agent.fleet_files import fleet_file
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import State
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from tests.swum_track import OFF_M, SIGMA_M, swum
 
 FISH = load_fleet(fleet_file("fish"))

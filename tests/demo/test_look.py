@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from agent.core.toml_files import dump
 from agent.demo.demo import demo_fleet
 from agent.demo.fleet import with_access
 from agent.demo.look import open_page
-from agent.kernel.toml_files import dump
-from agent.launch import crew
+from agent.process.launch import crew
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")
 

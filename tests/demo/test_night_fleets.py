@@ -2,8 +2,8 @@
 
 from msgspec.structs import replace
 
-from agent.fleet_files import fleet_file
-from agent.kernel.fleet_reader import load_fleet
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 
 
 def test_night_alone_is_night_but_for_the_lending_and_cameras_that_point_at_the_ball() -> None:

@@ -5,13 +5,13 @@ import math
 import pytest
 from msgspec.structs import replace
 
+from agent.core.config import Target
+from agent.core.messages import State
 from agent.demo.display import verdict
 from agent.demo.history import History
 from agent.demo.summary import first_below, outside_m, reasons, score, settled, summarize
-from agent.fleet_files import fleet_file
-from agent.kernel.config import Target
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import State
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 
 TRUTH = (0.76, 0.56, 0.07)
 

@@ -2,8 +2,8 @@
 
 from msgspec.structs import replace
 
-from agent.fleet_files import fleet_file
-from agent.kernel.fleet_reader import load_fleet
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.scene import load_scene
 
 

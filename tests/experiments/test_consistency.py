@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
+from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.core.ranging.camera_model import Eye
 from agent.experiments import ball_measurements as measurements
 from agent.experiments.consistency.run import Result, summary
 from agent.experiments.consistency.tables import cases_table, refusals, table
 from agent.experiments.posed_robot import rotation_of
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.kernel.ranging.camera_model import Eye
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 
 BALL_M = (0.3, 0.3, 0.07)
 

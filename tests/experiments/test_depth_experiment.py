@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.focus import lens_position
 from agent.experiments.depth import run as experiment
 from agent.experiments.depth import wall
 from agent.experiments.depth.figures import figure
 from agent.experiments.still_camera import StillCamera
 from agent.experiments.sweeps import VIEWS, breathing, facing_wall, sweep_view
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.ranging.focus import lens_position
 from hw.camera.camera import Roi
 
 

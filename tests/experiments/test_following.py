@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from agent.core.config import Body
 from agent.experiments.following import basin as following_basin
 from agent.experiments.following.bars import verdicts
 from agent.experiments.following.cases import FLEET, Case, all_cases
@@ -17,7 +18,6 @@ from agent.experiments.following.tables import table
 from agent.experiments.navigation.drawn_ball import Pillar, hides
 from agent.experiments.navigation.pursuit.wanderer import BODY_M, Wanderer
 from agent.experiments.result import write_result
-from agent.kernel.config import Body
 from hw.twin.scene import generator
 
 N, WATCHED = 100, 20

@@ -7,6 +7,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.core.estimation.evidence_checks import Bounds, entry_fault
+from agent.core.estimation.evidence_table import opinion as opinion_of
+from agent.core.estimation.fuse import Opinion, fuse
+from agent.core.matrix import inverse, upper
+from agent.core.messages import Epoch, Gossip
+from agent.core.signed import entry_bytes
 from agent.experiments.localization.criteria import verdict
 from agent.experiments.localization.graphs import graph
 from agent.experiments.localization.liar import FIRST, LAST, attacked, bound_m, fleet_of, told
@@ -19,12 +25,6 @@ from agent.experiments.localization.lockstep import Swarm, prior, symmetric
 from agent.experiments.localization.many_lies import conclusions
 from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify
 from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
-from agent.kernel.estimation.evidence_checks import Bounds, entry_fault
-from agent.kernel.estimation.evidence_table import opinion as opinion_of
-from agent.kernel.estimation.fuse import Opinion, fuse
-from agent.kernel.estimation.matrix import inverse, upper
-from agent.kernel.messages import Epoch, Gossip
-from agent.kernel.trust.signed import entry_bytes
 from tests.sample_messages import estimate
 
 SECOND_NS = 1_000_000_000

@@ -58,7 +58,7 @@ def test_paper_reaches_its_closed_form_within_5_percent(topology, robots) -> Non
 def test_paper_fails_where_messages_are_lost() -> None:
     """10 robots on the hard graph, 30 % loss. The literal update never gets better; it starts again too often.
 
-    That evidence does is asked in tests/kernel/estimation/test_evidence.py, and what comes at 200 by the verb.
+    That evidence does is asked in tests/core/estimation/test_evidence.py, and what comes at 200 by the verb.
     """
     paper = ratios(Case("paper", "geometric", 10, 80, (10, 50), loss=0.3))
     assert paper == pytest.approx([9.6, 27.0], rel=0.25)  # the scatter of 80 draws

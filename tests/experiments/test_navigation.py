@@ -6,6 +6,16 @@ import math
 import numpy as np
 import pytest
 
+from agent.capabilities.swim.layout import markers
+from agent.capabilities.swim.planes import odometry
+from agent.capabilities.swim.projection import view
+from agent.capabilities.swim.tag_fix import Map, tag_fix, whole
+from agent.capabilities.swim.tag_priors import priors
+from agent.core.angle import wrap
+from agent.core.attitude import Attitude
+from agent.core.config import Pose
+from agent.core.messages import Estimate
+from agent.core.ranging.fix import Fix
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bars import BARS, met
 from agent.experiments.navigation.bodies import CAMERA, PlanarBodies
@@ -19,16 +29,6 @@ from agent.experiments.navigation.summaries import SUMMARIES
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.navigation.tables import aid_table, bars_table, fixes_table, spread_table, table
 from agent.experiments.result import write_result
-from agent.kernel.config import Pose
-from agent.kernel.control.attitude import Attitude
-from agent.kernel.messages import Estimate
-from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.planes import odometry
-from agent.kernel.navigation.tags.layout import markers
-from agent.kernel.navigation.tags.projection import view
-from agent.kernel.navigation.tags.tag_fix import Map, tag_fix, whole
-from agent.kernel.navigation.tags.tag_priors import priors
-from agent.kernel.ranging.fix import Fix
 from hw.twin.history import RobotPose
 
 S = 1_000_000_000

@@ -10,8 +10,8 @@ from agent.experiments.peak_shift.run import Settings, Way, mm_per_position, shi
 from agent.experiments.peak_shift.tables import table
 from agent.experiments.result import write_result
 from agent.experiments.sweeps import WATER_INDEX
-from agent.pictures.depth_peaks import GridPeaks, Reason
-from agent.pictures.depth_sweep import DepthMap
+from agent.perception.depth_peaks import GridPeaks, Reason
+from agent.perception.depth_sweep import DepthMap
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from agent.kernel.config import Protocol
+from agent.core.config import Protocol
 from tests.fuzz import parts
 
 FOR_EVER_S = 10.0**9

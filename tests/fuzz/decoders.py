@@ -12,14 +12,13 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agent import decoder
-from agent.kernel import messages, step_io, topics
-from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.core import Agent
-from agent.kernel.messages import Estimate, Image, LogLine, Message, State
-from agent.kernel.orders.verbs import VERBS
-from agent.kernel.orders.words import Order
-from agent.kernel.trust import signed
+from agent.core import messages, signed, step_io, topics
+from agent.core.codec import Refusal, decode, encode
+from agent.core.messages import Estimate, Image, LogLine, Message, State
+from agent.core.orders_words import Order
+from agent.ground import decoder
+from agent.robot.core import Agent
+from agent.robot.verbs import VERBS
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
 from hw.camera.v4l2_format import MJPG, YUYV, Format

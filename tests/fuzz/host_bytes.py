@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import random
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.step_io import Inputs, SetPoint
+from agent.core.codec import decode, encode
+from agent.core.step_io import Inputs, SetPoint
 from hw.firmware import parameters, wire
 from hw.stm32.protocol import HostProtocol
 from tests.fuzz.wire_frames import frame, mutated, noise, random_fields

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
-from agent.kernel.config import Protocol
+from agent.core.config import Protocol
 from tests.fuzz import decoding
 from tests.fuzz.kernel.search import PROTOCOLS, Fuzzer, scenes
 

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.failure import Failed
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
+from agent.process.failure import Failed
 from replay.check.check import check, text
 from replay.check.explain import explain
 from replay.check.update import update_recordings

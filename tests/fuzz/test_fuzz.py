@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Protocol
-from agent.kernel.messages import Estimate, State
+from agent.core.codec import Refusal, decode
+from agent.core.config import Protocol
+from agent.core.messages import Estimate, State
 from tests.fuzz import cases, decoding, mutate, parts
 from tests.fuzz.decoders import Decoder, bytes_for, decoders
 from tests.fuzz.kernel import episode

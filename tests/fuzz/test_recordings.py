@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.suspect import suspecting
 from tests.fuzz.recordings import Harm, fuzz, one, run
 

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from agent.agent_process import run_facts
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
-from agent.kernel.ranging.focus import lens_position
-from agent.kernel.step_io import Inputs, Sighting, SweepPlan
-from agent.kernel.toml_files import dump
+from agent.core.codec import decode, encode
+from agent.core.config import Fleet
+from agent.core.ranging.focus import lens_position
+from agent.core.step_io import Inputs, Sighting, SweepPlan
+from agent.core.toml_files import dump
 from agent.perception.rerun_vision import rerun_vision
+from agent.process.agent_process import run_facts
+from agent.robot.core import Agent
 from replay.files.backlog import Entry
 from replay.files.channels import STEP_IN, STEP_OUT, VISION
 from replay.files.frames import frame_entries

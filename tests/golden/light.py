@@ -7,13 +7,13 @@ from pathlib import Path
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.kernel.keyframes.claim import Claim
-from agent.kernel.keyframes.keyframe import Keyframe
-from agent.kernel.messages import Message
+from agent.core.claim import Claim
+from agent.core.keyframe import Keyframe
+from agent.core.messages import Message
+from tests.capabilities.light.dark_fish import DarkFish
+from tests.capabilities.light.dark_survey import DarkSurvey
+from tests.capabilities.light.lit_swarm import HARBOUR
 from tests.golden.swim import record
-from tests.kernel.lamps.dark_fish import DarkFish
-from tests.kernel.lamps.dark_survey import DarkSurvey
-from tests.kernel.lamps.lit_swarm import HARBOUR
 from tests.replay.step_box import Said
 
 FISH_M_S = 0.15

@@ -17,14 +17,14 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet, Target
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.lighting.settings import Lighting, WaterOptics
-from agent.kernel.messages import Vector
-from agent.kernel.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
-from agent.keys.key_files import public_bytes
-from agent.keys.signing import signing, unsigned
+from agent.core.codec import encode
+from agent.core.config import Fleet, Target
+from agent.core.messages import Vector
+from agent.core.settings import Lighting, WaterOptics
+from agent.core.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
+from agent.process.key_files import public_bytes
+from agent.process.signing import signing, unsigned
+from agent.robot.fleet_reader import load_fleet
 from replay.files.log import parts
 from replay.files.names import active
 from tests.golden.fleet_files import write

@@ -70,8 +70,8 @@ class Taken:
             self._at.pop()
 
     def pytest_sessionstart(self) -> None:
-        from agent.kernel.codec import encode  # not before tests/conftest.py has said how many threads numpy takes
-        from agent.kernel.core import Agent
+        from agent.core.codec import encode  # not before tests/conftest.py has said how many threads numpy takes
+        from agent.robot.core import Agent
 
         step = Agent.step
 

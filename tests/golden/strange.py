@@ -8,9 +8,9 @@ from collections.abc import Callable
 import msgpack
 from msgspec.structs import replace
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.messages import Estimate, Proposal
-from agent.kernel.step_io import DroppedPayloads, Heard, Inputs
+from agent.core.codec import decode, encode
+from agent.core.messages import Estimate, Proposal
+from agent.core.step_io import DroppedPayloads, Heard, Inputs
 
 HOUR_NS = 3600 * 10**9
 

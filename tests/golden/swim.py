@@ -7,11 +7,11 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
+from agent.core.config import Look, Navigation, Pose
+from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.kernel.config import Look, Navigation, Pose
-from agent.kernel.step_io import SetPoint, Telemetry
 from tests.replay.step_box import Recorded, Said
 
 STEPS_S = 10**9 // STEP_NS

@@ -10,9 +10,9 @@ import pytest
 import typer.main
 
 from agent.__main__ import app
-from agent.fleet_setup.files import OPEN_FILES
-from agent.fleet_setup.init import write_fleet
-from agent.kernel.fleet_reader import load_fleet
+from agent.ground.files import OPEN_FILES
+from agent.ground.init import write_fleet
+from agent.robot.fleet_reader import load_fleet
 from replay.files.log import CLOSE_S
 from tests.places import ROOT
 

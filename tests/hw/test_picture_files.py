@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.picture_files import SUFFIXES, picture_files, read_picture
 
 COLOURS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)

@@ -9,8 +9,8 @@ from typing import Any
 import zenoh
 
 from agent.clock.clock import SystemClock
-from agent.kernel import topics
-from agent.kernel.config import Fleet
+from agent.core import topics
+from agent.core.config import Fleet
 from replay.files.log import Record, read
 from replay.recorder import record
 from tests.waiting import until

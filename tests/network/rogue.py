@@ -30,13 +30,13 @@ from pathlib import Path
 
 import zenoh
 
-from agent.kernel import topics
-from agent.kernel.codec import encoding
-from agent.kernel.config import Fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import LINK
+from agent.core import topics
+from agent.core.codec import encoding
+from agent.core.config import Fleet
+from agent.core.messages import Estimate
+from agent.core.toml_files import dump
+from agent.core.topics import LINK
+from agent.robot.fleet_reader import load_fleet
 from router_config.session import observer_config, peer_config
 from tests.network.hostile.payloads import kinds
 from tests.places import ROOT

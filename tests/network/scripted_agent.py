@@ -11,20 +11,20 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from agent.agent_process import run_facts
 from agent.clock.clock import Clock, SystemClock
-from agent.fleet_clock import fleet_clock
-from agent.kernel.core import Agent
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
-from agent.kernel.step_io import Sighting
-from agent.kernel.toml_files import dump
-from agent.keys.fleet_certificates import credentials
-from agent.keys.robot_keys import robot_keys
-from agent.runtime import Runtime, say_goodbye
-from agent.stop_signal import until_signal
-from agent.transport import Transport
+from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
+from agent.core.step_io import Sighting
+from agent.core.toml_files import dump
+from agent.process.agent_process import run_facts
+from agent.process.fleet_certificates import credentials
+from agent.process.fleet_clock import fleet_clock
+from agent.process.robot_keys import robot_keys
+from agent.process.runtime import Runtime, say_goodbye
+from agent.process.stop_signal import until_signal
+from agent.process.transport import Transport
+from agent.robot.core import Agent
+from agent.robot.fleet_reader import load_fleet
 from replay.black_box_writer import BlackBoxWriter
 from replay.files.log import LogWriter
 from tests.known_lens import CAMERA

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import msgspec
 
+from agent.core.config import Access
+from agent.core.messages import State
+from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
-from agent.kernel.config import Access
-from agent.kernel.messages import State
-from agent.kernel.toml_files import dump
-from agent.keys.make import make_all
+from agent.ground.make import make_all
 from tests.network.relay import Relay
 from tests.network.scripted_agent import TARGET_M
 from tests.places import ROOT

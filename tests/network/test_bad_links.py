@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.codec import decode
-from agent.kernel.estimation.evidence_table import opinion
-from agent.kernel.estimation.fuse import fuse
-from agent.kernel.messages import Entry, Estimate
-from agent.kernel.step_io import Outputs
+from agent.core.codec import decode
+from agent.core.estimation.evidence_table import opinion
+from agent.core.estimation.fuse import fuse
+from agent.core.messages import Entry, Estimate
+from agent.core.step_io import Outputs
 from replay.files.log import read
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import WATCHER, Swarm, used

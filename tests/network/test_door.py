@@ -5,11 +5,11 @@ from collections.abc import Callable
 import pytest
 import zenoh
 
-from agent.kernel import topics
-from agent.kernel.codec import encoding
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import MAX_PAYLOAD, State
-from agent.kernel.topics import STATE
+from agent.core import topics
+from agent.core.codec import encoding
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import MAX_PAYLOAD, State
+from agent.core.topics import STATE
 from router_config.door import Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 from tests.waiting import until

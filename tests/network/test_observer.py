@@ -9,13 +9,13 @@ import pytest
 import zenoh
 
 import replay.roll_call
-from agent.kernel import topics
-from agent.kernel.codec import decode
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import Estimate, LogLine, State
-from agent.kernel.topics import STATE
-from agent.router import run_router
-from agent.transport import Observer, Transport
+from agent.core import topics
+from agent.core.codec import decode
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import Estimate, LogLine, State
+from agent.core.topics import STATE
+from agent.process.router import run_router
+from agent.process.transport import Observer, Transport
 from router_config.session import peer_config
 from tests.waiting import until
 

@@ -13,14 +13,14 @@ import zenoh
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from agent.decoder import decode as printed
-from agent.kernel import topics
-from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.config import Fleet
-from agent.kernel.messages import MAX_JPEG, Image, State
-from agent.kernel.topics import IMAGE, STATE
+from agent.core import topics
+from agent.core.codec import decode, encode, encoding
+from agent.core.config import Fleet
+from agent.core.messages import MAX_JPEG, Image, State
+from agent.core.topics import IMAGE, STATE
+from agent.ground.decoder import decode as printed
 from agent.perception.preview import compressed
-from agent.transport import Observer, Transport
+from agent.process.transport import Observer, Transport
 from replay.files.info import describe, info
 from replay.files.log import read
 from replay.recorder import Arrivals

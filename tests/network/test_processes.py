@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, State
-from agent.kernel.toml_files import dump
-from agent.transport import Transport
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, State
+from agent.core.toml_files import dump
+from agent.process.transport import Transport
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -24,9 +24,9 @@ PAIR = {"r1": ("r2",), "r2": ("r1",)}
 
 TALK = """
 import pathlib, signal, sys, time
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate
-from agent.transport import Transport
+from agent.robot.fleet_reader import load_fleet
+from agent.core.messages import Estimate
+from agent.process.transport import Transport
 fleet, me, other, last = load_fleet(pathlib.Path(sys.argv[1])), sys.argv[2], sys.argv[3], int(sys.argv[4])
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
 with Transport(fleet, me, time.time_ns) as transport:

@@ -13,13 +13,13 @@ import pytest
 import zenoh
 
 import replay.roll_call
-from agent.kernel import topics
-from agent.kernel.codec import encode, encoding
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import MAX_PAYLOAD, Estimate, LogLine, State
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import LINK, STATE
-from agent.transport import Transport
+from agent.core import topics
+from agent.core.codec import encode, encoding
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import MAX_PAYLOAD, Estimate, LogLine, State
+from agent.core.toml_files import dump
+from agent.core.topics import LINK, STATE
+from agent.process.transport import Transport
 from replay.files.backlog import Entry
 from replay.files.channels import ON_NETWORK
 from replay.files.log import Limits, LogWriter, info, read
@@ -218,7 +218,7 @@ def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
 
 RECORD = """
 import pathlib, signal, sys, threading
-from agent.kernel.fleet_reader import load_fleet
+from agent.robot.fleet_reader import load_fleet
 from agent.clock.clock import SystemClock
 from replay.recorder import record
 stop = threading.Event()

@@ -21,12 +21,12 @@ from msgspec.structs import replace
 
 import replay.view
 from agent.clock.clock import SystemClock
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import MAX_JPEG, Image, State
-from agent.kernel.toml_files import dump
-from agent.observing.viewing import view_fleets
-from agent.ports import is_free
-from agent.transport import Transport
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import MAX_JPEG, Image, State
+from agent.core.toml_files import dump
+from agent.ground.viewing import view_fleets
+from agent.process.ports import is_free
+from agent.process.transport import Transport
 from replay.view import view
 from tests.network.conftest import unused_port
 from tests.waiting import until

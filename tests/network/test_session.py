@@ -10,7 +10,7 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from agent.kernel.config import Access, Fleet
+from agent.core.config import Access, Fleet
 from router_config import session
 from router_config.metadata import metadata
 

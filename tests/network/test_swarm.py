@@ -18,13 +18,13 @@ import msgspec
 import pytest
 import zenoh
 
+from agent.core import topics
+from agent.core.codec import decode, encode, encoding
+from agent.core.messages import Estimate, LogLine, State
+from agent.core.step_io import Outputs
+from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
-from agent.kernel import topics
-from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.messages import Estimate, LogLine, State
-from agent.kernel.step_io import Outputs
-from agent.kernel.toml_files import dump
-from agent.transport import Observer
+from agent.process.transport import Observer
 from replay.files.log import read
 from router_config.session import observer_config
 from tests.killing import killed_after

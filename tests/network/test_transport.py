@@ -11,14 +11,14 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from agent.kernel import topics
-from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.config import ConfigError, Fleet, Navigation
-from agent.kernel.messages import MAX_PAYLOAD, Estimate, State
-from agent.kernel.presence import Presence
-from agent.kernel.step_io import Heard
-from agent.kernel.topics import LINK
-from agent.transport import Transport
+from agent.core import topics
+from agent.core.codec import decode, encode, encoding
+from agent.core.config import ConfigError, Fleet, Navigation
+from agent.core.messages import MAX_PAYLOAD, Estimate, State
+from agent.core.presence import Presence
+from agent.core.step_io import Heard
+from agent.core.topics import LINK
+from agent.process.transport import Transport
 from router_config.session import peer_config
 from tests.sample_messages import presence
 from tests.waiting import until

@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.toml_files import dump
+from agent.core.ranging.calibration import Calibration
+from agent.core.toml_files import dump
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT
 

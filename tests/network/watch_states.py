@@ -6,12 +6,12 @@ from pathlib import Path
 
 import msgspec
 
-from agent.kernel.codec import decode
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import State
-from agent.kernel.topics import STATE
-from agent.keys.fleet_certificates import credentials
-from agent.transport import LOOKER, Observer
+from agent.core.codec import decode
+from agent.core.messages import State
+from agent.core.topics import STATE
+from agent.process.fleet_certificates import credentials
+from agent.process.transport import LOOKER, Observer
+from agent.robot.fleet_reader import load_fleet
 
 
 def main(fleet_path: Path) -> None:

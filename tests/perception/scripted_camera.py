@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from agent.kernel.config import Camera as CameraSettings
-from agent.kernel.config import Fleet, Pose, Robot, Target
+from agent.core.config import Camera as CameraSettings
+from agent.core.config import Fleet, Pose, Robot, Target
 from hw.camera.camera import CameraGone, FocusRange, Frame, Roi
 from tests.perception.painted import sharp_position
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.messages import MAX_JPEG, Image
-from agent.kernel.step_io import Sighting
-from agent.kernel.topics import IMAGE
+from agent.core.codec import decode, encode
+from agent.core.messages import MAX_JPEG, Image
+from agent.core.step_io import Sighting
+from agent.core.topics import IMAGE
 from agent.perception.enhancement.enhance import Enhancer
 from agent.perception.enhancement.on_demand import OnDemandEnhancer
 from agent.perception.preview import KEPT_BYTES, Preview, compressed

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from agent.kernel.ranging.focus import Peak, fit_peak
-from agent.kernel.step_io import SweepPlan
+from agent.core.ranging.focus import Peak, fit_peak
+from agent.core.step_io import SweepPlan
 from agent.perception import vision
 from agent.perception.vision import QUEUE
 from hw.camera.camera import CameraError

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from agent.kernel.ranging.calibration import FocusFit
-from agent.kernel.ranging.focus import range_variance
-from agent.pictures.depth_peaks import GridPeaks, Reason
-from agent.pictures.depth_sweep import DepthMap
+from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.focus import range_variance
+from agent.perception.depth_peaks import GridPeaks, Reason
+from agent.perception.depth_sweep import DepthMap
 from agent.reconstruction.composite import composite, linear, shrunk_frame
 from agent.reconstruction.focus_maps import FLOOR_M, focus_map, range_sigma_m
 

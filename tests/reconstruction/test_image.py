@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.core.config import ConfigError
 from agent.experiments.reconstruction.noisy import SHARED, noisy
-from agent.kernel.config import ConfigError
 from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.image import model as seam

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.reconstruction.camera import Camera
 from agent.reconstruction.export.transforms import write_transforms
 from agent.reconstruction.extract import Mesh

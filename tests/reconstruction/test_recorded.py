@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.kernel.codec import decode
-from agent.kernel.config import ConfigError
-from agent.kernel.step_io import Outputs, SweepOutcome
+from agent.core.codec import decode
+from agent.core.config import ConfigError
+from agent.core.step_io import Outputs, SweepOutcome
 from agent.reconstruction.poses.prior import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
 from agent.reconstruction.recorded import aligned, recorded_views
 from agent.reconstruction.view import rotation_of, see, surface_points

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from agent.kernel import topics
-from agent.kernel.codec import decode, encode
-from agent.kernel.messages import Message
-from agent.kernel.step_io import Outputs
-from agent.kernel.toml_files import dump
+from agent.core import topics
+from agent.core.codec import decode, encode
+from agent.core.messages import Message
+from agent.core.step_io import Outputs
+from agent.core.toml_files import dump
 from replay.check.black_box import open_boxes
 from replay.files.backlog import Entry
 from replay.files.channels import NETWORK, name

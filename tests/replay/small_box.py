@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 
-from agent.kernel.codec import encode
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import LogLine, NeighbourState, State
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
+from agent.core.codec import encode
+from agent.core.messages import LogLine, NeighbourState, State
+from agent.core.ranging.calibration import Calibration
+from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
+from agent.robot.fleet_reader import load_fleet
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.clock_rate import RateNotes
 from replay.files.log import LogWriter

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.agent_process import run_facts
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
-from agent.kernel.orders.words import Arg, Order
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Inputs, Ordered, Outputs
-from agent.kernel.toml_files import dump
+from agent.core.codec import decode, encode
+from agent.core.config import Fleet
+from agent.core.orders_words import Arg, Order
+from agent.core.ranging.calibration import Calibration
+from agent.core.step_io import Inputs, Ordered, Outputs
+from agent.core.toml_files import dump
+from agent.process.agent_process import run_facts
+from agent.robot.core import Agent
 from replay.files.backlog import Entry
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.mcap_file import Part

@@ -10,10 +10,10 @@ from msgspec.structs import replace
 
 import replay.files.log
 import replay.recorder
-from agent.kernel import topics
-from agent.kernel.codec import encode, encoding
-from agent.kernel.messages import MAX_PAYLOAD, NeighbourState, State
-from agent.kernel.topics import STATE
+from agent.core import topics
+from agent.core.codec import encode, encoding
+from agent.core.messages import MAX_PAYLOAD, NeighbourState, State
+from agent.core.topics import STATE
 from replay.files.backlog import Entry
 from replay.files.channels import DROPS, NETWORK, PRESENCE, name
 from replay.files.info import describe, info

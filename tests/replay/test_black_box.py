@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from agent.clock.clock import SystemClock
-from agent.kernel.codec import decode, encode
-from agent.kernel.messages import LogLine, State
-from agent.kernel.step_io import Inputs, Outputs, SetPoint
-from agent.runtime import Runtime
+from agent.core.codec import decode, encode
+from agent.core.messages import LogLine, State
+from agent.core.step_io import Inputs, Outputs, SetPoint
+from agent.process.runtime import Runtime
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import info

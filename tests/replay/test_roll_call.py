@@ -3,7 +3,7 @@
 import pytest
 
 import replay.roll_call
-from agent.kernel.config import Fleet, Pose, Robot, Target
+from agent.core.config import Fleet, Pose, Robot, Target
 from replay.roll_call import RollCall
 
 

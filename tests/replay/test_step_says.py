@@ -6,10 +6,10 @@ import pytest
 from msgspec import UNSET, UnsetType
 
 from agent.clock.clock import SystemClock
-from agent.kernel.messages import Estimate
-from agent.kernel.presence import Presence
-from agent.kernel.step_io import Inputs, Outputs, SetPoint
-from agent.runtime import Runtime
+from agent.core.messages import Estimate
+from agent.core.presence import Presence
+from agent.core.step_io import Inputs, Outputs, SetPoint
+from agent.process.runtime import Runtime
 from tests.sample_messages import presence
 
 NEAR = presence("r1", "r2"), presence("r1", "r3")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.kernel.step_io import Sighting
+from agent.core.step_io import Sighting
 from replay.files.frames import Picture
 from replay.taken_sweeps import rising
 

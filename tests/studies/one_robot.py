@@ -9,14 +9,14 @@ from typing import Any
 from msgspec.structs import replace
 
 from agent.clock.clock import Clock, StandingClock
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
-from agent.kernel.messages import State
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.ranging.focus import lens_position
-from agent.kernel.step_io import Outputs, SetPoint
-from agent.runtime import STEP_NS, Runtime
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.messages import State
+from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.focus import lens_position
+from agent.core.step_io import Outputs, SetPoint
+from agent.process.runtime import STEP_NS, Runtime
+from agent.robot.core import Agent
 from hw.camera.camera import Camera, CameraGone, Frame, Image, Roi
 from replay.check.black_box import STEP_BYTES
 from tests.golden.frames import CENTRE_M

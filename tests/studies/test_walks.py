@@ -7,14 +7,14 @@ import pytest
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")
 
-from agent.kernel.control.attitude import AttitudeLog
-from agent.kernel.core import Agent
-from agent.kernel.desk.desk import Desk
-from agent.kernel.estimation.evidence import Evidence
-from agent.kernel.estimation.metropolis import Metropolis
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.status import Status
-from agent.runtime import Runtime
+from agent.core.attitude import AttitudeLog
+from agent.core.estimation.evidence import Evidence
+from agent.core.estimation.metropolis import Metropolis
+from agent.core.status import Status
+from agent.process.runtime import Runtime
+from agent.robot.core import Agent
+from agent.robot.desk import Desk
+from agent.robot.fleet_reader import load_fleet
 from hw.firmware.frames import Framer
 from hw.stm32.driver import Stm32
 from hw.stm32.protocol import HostProtocol

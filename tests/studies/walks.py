@@ -26,20 +26,20 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from agent.clock.clock import SystemClock
+from agent.core.codec import decode, encode
+from agent.core.config import Fleet
+from agent.core.step_io import Inputs
+from agent.core.toml_files import dump
 from agent.ground.console import OrderConsole
 from agent.ground.page.live import SHOWN
 from agent.ground.page.ordering import give
 from agent.ground.page.page import page_of_fleet
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.step_io import Inputs
-from agent.kernel.toml_files import dump
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
-from agent.runtime import STEP_NS
-from agent.transport import Observer, Transport
+from agent.process.runtime import STEP_NS
+from agent.process.transport import Observer, Transport
+from agent.robot.core import Agent
+from agent.robot.fleet_reader import load_fleet
 from hw.stm32.driver import Stm32
 from hw.stm32.motors import Motors
 from replay.check.black_box import STEP_BYTES, open_boxes

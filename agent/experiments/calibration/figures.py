@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent.calibration.focus_table import figure
 from agent.experiments.calibration.run import Result
 from agent.experiments.figure_files import Figures
+from agent.tools.focus_table import figure
 
 
 def figures(result: Result) -> Figures:

@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import msgspec
 
-from agent.calibration.bench import twin_bench
-from agent.calibration.fit import FocusRow, LeftOut, fit_focus, leave_one_out
-from agent.calibration.focus_table import badly_foretold, paper_gauge
-from agent.calibration.procedure import focus_rows
+from agent.core.ranging.calibration import FocusFit
 from agent.experiments.result import ExperimentResult, Row
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import FocusFit
-from agent.progress import Progress
+from agent.process.fleet_files import shipped_fleet
+from agent.process.progress import Progress
+from agent.robot.fleet_reader import load_fleet
+from agent.tools.bench import twin_bench
+from agent.tools.fit import FocusRow, LeftOut, fit_focus, leave_one_out
+from agent.tools.focus_table import badly_foretold, paper_gauge
+from agent.tools.procedure import focus_rows
 
 ROBOT = "r1"
 

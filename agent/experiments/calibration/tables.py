@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rich.console import Group
 
-from agent.calibration.focus_table import result_table, verdict
 from agent.experiments.calibration.run import Result
+from agent.tools.focus_table import result_table, verdict
 
 
 def table(result: Result) -> Group:

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from typing import get_args
 
+from agent.core.config import Cues
+from agent.core.ranging.depth_of_field import depth_of_field_in_water_m
 from agent.experiments.ball_measurements import ball_measurements
 from agent.experiments.result import Row
 from agent.experiments.sweeps import WATER_INDEX
-from agent.kernel.config import Cues
-from agent.kernel.ranging.depth_of_field import depth_of_field_in_water_m
 from hw.twin.optics.lens import PRESETS
 
 BALL_M, BALL_PLACES = (0.3, 0.5, 1.0), 4  # camera to the ball's centre, and from how many sides each

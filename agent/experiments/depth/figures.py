@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from agent.core.ranging.focus import Array
 from agent.experiments.depth.run import Result
 from agent.experiments.figure_files import Figures
-from agent.kernel.ranging.focus import Array
-from agent.pictures.depth_files import draw_cells
-from agent.pictures.depth_sweep import DepthMap
+from agent.perception.depth_sweep import DepthMap
+from agent.tools.depth_files import draw_cells
 
 
 def figures(result: Result) -> Figures:

@@ -15,19 +15,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.ranging.calibration import Calibration, CameraFit
+from agent.core.ranging.focus import Array, Method
+from agent.core.ranging.lens_sag import at_tilt
 from agent.experiments.choices import Sensor
 from agent.experiments.depth.balls import BALL_M, BALL_PLACES, ball_rows
 from agent.experiments.depth.wall import calibrate, sweeps_of_a_calibration
 from agent.experiments.result import ExperimentResult, Row
 from agent.experiments.still_camera import StillCamera
 from agent.experiments.sweeps import BLOCK_PX, QUALITY, VIEWS, WATER_INDEX, SweptView, breathing, sweep_view, truth_on
-from agent.kernel.ranging.calibration import Calibration, CameraFit
-from agent.kernel.ranging.focus import Array, Method
-from agent.kernel.ranging.lens_sag import at_tilt
+from agent.perception.depth_peaks import each_part
+from agent.perception.depth_sweep import MIN_QUALITY, SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.perception.enhancement.enhance import enhance
-from agent.pictures.depth_peaks import each_part
-from agent.pictures.depth_sweep import MIN_QUALITY, SWEEP_STEPS, DepthMap, clarity_of, measure
-from agent.progress import Progress, step_by_step
+from agent.process.progress import Progress, step_by_step
 
 SENSORS: tuple[Sensor, ...] = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
 METHODS: tuple[Method, ...] = ("matched", "parabola", "argmax")

@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from agent.calibration.fit import FocusRow, fit_focus
+from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.focus import fit_peaks
+from agent.core.ranging.lens_sag import TiltedPeak, with_sag
 from agent.experiments.still_camera import StillCamera, View
 from agent.experiments.sweeps import BLOCK_PX, facing_wall, lens_positions, sweep
-from agent.kernel.ranging.calibration import FocusFit
-from agent.kernel.ranging.focus import fit_peaks
-from agent.kernel.ranging.lens_sag import TiltedPeak, with_sag
-from agent.pictures.depth_sweep import MIN_QUALITY, clarity_of
+from agent.perception.depth_sweep import MIN_QUALITY, clarity_of
+from agent.tools.fit import FocusRow, fit_focus
 from hw.camera.camera import Roi
 
 WALL_M = 1.0 / np.linspace(1.0 / 1.35, 1.0 / 0.22, 12)  # distances of the calibration, equal steps of 1/u

@@ -15,10 +15,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.config import WaterKind
+from agent.core.ranging.calibration import CameraFit
 from agent.experiments.choices import Sensor
 from agent.experiments.still_camera import StillCamera, View
-from agent.kernel.config import WaterKind
-from agent.kernel.ranging.calibration import CameraFit
 from hw.camera.camera import Image
 from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene

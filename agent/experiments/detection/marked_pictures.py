@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-from agent.kernel.config import Colour, ConfigError
+from agent.core.config import Colour, ConfigError
 from hw.picture_files import picture_files
 
 NAME = "truth.csv"

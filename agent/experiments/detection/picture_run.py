@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct
 
+from agent.core.config import Colour
+from agent.core.ranging.calibration import CameraFit
 from agent.experiments.detection.marked_pictures import COLOURS, MarkedBall, marked_pictures
 from agent.experiments.result import ExperimentResult, Row
-from agent.kernel.config import Colour
-from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection.detect import Ball, find_balls
-from agent.progress import Progress, step_by_step
+from agent.process.progress import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.picture_files import read_picture
 

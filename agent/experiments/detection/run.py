@@ -14,16 +14,16 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from agent.core.config import WaterKind
+from agent.core.ranging.calibration import CameraFit
 from agent.experiments.choices import DEFAULT_SENSOR, WATERS, Sensor
 from agent.experiments.detection.ball_views import BallView, ball_views
 from agent.experiments.result import ExperimentResult, Row
-from agent.kernel.config import WaterKind
-from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection.detect import Ball, find_ball
 from agent.perception.enhancement.enhance import enhance
 from agent.perception.enhancement.grey_world import classic
 from agent.perception.enhancement.on_demand import raw_else_enhanced
-from agent.progress import Progress
+from agent.process.progress import Progress
 from hw.camera.camera import Image
 
 Find = Callable[[Image, CameraFit], Ball | None]

@@ -7,10 +7,10 @@ import math
 import msgspec
 import numpy as np
 
+from agent.core.config import Fleet, Follow, Limits, Look, Navigation, Pose, Target
 from agent.experiments.following.cases import LENGTH_M, Case
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.drawn_ball import Pillar
-from agent.kernel.config import Fleet, Follow, Limits, Look, Navigation, Pose, Target
 from hw.twin.scene import generator
 
 STANDOFF_M = 0.7

@@ -13,6 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.capabilities.swim.pursuit import carried_on
+from agent.core.config import Body, Fleet, Pose
+from agent.core.estimation.choice import dynamics
+from agent.core.messages import Estimate, Message, Vector
+from agent.core.ranging.camera_model import camera_pose, look_at
 from agent.experiments.following.basin import fleet_of, weeds
 from agent.experiments.following.cases import Case
 from agent.experiments.following.drawn_fish import NEAREST_M, DrawnFish
@@ -20,12 +25,7 @@ from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.drawn_ball import FARTHEST_M, Pillar, hides, ring
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import FRAME_STEPS, Swimmers
-from agent.kernel.config import Body, Fleet, Pose
-from agent.kernel.core import Agent
-from agent.kernel.estimation.choice import dynamics
-from agent.kernel.messages import Estimate, Message, Vector
-from agent.kernel.navigation.pursuit import carried_on
-from agent.kernel.ranging.camera_model import camera_pose, look_at
+from agent.robot.core import Agent
 from hw.twin.scene import generator
 
 FIND_S, WATCH_S = 20.0, 30.0

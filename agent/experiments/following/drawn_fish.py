@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.config import Fleet
+from agent.core.messages import Vector
+from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import pixel
 from agent.experiments.following.cases import LENGTH_M
 from agent.experiments.navigation.drawn_ball import FARTHEST_M, BallPath, DrawnTarget
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Vector
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.camera_model import pixel
 from hw.twin.creatures.shape import swimming
 from hw.twin.creatures.swimmer import STRIDE, Attitude
 from hw.twin.devices.camera_device import look

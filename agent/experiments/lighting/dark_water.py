@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.capabilities.light.allocate import Lamp, Scene
+from agent.core.config import Tank
+from agent.core.messages import Vector
+from agent.core.ranging.focus import Peak, fit_peak
+from agent.core.settings import Lighting, WaterOptics
 from agent.experiments.peak_shift.run import mm_per_position
-from agent.kernel.config import Tank
-from agent.kernel.lighting.allocate import Lamp, Scene
-from agent.kernel.lighting.settings import Lighting, WaterOptics
-from agent.kernel.messages import Vector
-from agent.kernel.ranging.focus import Peak, fit_peak
 from agent.perception.clarity.region import around, disc_clarity
 from hw.camera.camera import Frame, Roi
 from hw.twin.optics.lens import draw_lens

@@ -18,7 +18,7 @@ from agent.experiments.lighting.smooth import smoothed
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
-KERNEL = ROOT / "agent/kernel/lighting/veil_table.py"
+KERNEL = ROOT / "agent/capabilities/light/veil_table.py"
 TWIN = ROOT / "hw/twin/optics/lamps/scattered.txt"
 
 KERNEL_HEAD = '''"""Veil of all orders of scattering over that of one, as logarithms; made by `make_tables`.

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.capabilities.light import model
+from agent.capabilities.light.orders import all_orders
 from agent.clock import machine
+from agent.core.settings import Beam, WaterOptics
 from agent.experiments.lighting.dark_water import INDEX, RADIUS_M, WATERS, DarkWater, stand
 from agent.experiments.lighting.monte_carlo import Medium, scattered
 from agent.experiments.lighting.veil_nodes import beside
 from agent.experiments.result import Row
-from agent.kernel.lighting import model
-from agent.kernel.lighting.orders import all_orders
-from agent.kernel.lighting.settings import Beam, WaterOptics
 from hw.twin.optics.lamps.beam import INTENSITY_W_SR, beam_table, make_beams
 from hw.twin.optics.lamps.lit import transmission
 from hw.twin.optics.lamps.scattered import Scattering, scattering

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.capabilities.light.allocate import allocate
+from agent.capabilities.light.information import Worth, worth
+from agent.capabilities.light.model import Pair, pair
 from agent.experiments.lighting.dark_water import DarkWater, Stand, lamps_of
-from agent.kernel.lighting.allocate import allocate
-from agent.kernel.lighting.information import Worth, worth
-from agent.kernel.lighting.model import Pair, pair
 
 Names = frozenset[str]
 

@@ -10,9 +10,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.capabilities.light.model import single_veil
+from agent.core.settings import Beam, WaterOptics
 from agent.experiments.lighting.monte_carlo import POINT, SURFACE, Medium, Setting, scattered
-from agent.kernel.lighting.model import single_veil
-from agent.kernel.lighting.settings import Beam, WaterOptics
 
 Array = NDArray[np.float64]
 Report = Callable[[int, int], None]

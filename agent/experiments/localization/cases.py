@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from agent.core.config import Protocol
 from agent.experiments.localization.graphs import Topology
 from agent.experiments.localization.world import Noise, Views
 from agent.experiments.result import Row
-from agent.kernel.config import Protocol
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
 AT = (10, 50, 200)

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agent.core.config import Protocol
+from agent.core.messages import Symmetric
 from agent.experiments.figure_files import Figures
 from agent.experiments.localization.graphs import graph
 from agent.experiments.localization.lockstep import Swarm, prior, symmetric
 from agent.experiments.localization.run import Result
 from agent.experiments.localization.world import TARGET_M, THREE_M, Array, Dive, draw_dive, draw_world
-from agent.kernel.config import Protocol
-from agent.kernel.messages import Symmetric
 
 ITERATIONS = 60
 AXES = "xyz"

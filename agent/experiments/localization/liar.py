@@ -16,6 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
+from agent.core.config import Tank
+from agent.core.estimation.evidence_checks import MARGIN_M, R_FLOOR_M
+from agent.core.estimation.fuse import LOW
+from agent.core.matrix import apply, upper
+from agent.core.messages import Entry, Estimate, Symmetric, Vector
 from agent.experiments.localization.draws import WORLD
 from agent.experiments.localization.graphs import graph
 from agent.experiments.localization.liar_cases import LiarCase
@@ -23,11 +28,6 @@ from agent.experiments.localization.lie_search import CLAIM_M, Lies, best_lies
 from agent.experiments.localization.lockstep import Swarm, prior, symmetric
 from agent.experiments.localization.many_lies import conclusions
 from agent.experiments.localization.world import Array, draw_dive, draw_world
-from agent.kernel.config import Tank
-from agent.kernel.estimation.evidence_checks import MARGIN_M, R_FLOOR_M
-from agent.kernel.estimation.fuse import LOW
-from agent.kernel.estimation.matrix import apply, upper
-from agent.kernel.messages import Entry, Estimate, Symmetric, Vector
 
 FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on

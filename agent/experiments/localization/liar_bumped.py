@@ -7,12 +7,12 @@ from random import Random
 
 import numpy as np
 
+from agent.core.estimation.interface import Update
 from agent.experiments.localization.draws import WORLD
 from agent.experiments.localization.liar import AFTER, FIRST, LAST, Outcome, apart_m, fleet_of, outcome
 from agent.experiments.localization.liar_cases import LiarCase
 from agent.experiments.localization.lockstep import prior, symmetric
 from agent.experiments.localization.world import draw_dive, draw_world
-from agent.kernel.estimation.interface import Update
 
 
 def bumped(case: LiarCase, seed: int, number: int) -> Outcome:

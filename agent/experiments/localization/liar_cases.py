@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
+from agent.core.config import Protocol
 from agent.experiments.localization.graphs import Topology
 from agent.experiments.result import Row
-from agent.kernel.config import Protocol
 
 Then = Literal["silent", "honest", "no key"]
 

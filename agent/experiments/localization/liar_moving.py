@@ -13,6 +13,14 @@ from random import Random
 import numpy as np
 from msgspec.structs import replace
 
+from agent.core.estimation.evidence_checks import R_FLOOR_M
+from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.core.estimation.fuse import Opinion, doubts, mixture, vote
+from agent.core.estimation.track import Track, begin, correct, predict
+from agent.core.estimation.track_distance import distances2
+from agent.core.estimation.window import WINDOW
+from agent.core.matrix import apply, inverse, invert, times, trace, upper
+from agent.core.messages import Estimate, Sample, Symmetric, Vector
 from agent.experiments.localization.draws import WORLD
 from agent.experiments.localization.liar import (
     AFTER,
@@ -28,14 +36,6 @@ from agent.experiments.localization.liar_cases import LiarCase
 from agent.experiments.localization.lie_search import Lies, best_lies
 from agent.experiments.localization.lockstep import prior, symmetric
 from agent.experiments.localization.world import Array, circle_m, draw_dive, draw_world
-from agent.kernel.estimation.evidence_checks import R_FLOOR_M
-from agent.kernel.estimation.fuse import Opinion, doubts, mixture, vote
-from agent.kernel.estimation.matrix import apply, inverse, invert, times, trace, upper
-from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
-from agent.kernel.estimation.tracks.track import Track, begin, correct, predict
-from agent.kernel.estimation.tracks.track_distance import distances2
-from agent.kernel.estimation.window import WINDOW
-from agent.kernel.messages import Estimate, Sample, Symmetric, Vector
 
 COPIES = 16  # samples of one moment, at most
 EFFORT = 0.5  # of the search at rest: each candidate costs a filter's step for each robot

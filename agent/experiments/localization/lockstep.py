@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from random import Random
 
+from agent.core.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
+from agent.core.estimation.choice import estimator
+from agent.core.estimation.interface import Estimator, Prior, Update
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.matrix import upper
+from agent.core.messages import Estimate, Symmetric
 from agent.experiments.localization.graphs import Graph
 from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify
 from agent.experiments.localization.world import Array
-from agent.kernel.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
-from agent.kernel.estimation.choice import estimator
-from agent.kernel.estimation.interface import Estimator, Prior, Update
-from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.estimation.matrix import upper
-from agent.kernel.messages import Estimate, Symmetric
 
 VALIDITY = 1.5  # iterations: the last round counts, the one before it does not
 TARGET = "ball"

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.core.estimation.fuse import AGREE, DOUBTED, HIGH, LOW, PAIRS, TEMPER
 from agent.experiments.localization.world import Array
-from agent.kernel.estimation.fuse import AGREE, DOUBTED, HIGH, LOW, PAIRS, TEMPER
 
 TIED = 1e6  # a member more counts for more than any sum of distances within a group
 

@@ -14,26 +14,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.capabilities.swim.aid import Aid, Seen, offset_m
+from agent.capabilities.swim.body_model import Hull
+from agent.capabilities.swim.corrections import RATE_RAD_S
+from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, rate
+from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
+from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
+from agent.capabilities.swim.pose_filter import Belief, Drift, begin
+from agent.core.angle import wrap
+from agent.core.estimation.evidence_table import Table
+from agent.core.estimation.fuse import fuse
+from agent.core.estimation.interface import Posterior, Prior
+from agent.core.matrix import plus, times, upper
+from agent.core.messages import Symmetric, Vector
+from agent.core.ranging.fix import Fix
+from agent.core.ranging.own_pose import carried, kappa, longest_gap_s
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import PULL
 from agent.experiments.navigation.joint_filter import Array, JointFilter, full
 from agent.experiments.navigation.planar_body import PlanarBody, drawn_hull
 from agent.experiments.result import Row
-from agent.kernel.estimation.evidence_table import Table
-from agent.kernel.estimation.fuse import fuse
-from agent.kernel.estimation.interface import Posterior, Prior
-from agent.kernel.estimation.matrix import plus, times, upper
-from agent.kernel.messages import Symmetric, Vector
-from agent.kernel.navigation.aid import Aid, Seen, offset_m
-from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.localizer import LOST_DEG, LOST_M, within
-from agent.kernel.navigation.pilot import Reference, wanted_velocity, wrench
-from agent.kernel.navigation.pose.body_model import Hull
-from agent.kernel.navigation.pose.corrections import RATE_RAD_S
-from agent.kernel.navigation.pose.event_ring import Event, EventRing, asked, fix, rate
-from agent.kernel.navigation.pose.pose_filter import Belief, Drift, begin
-from agent.kernel.ranging.fix import Fix
-from agent.kernel.ranging.own_pose import carried, kappa, longest_gap_s
 from hw.twin.scene import generator
 
 S = 1_000_000_000

@@ -6,21 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.kernel.config import (
-    Behaviour,
-    Face,
-    Fleet,
-    Landmarks,
-    Look,
-    Navigation,
-    Pose,
-    Robot,
-    Tag,
-    Tank,
-    Target,
-    Twin,
-)
-from agent.kernel.messages import Vector
+from agent.core.config import Behaviour, Face, Fleet, Landmarks, Look, Navigation, Pose, Robot, Tag, Tank, Target, Twin
+from agent.core.messages import Vector
 
 TANK = Tank(size_m=(3.0, 2.0, 0.8), surface_m=0.6)
 TAG_M, PITCH_M, ROWS_M = 0.08, 0.25, (0.15, 0.40)  # rows: heights on the walls

@@ -9,15 +9,15 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
+from agent.core.config import Body, Fleet
+from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import gimbal_deg
+from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.board_host import Host
 from agent.experiments.navigation.basin import DEPTH_M, TANK
 from agent.experiments.navigation.planar_body import PlanarBody, drawn_hull
-from agent.failure import Failed
-from agent.kernel.config import Body, Fleet
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.camera_model import gimbal_deg
-from agent.kernel.step_io import SetPoint, Telemetry
-from agent.run_folder import temporary_folder
+from agent.process.failure import Failed
+from agent.process.run_folder import temporary_folder
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.dive import Dive
 from hw.twin.history import RobotPose

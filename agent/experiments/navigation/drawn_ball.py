@@ -14,13 +14,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.config import Fleet
+from agent.core.messages import Vector
+from agent.core.ranging.calibration import CameraFit, FocusFit
+from agent.core.ranging.camera_model import centre_behind_skin_m, pixel
+from agent.core.ranging.cues import CENTRE_NOISE_PX
+from agent.core.step_io import Sighting, SweepPlan
 from agent.experiments.navigation.planar_body import RING_M
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Vector
-from agent.kernel.ranging.calibration import CameraFit, FocusFit
-from agent.kernel.ranging.camera_model import centre_behind_skin_m, pixel
-from agent.kernel.ranging.cues import CENTRE_NOISE_PX
-from agent.kernel.step_io import Sighting, SweepPlan
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose
 from hw.twin.scene import generator

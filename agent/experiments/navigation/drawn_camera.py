@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.capabilities.swim.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import Flow, SeenTag, SeenTags
 from agent.experiments.navigation.basin import TANK
-from agent.kernel.config import Fleet
-from agent.kernel.navigation.tags.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import Flow, SeenTag, SeenTags
 from agent.perception.landmarks.edges import module_px
 from agent.perception.landmarks.flow import MOST, STILL_PX, has_settled, is_due
 from hw.twin.devices.camera_device import look

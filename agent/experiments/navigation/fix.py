@@ -13,24 +13,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.capabilities.swim.defocus import readable
+from agent.capabilities.swim.layout import markers
+from agent.capabilities.swim.projection import view
+from agent.capabilities.swim.tag_fix import Map, TagFix, tag_fix
+from agent.capabilities.swim.tag_priors import priors
+from agent.core.angle import wrap
+from agent.core.attitude import Attitude
+from agent.core.config import Fleet, Pose
+from agent.core.messages import Vector
+from agent.core.ranging.calibration import Calibration, at_lens_position
+from agent.core.ranging.camera_model import gimbal_deg, servos_us
+from agent.core.ranging.focus import lens_position
 from agent.experiments.choices import DEFAULT_SENSOR
 from agent.experiments.measured_level import level_of
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.posed_robot import PosedRobot, rotation_of
 from agent.experiments.result import Row
-from agent.kernel.config import Fleet, Pose
-from agent.kernel.control.attitude import Attitude
-from agent.kernel.messages import Vector
-from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.tags.defocus import readable
-from agent.kernel.navigation.tags.layout import markers
-from agent.kernel.navigation.tags.projection import view
-from agent.kernel.navigation.tags.tag_fix import Map, TagFix, tag_fix
-from agent.kernel.navigation.tags.tag_priors import priors
-from agent.kernel.ranging.calibration import Calibration, at_lens_position
-from agent.kernel.ranging.camera_model import gimbal_deg, servos_us
-from agent.kernel.ranging.focus import lens_position
 from agent.perception.landmarks.tags import Found, find_tags
 from agent.perception.landmarks.watch import REST_M
 from hw.twin.landmarks import true_tags

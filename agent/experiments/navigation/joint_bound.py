@@ -6,23 +6,23 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from agent.capabilities.swim.first_fix import first_fix
+from agent.capabilities.swim.layout import markers
+from agent.capabilities.swim.planes import odometry
+from agent.capabilities.swim.projection import View, view
+from agent.capabilities.swim.tag_fix import Map, NoFix, TagFix, tag_fix, whole
+from agent.capabilities.swim.tag_priors import Priors, priors
+from agent.core.config import Fleet, Pose
+from agent.core.matrix import ZERO
+from agent.core.messages import Symmetric
+from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import camera_pose
+from agent.core.ranging.cues import Outline
+from agent.core.ranging.fix import Fix, locate
+from agent.core.ranging.own_pose import EXACT
+from agent.core.step_io import Flow, SeenTags
 from agent.experiments.navigation.joint_filter import JointFilter
 from agent.experiments.navigation.notes import Asked, Carriage, Measured, Sample
-from agent.kernel.config import Fleet, Pose
-from agent.kernel.estimation.matrix import ZERO
-from agent.kernel.messages import Symmetric
-from agent.kernel.navigation.planes import odometry
-from agent.kernel.navigation.tags.first_fix import first_fix
-from agent.kernel.navigation.tags.layout import markers
-from agent.kernel.navigation.tags.projection import View, view
-from agent.kernel.navigation.tags.tag_fix import Map, NoFix, TagFix, tag_fix, whole
-from agent.kernel.navigation.tags.tag_priors import Priors, priors
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.ranging.camera_model import camera_pose
-from agent.kernel.ranging.cues import Outline
-from agent.kernel.ranging.fix import Fix, locate
-from agent.kernel.ranging.own_pose import EXACT
-from agent.kernel.step_io import Flow, SeenTags
 
 
 class KeyFrame(NamedTuple):

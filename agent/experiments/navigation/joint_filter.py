@@ -14,11 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.messages import Symmetric, Vector
-from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.pose.body_model import STEP_NS, Hull, Wrench, motion
-from agent.kernel.navigation.pose.pose_filter import FIRST, FIRST_LEARNT, Drift
-from agent.kernel.ranging.fix import Fix
+from agent.capabilities.swim.body_model import STEP_NS, Hull, Wrench, motion
+from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, Drift
+from agent.core.angle import wrap
+from agent.core.messages import Symmetric, Vector
+from agent.core.ranging.fix import Fix
 
 Array = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.angle import wrap
+from agent.core.config import Behaviour, Goto, Look, Orbit, Pose, Turn
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
 from agent.experiments.spread import rms
-from agent.kernel.config import Behaviour, Goto, Look, Orbit, Pose, Turn
-from agent.kernel.navigation.angle import wrap
 from hw.twin.scene import generator
 
 Path = NDArray[np.float64]  # (n, 4): t, x, y, yaw

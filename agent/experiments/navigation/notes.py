@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from agent.capabilities.swim.body_model import Wrench
+from agent.core.attitude import Attitude
+from agent.core.ranging.camera_model import gimbal_deg
+from agent.core.step_io import Flow, SeenTags, Sighting, SweepOutcome
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.kernel.control.attitude import Attitude
-from agent.kernel.navigation.pose.body_model import Wrench
-from agent.kernel.ranging.camera_model import gimbal_deg
-from agent.kernel.step_io import Flow, SeenTags, Sighting, SweepOutcome
 
 RESTS_NS = 500_000_000  # after its last order a servo has come to rest
 

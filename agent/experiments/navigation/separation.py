@@ -11,12 +11,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.config import Goto, Pose
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
-from agent.kernel.config import Goto, Pose
 from hw.twin.scene import generator
 
 ROBOTS, SECONDS = 10, 30.0

@@ -14,16 +14,16 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
+from agent.core.codec import encode
+from agent.core.config import Fleet
+from agent.core.messages import Message, Vector
+from agent.core.ranging.calibration import Calibration
+from agent.core.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
+from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies
 from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall, DrawnTarget, Pillar, ring
 from agent.experiments.navigation.drawn_camera import DrawnCamera
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
-from agent.kernel.messages import Message, Vector
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
-from agent.kernel.topics import CLAIM, KEYFRAME, LIGHT, NEAR
+from agent.robot.core import Agent
 
 FRAME_STEPS, LATE_STEPS = 2, 2
 NAMES: dict[type[Message], Any] = {row.message: row.name for row in (NEAR, CLAIM, KEYFRAME, LIGHT)}

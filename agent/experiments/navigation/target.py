@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+from agent.core.angle import wrap
+from agent.core.config import Look, Pose
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import twin_bodies
@@ -17,8 +19,6 @@ from agent.experiments.navigation.joint_filter import Array, full
 from agent.experiments.navigation.notes import Notes, Sample
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
-from agent.kernel.config import Look, Pose
-from agent.kernel.navigation.angle import wrap
 from hw.twin.scene import generator
 
 ROBOTS, AROUND_M, SECONDS = 3, 0.75, 60.0

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from agent.core.config import WaterKind
+from agent.core.ranging.focus import Array
 from agent.experiments.choices import DEFAULT_SENSOR, WATERS, Sensor
 from agent.experiments.result import ExperimentResult, Row
 from agent.experiments.still_camera import StillCamera
@@ -26,13 +28,11 @@ from agent.experiments.sweeps import (
     lens_positions,
     sweep_view,
 )
-from agent.kernel.config import WaterKind
-from agent.kernel.ranging.focus import Array
+from agent.perception.depth_sweep import DepthMap, clarity_of, measure
 from agent.perception.enhancement import fast_enhance
 from agent.perception.enhancement.enhance import enhancer, missing
 from agent.perception.enhancement.grey_world import classic
-from agent.pictures.depth_sweep import DepthMap, clarity_of, measure
-from agent.progress import Progress, step_by_step
+from agent.process.progress import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.twin.optics.lens import Lens
 from hw.twin.scene import SceneWater, load_scene

@@ -15,20 +15,20 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from msgspec import UNSET
 
+from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, STEEPEST, grid_of
+from agent.capabilities.survey.making import block_px
+from agent.core.claim import Claim
+from agent.core.codec import encode
+from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
+from agent.core.keyframe import Keyframe
+from agent.core.ranging.calibration import Calibration, CameraFit
+from agent.core.ranging.camera_model import camera_pose, gimbal_deg
+from agent.core.ranging.focus import lens_position, phase_sigma
+from agent.core.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan, Telemetry
 from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, look
-from agent.kernel.codec import encode
-from agent.kernel.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
-from agent.kernel.core import Agent
-from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, STEEPEST, grid_of
-from agent.kernel.coverage.making import block_px
-from agent.kernel.keyframes.claim import Claim
-from agent.kernel.keyframes.keyframe import Keyframe
-from agent.kernel.ranging.calibration import Calibration, CameraFit
-from agent.kernel.ranging.camera_model import camera_pose, gimbal_deg
-from agent.kernel.ranging.focus import lens_position, phase_sigma
-from agent.kernel.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan, Telemetry
+from agent.robot.core import Agent
 
 START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
 SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.core.ranging.calibration import CameraFit
 from agent.experiments.sweeps import WATER_INDEX
-from agent.kernel.ranging.calibration import CameraFit
 from agent.reconstruction.camera import Camera, Floats, project
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Optics, ray

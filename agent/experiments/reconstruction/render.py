@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.config import WaterKind
+from agent.core.ranging.calibration import Calibration
 from agent.experiments.choices import Sensor
 from agent.experiments.depth.wall import calibrate, sweeps_of_a_calibration
 from agent.experiments.reconstruction.intrinsics import camera_of
@@ -27,8 +29,6 @@ from agent.experiments.reconstruction.world import (
 )
 from agent.experiments.still_camera import StillCamera
 from agent.experiments.sweeps import breathing, lens_positions, sweep
-from agent.kernel.config import WaterKind
-from agent.kernel.ranging.calibration import Calibration
 from agent.reconstruction.keyframe import keyframe
 from agent.reconstruction.view import View, diagonal_prior
 from hw.twin.scene import Scene

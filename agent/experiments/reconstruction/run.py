@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from agent.clock.machine import monotonic_s, processor_s
+from agent.core.config import WaterKind
 from agent.experiments.choices import PosesKind, ScenePart, Sensor
 from agent.experiments.reconstruction.coverage import RUNS, coverage, missed_coverage
 from agent.experiments.reconstruction.noisy import noisy
@@ -23,9 +24,8 @@ from agent.experiments.reconstruction.score import Score, score, seen_twice
 from agent.experiments.reconstruction.size.size import missed_size, size, size_parts, verdict
 from agent.experiments.reconstruction.swum import swum
 from agent.experiments.result import ExperimentResult, Row
-from agent.failure import Failed
-from agent.kernel.config import WaterKind
-from agent.progress import Progress, step_by_step
+from agent.process.failure import Failed
+from agent.process.progress import Progress, step_by_step
 from agent.reconstruction.build import CELL_M, merged, swept_twice
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.colours import coloured

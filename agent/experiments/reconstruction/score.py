@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.experiments.reconstruction.render import Rendered, truth_points
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
+from agent.process.fleet_files import shipped_fleet
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.view import View, see
+from agent.robot.fleet_reader import load_fleet
 from hw.compiled import compiled
 from hw.twin.optics.view import turned
 from hw.twin.scene import Solid

@@ -13,6 +13,13 @@ import math
 import msgspec
 import numpy as np
 
+from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.grid import STEEPEST, grid_of
+from agent.capabilities.survey.making import NOISIER
+from agent.core.config import Coverage, Fleet, Pose, Survey
+from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.focus import lens_position, phase_sigma
+from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import CAMERA, START_NS, Bodies, PlanarBodies
 from agent.experiments.navigation.drawn_ball import FOCUS
@@ -20,13 +27,6 @@ from agent.experiments.navigation.swimmers import LATE_STEPS, Eyes, Frame, Swimm
 from agent.experiments.reconstruction.coverage import found_in
 from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, look
 from agent.experiments.result import Row
-from agent.kernel.config import Coverage, Fleet, Pose, Survey
-from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.grid import STEEPEST, grid_of
-from agent.kernel.coverage.making import NOISIER
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.focus import lens_position, phase_sigma
-from agent.kernel.step_io import BlockPeaks, SweepPlan
 from hw.twin.devices.camera_device import look as eye_of
 from hw.twin.scene import generator
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from agent.core.config import WaterKind
 from agent.experiments.still_camera import View
-from agent.kernel.config import WaterKind
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
 BALL_M = 0.07

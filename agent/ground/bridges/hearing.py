@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.messages import Message
-from agent.transport import Received
+from agent.core.codec import Refusal, decode
+from agent.core.messages import Message
+from agent.process.transport import Received
 
 
 def own_word(received: Received) -> Message | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.kernel.messages import State
+from agent.core.messages import State
 
 STALE_NS = 3_000_000_000  # robots refuse orders by an older State, too
 DRIFT = 1e-4  # s in a second: how fast two computers' clocks may go apart

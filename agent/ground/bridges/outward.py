@@ -13,13 +13,13 @@ from threading import Event
 from typing import NamedTuple, Protocol
 
 from agent.clock import machine
-from agent.fleet_clock import fleet_clock
+from agent.core.config import Fleet
+from agent.core.messages import Message
+from agent.core.topics import Topic
 from agent.ground.bridges.hearing import own_word
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Message
-from agent.kernel.topics import Topic
-from agent.keys.fleet_certificates import credentials
-from agent.transport import LOOKER, Observer
+from agent.process.fleet_certificates import credentials
+from agent.process.fleet_clock import fleet_clock
+from agent.process.transport import LOOKER, Observer
 from router_config.door import Session
 from router_config.session import client_config
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from msgspec import UNSET
 
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State, Vector
+from agent.core.config import Fleet
+from agent.core.messages import State, Vector
 
 WORLD = "world"  # name of the world frame, there
 Quaternion = tuple[float, float, float, float]  # x, y, z, w

@@ -7,11 +7,11 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 from agent.clock import machine
+from agent.core import topics
+from agent.core.codec import Refusal, decode, encode
+from agent.core.config import Fleet
+from agent.core.orders_words import Answer, Order
 from agent.ground.doctor.clocks import ASKED, Stamps
-from agent.kernel import topics
-from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.config import Fleet
-from agent.kernel.orders.words import Answer, Order
 from router_config.door import Reply, Session
 
 ANSWER_S = 0.5  # of the wall, for all robots together

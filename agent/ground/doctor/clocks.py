@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.fleet_setup.finding import Finding
+from agent.ground.finding import Finding
 
 ASKED = 5  # times; the fastest answer is the truest
 APART_S = 0.1  # clocks that are further apart are told of, where both ways were measured

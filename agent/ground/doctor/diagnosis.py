@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from agent.fleet_setup.finding import Finding
+from agent.ground.finding import Finding
 
 
 class Diagnosis(NamedTuple):

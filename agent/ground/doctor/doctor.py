@@ -8,11 +8,10 @@ from pathlib import Path
 
 from msgspec import UNSET
 
-from agent.fleet_clock import fleet_clock
-from agent.fleet_setup.addresses import is_here, loopback_findings
-from agent.fleet_setup.certificates import certificate_findings
-from agent.fleet_setup.check import OPEN, computer_findings, running_findings
-from agent.fleet_setup.finding import Finding
+from agent.core.config import Fleet
+from agent.ground.addresses import is_here, loopback_findings
+from agent.ground.certificates import certificate_findings
+from agent.ground.check import OPEN, computer_findings, running_findings
 from agent.ground.doctor.clocks import Offset, best, clock_finding
 from agent.ground.doctor.diagnosis import Diagnosis
 from agent.ground.doctor.judge import robot_findings
@@ -20,9 +19,10 @@ from agent.ground.doctor.listening import Facts, Looker, listen
 from agent.ground.doctor.neighbours import neighbour_findings
 from agent.ground.doctor.ports import is_open, port_findings, probe_all
 from agent.ground.doctor.who import Who, who_looks
-from agent.kernel.config import Fleet
-from agent.kernel.desk.rights import why_closed
-from agent.kernel.fleet_reader import load_fleet
+from agent.ground.finding import Finding
+from agent.process.fleet_clock import fleet_clock
+from agent.robot.fleet_reader import load_fleet
+from agent.robot.rights import why_closed
 from router_config.metadata import metadata
 from router_config.session import observer_config
 

@@ -6,10 +6,10 @@ from collections.abc import Collection, Iterator, Mapping
 
 from msgspec import UNSET
 
-from agent.fleet_setup.finding import Finding
+from agent.core.config import Fleet
 from agent.ground.battery import NEAR_V, SURFACES_V
 from agent.ground.doctor.listening import LISTEN_S, Facts, Shown
-from agent.kernel.config import Fleet
+from agent.ground.finding import Finding
 
 Said = Mapping[str, str]  # by what robots of this fleet file would call themselves: metadata
 

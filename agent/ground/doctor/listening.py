@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import msgspec
 
 from agent.clock import machine
+from agent.core import topics
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet
+from agent.core.messages import State
+from agent.core.topics import STATE
 from agent.ground.doctor.asking import ask_clocks
 from agent.ground.doctor.clocks import Stamps
-from agent.kernel import topics
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State
-from agent.kernel.topics import STATE
-from agent.ports import addresses_of
+from agent.process.ports import addresses_of
 from router_config.door import Link, Sample, Session, unusable
 
 LISTEN_S = 3.0  # of the wall and of the fleet's own time, for who stays silent; states come five times a second

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from agent.fleet_setup.finding import Finding
+from agent.core.config import Fleet
+from agent.core.messages import NeighbourState
 from agent.ground.doctor.listening import Facts
-from agent.kernel.config import Fleet
-from agent.kernel.messages import NeighbourState
+from agent.ground.finding import Finding
 
 QUIET_S = 2.0  # without a word: as long as a link keeps without its other end
 FEW = 50  # messages, below which a share of them says nothing

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 
-from agent.fleet_setup.certificates import SOON_DAYS
-from agent.fleet_setup.finding import Finding
+from agent.core.config import Fleet
+from agent.ground.certificates import SOON_DAYS
 from agent.ground.doctor.probe import Probed, probe, speaks_tls
 from agent.ground.doctor.who import Who
-from agent.kernel.config import Fleet
+from agent.ground.finding import Finding
 
 
 def probe_all(fleet: Fleet, who: Who) -> dict[str, Probed]:

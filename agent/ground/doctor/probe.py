@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from agent.clock import machine
 from agent.ground.doctor.causes import HANGS, NO_HOST, NO_TLS, ours, port_cause, theirs
-from agent.ports import addresses_of
+from agent.process.ports import addresses_of
 
 CONNECT_S, HANDSHAKE_S, REFUSAL_S = 1.0, 1.3, 0.5  # of the wall, at most, for each part of a probe
 PROBE_S = 1.9  # and for all of it

@@ -6,13 +6,13 @@ import ssl
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.fleet_setup.addresses import is_here
+from agent.core.config import ConfigError, Fleet
+from agent.ground.addresses import is_here
 from agent.ground.doctor.probe import context
-from agent.kernel.config import ConfigError, Fleet
-from agent.keys.certificates import AUTHORITY, certificate_file, key_file
-from agent.keys.fleet_certificates import check_pair, parties
-from agent.keys.robot_keys import keys_folder
-from agent.transport import LOOKER
+from agent.process.certificates import AUTHORITY, certificate_file, key_file
+from agent.process.fleet_certificates import check_pair, parties
+from agent.process.robot_keys import keys_folder
+from agent.process.transport import LOOKER
 
 
 class Who(NamedTuple):

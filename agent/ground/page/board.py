@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable
 
 import msgspec
 
+from agent.core.codec import Refusal
 from agent.ground.page.rows import Shown, text
-from agent.kernel.codec import Refusal
 
 LINES = "lines"  # the key of what is a queue: log, orders, answers
 CAME = "came"  # the key of what came of a recording, whatever time of it is shown

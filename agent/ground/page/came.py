@@ -6,10 +6,10 @@ import asyncio
 from pathlib import Path
 from threading import Thread
 
+from agent.core.codec import Refusal
+from agent.core.config import ConfigError
 from agent.ground.page.board import CAME, Board
 from agent.ground.page.rows import text
-from agent.kernel.codec import Refusal
-from agent.kernel.config import ConfigError
 from replay.report.lead.lead import lead
 from replay.report.run import open_run
 from replay.report.surveyed import surveyed

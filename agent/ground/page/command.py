@@ -8,17 +8,17 @@ from functools import partial
 from pathlib import Path
 from threading import Event
 
-from agent.fleet_clock import fleet_clock
+from agent.core.config import ConfigError
 from agent.ground.console import OrderConsole
 from agent.ground.page.live import SHOWN
 from agent.ground.page.ordering import give
 from agent.ground.page.page import page_of_fleet, page_of_recording
 from agent.ground.page.record import Recording
-from agent.kernel.config import ConfigError
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.orders.verbs import VERBS
-from agent.keys.fleet_certificates import credentials
-from agent.transport import LOOKER, Observer
+from agent.process.fleet_certificates import credentials
+from agent.process.fleet_clock import fleet_clock
+from agent.process.transport import LOOKER, Observer
+from agent.robot.fleet_reader import load_fleet
+from agent.robot.verbs import VERBS
 from replay.recorder import record
 
 

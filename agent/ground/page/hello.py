@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 import msgspec
 
+from agent.core.config import ConfigError, Fleet, Target
+from agent.core.ranging.calibration import load_calibration
 from agent.ground.battery import NEAR_V, SURFACES_V
-from agent.kernel.config import ConfigError, Fleet, Target
-from agent.kernel.ranging.calibration import load_calibration
 
 Kind = Literal["live", "recording"]
 

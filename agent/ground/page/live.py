@@ -13,13 +13,13 @@ import msgspec
 
 from agent.clock import machine
 from agent.clock.clock import Clock
+from agent.core.codec import Refusal
+from agent.core.config import Fleet
+from agent.core.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
 from agent.ground.page.board import Board
 from agent.ground.page.record import Recording
 from agent.ground.page.rows import LINES, SELDOM_NS, Rows, text
-from agent.kernel.codec import Refusal
-from agent.kernel.config import Fleet
-from agent.kernel.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
-from agent.transport import Observer, Received
+from agent.process.transport import Observer, Received
 
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from agent.core.codec import Refusal
+from agent.core.messages import State
 from agent.ground.console import OrderConsole
 from agent.ground.page.live import Reply, Seen
-from agent.kernel.codec import Refusal
-from agent.kernel.messages import State
-from agent.kernel.orders.verbs import CLOCK, URGENT
+from agent.robot.verbs import CLOCK, URGENT
 
 BEHIND_NS = 3_000_000_000  # robots refuse what goes by an older State, too
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from threading import Event
 
 from agent.clock.clock import Clock
+from agent.core.codec import prepare
+from agent.core.config import Fleet
 from agent.ground.page.board import Board
 from agent.ground.page.hello import hello
 from agent.ground.page.live import Give, Live
@@ -16,9 +18,7 @@ from agent.ground.page.reel import Reel
 from agent.ground.page.replayed import Replayed
 from agent.ground.page.rows import text
 from agent.ground.page.server import address, new_token, serving
-from agent.kernel.codec import prepare
-from agent.kernel.config import Fleet
-from agent.transport import Observer
+from agent.process.transport import Observer
 
 Say = Callable[[str], None]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
-from agent.kernel.config import ConfigError
-from agent.run_folder import free_name
+from agent.core.config import ConfigError
+from agent.process.run_folder import free_name
 
 logger = logging.getLogger(__name__)
 

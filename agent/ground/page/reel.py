@@ -9,9 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
+from agent.core.config import ConfigError, Fleet
+from agent.core.topics import Topic
 from agent.ground.page.rows import LINES, SELDOM_NS, Rows
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.topics import Topic
 from replay.check.black_box import recordings
 from replay.files.channels import network_topic
 from replay.files.log import read

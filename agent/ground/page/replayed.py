@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 
 from agent.clock import machine
+from agent.core.codec import Refusal
 from agent.ground.page.board import KEPT, Board
 from agent.ground.page.reel import Reel, Row
 from agent.ground.page.rows import LINES, Rows, text
-from agent.kernel.codec import Refusal
 
 PERIOD_S = 0.05  # of the wall, between two steps of the cursor
 CLOCK_S = 0.25  # of the wall, between two notes of where it is

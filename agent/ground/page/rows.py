@@ -14,14 +14,14 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
-from agent.kernel.codec import READABLE, Refusal, decode
-from agent.kernel.config import Fleet
-from agent.kernel.keyframes.claim import Claim, holds
-from agent.kernel.keyframes.keyframe import TURN_ONE, UNIT_M
-from agent.kernel.messages import Estimate, Image, LogLine, Message, State
-from agent.kernel.orders.words import Answer
-from agent.kernel.presence import Presence
-from agent.kernel.topics import Topic
+from agent.core.claim import Claim, holds
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.config import Fleet
+from agent.core.keyframe import TURN_ONE, UNIT_M
+from agent.core.messages import Estimate, Image, LogLine, Message, State
+from agent.core.orders_words import Answer
+from agent.core.presence import Presence
+from agent.core.topics import Topic
 
 Shown = str | bytes  # a text message, or a picture
 Fields = dict[str, Any]

@@ -20,8 +20,8 @@ from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 
+from agent.core.config import ConfigError
 from agent.ground.page.board import Board, Viewer
-from agent.kernel.config import ConfigError
 from replay.report.lead.palette import PALETTE
 from replay.report.lead.picture import LOOKS
 

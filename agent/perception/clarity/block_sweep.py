@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.calibration import CameraFit, at_lens_position
-from agent.kernel.ranging.focus import MIN_POSITIONS, phase_sigma
-from agent.kernel.step_io import BlockPeaks, SweepPlan
+from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.focus import MIN_POSITIONS, phase_sigma
+from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.perception.clarity.breathing import GROWTH_POWER
 from agent.perception.clarity.clarity import areas, tenengrad_sums
 from agent.perception.clarity.peaks import block_peaks

@@ -1,4 +1,4 @@
-"""The peaks of all blocks of a sweep at compiled speed: the matched fit of agent.kernel.ranging.focus, curve by curve.
+"""The peaks of all blocks of a sweep at compiled speed: the matched fit of agent.core.ranging.focus, curve by curve.
 
 The kernel fits one curve a sweep and stays in numpy, so that it replays to the bit. A depth map fits a hundred and
 more at once, and is to cost no more than four passes over the bytes of its frames. From 30 frames of 640x480 to 108
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.kernel.ranging.focus import CONVERGED, REFINEMENTS, WIDTHS, Array, Method, Peaks, Solved, fit_peaks
+from agent.core.ranging.focus import CONVERGED, REFINEMENTS, WIDTHS, Array, Method, Peaks, Solved, fit_peaks
 from hw.compiled import compiled
 
 kernel = compiled(error_model="numpy")

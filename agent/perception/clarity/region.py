@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.camera_model import INNER_DISC
+from agent.core.ranging.camera_model import INNER_DISC
 from agent.perception.clarity.clarity import tenengrad_disc, tenengrad_grid
 from hw.camera.camera import Frame, Roi
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Colour
+from agent.core.config import Colour
 from agent.perception.detection.picture import Light, exposed
 
 AXES_RAD = np.radians([240.0, 120.0, 0.0])  # hues of blue, green, red

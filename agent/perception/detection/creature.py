@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Colour
+from agent.core.config import Colour
 from agent.perception.detection.colour import NAMED
 from agent.perception.detection.picture import Image, Light, exposed
 

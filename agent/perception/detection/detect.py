@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Colour
-from agent.kernel.ranging.calibration import CameraFit
+from agent.core.config import Colour
+from agent.core.ranging.calibration import CameraFit
 from agent.perception.detection import cone as cones
 from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED, ColourModel
 from agent.perception.detection.cone import Array, Cone

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock import machine
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.perception.enhancement import fast_enhance
 from agent.perception.enhancement.grey_world import Image, classic
 from agent.perception.enhancement.variants import Variant

@@ -23,7 +23,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.perception.enhancement.published import is_published, read
 
 STRIDE = 4  # two halvings: sides are padded to multiples of it

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 
 SUFFIXES = (".pth", ".pt")
 MOST_BYTES = 32_000_000  # of the file and of what it unpacks to: weights take 0.7 MB, with an optimiser's state 2.1 MB

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.camera_model import UNBEND
+from agent.core.ranging.camera_model import UNBEND
 from agent.perception.landmarks.slopes import Array
 from hw.compiled import compiled
 

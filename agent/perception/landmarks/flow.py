@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import Flow
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import Flow
 from agent.perception.landmarks.edge_line import Plane
 from agent.perception.landmarks.slopes import Array, to_slopes
 from agent.perception.landmarks.tags import green

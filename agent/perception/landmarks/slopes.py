@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.camera_model import UNBEND
+from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import UNBEND
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from threading import Lock
 import numpy as np
 from msgspec.structs import replace
 
-from agent.kernel.ranging.calibration import CameraFit, FocusFit, at_lens_position
-from agent.kernel.ranging.focus import lens_position
-from agent.kernel.step_io import Flow, SeenTags, Sighting
+from agent.core.ranging.calibration import CameraFit, FocusFit, at_lens_position
+from agent.core.ranging.focus import lens_position
+from agent.core.step_io import Flow, SeenTags, Sighting
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes
 from agent.perception.landmarks.flow import Box, Tracked, begin, flow, follow
 from agent.perception.landmarks.tags import seen_tags

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import cv2
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.perception.tracking.box import Box, Image
 from agent.perception.tracking.correlation import CorrelationTracker
 

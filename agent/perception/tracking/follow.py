@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from typing import Literal, NamedTuple
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.perception.tracking.appearance import (
     ANY_SCALE,
     NEAR_SCALES,

@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from agent.kernel.config import ConfigError
-from agent.progress import Progress
+from agent.core.config import ConfigError
+from agent.process.progress import Progress
 from agent.reconstruction.field.picture import picture
 from agent.reconstruction.field.settings import FieldSettings
 from agent.reconstruction.field.start import box_of_views, fog

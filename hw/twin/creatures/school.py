@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Vector
+from agent.core.config import ConfigError
+from agent.core.messages import Vector
 from hw.twin.creatures.steering import Thing, Water, margin_m
 from hw.twin.creatures.swimmer import Attitude, Swimmer
 from hw.twin.physics.tank import TICK_NS

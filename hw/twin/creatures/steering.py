@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 
 SHY_M = 0.35  # from where it minds walls, floor, surface, stones and robots
 SIDE, LEVEL = 0.52, 0.31  # lengths that its middle keeps from walls; from floor and surface, whatever its pitch

@@ -12,7 +12,7 @@ import math
 from enum import Enum
 from typing import NamedTuple
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 from hw.twin.creatures.steering import SHY_M, Thing, Water, allowed, lee, nearest, pushes
 from hw.twin.scene import Creature, generator
 

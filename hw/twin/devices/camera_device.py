@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 from hw.camera.camera import FocusRange, Frame, Roi
 from hw.twin.creatures.shape import swimming
 from hw.twin.history import History, RobotPose

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent.kernel.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet
 
 # sockaddr_un holds 108 bytes including the final zero (Linux unix(7)); the longest name is a robot's plus ".camera".
 LONGEST_FOLDER = 107 - len("/") - 16 - len(".camera")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 
 
 class Lens(NamedTuple):

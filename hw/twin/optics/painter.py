@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Tank
+from agent.core.config import Tank
 from hw.twin.landmarks import PaintedTag
 from hw.twin.optics import texture
 from hw.twin.optics.defocus import blur, circles, margin

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.config import Body as Mounting
-from agent.kernel.config import Tank
+from agent.core.config import Body as Mounting
+from agent.core.config import Tank
 from hw.twin.physics.servo import STOP_MARGIN_DEG
 from hw.twin.physics.thruster import LAG_S
 from hw.twin.scene import generator

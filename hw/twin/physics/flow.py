@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Current, Pull, generator
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.messages import Vector
+from agent.core.messages import Vector
 from hw.compiled import compiled
 from hw.twin.physics.contact import add_contacts
 from hw.twin.physics.forces import add_force, add_lines, add_stirred_water, add_thrust, add_water, add_weight

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.messages import State, Symmetric, Vector
+from agent.core.messages import State, Symmetric, Vector
 from replay.report.creature_track import Path3, true_path
 from replay.report.robot_timeline import RobotTimeline
 from replay.report.run import Run

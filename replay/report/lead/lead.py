@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from markupsafe import Markup
 
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State, Symmetric
+from agent.core.config import Fleet
+from agent.core.messages import State, Symmetric
 from replay.report.lead.ends import End, ends, truth_of
 from replay.report.lead.outcome import outcome
 from replay.report.lead.picture import Floor, Held, Robot, Thing, close_up, from_above

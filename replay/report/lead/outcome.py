@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-from agent.kernel.status import fault_kind
+from agent.core.status import fault_kind
 from replay.report.lead.ends import End
 from replay.report.robot_timeline import RobotTimeline
 from replay.report.run import Run
@@ -17,7 +17,7 @@ EARLY_S = 3.0  # before the last one: that early a robot ended, or fell silent, 
 LOUD = ("warning", "error")  # levels of the log
 ORDERED = " orders: "  # agent.kernel.desk: what people ordered is no trouble
 SWEEP = "sweep"  # that one comes to nothing is no trouble: the next one follows
-OVER = "over: "  # agent.kernel.status: the end of a fault
+OVER = "over: "  # agent.core.status: the end of a fault
 
 
 class Found(NamedTuple):

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from markupsafe import Markup, escape
 
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Symmetric, Vector
+from agent.core.config import Fleet
+from agent.core.messages import Symmetric, Vector
 from replay.report.lead.palette import ROBOTS
 from replay.report.lead.view import SIGMAS, Point, View
 

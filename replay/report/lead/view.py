@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from markupsafe import escape
 
-from agent.kernel.messages import Symmetric
+from agent.core.messages import Symmetric
 
 SIGMAS = 3.0  # of ellipses, as on the page
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from agent.kernel.config import ConfigError
-from agent.kernel.toml_files import dump
+from agent.core.config import ConfigError
+from agent.core.toml_files import dump
 from hw.twin.devices.cycle_times import TABLE, CycleTimes, Table, read_table
 from tests.bench.board import prices, sources
 from tests.bench.board.boots import ARMED, DISARMED

@@ -17,13 +17,13 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.fleet_files import fleet_file
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.lighting.allocate import Scene
-from agent.kernel.lighting.followers import best, view
-from agent.kernel.lighting.settings import Lighting, WaterOptics
+from agent.capabilities.light.allocate import Scene
+from agent.capabilities.light.followers import best, view
+from agent.core.settings import Lighting, WaterOptics
 from agent.perception.detection.creature import named_hues
 from agent.perception.detection.detectors import CreatureDetector
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.creatures.school import School
 from hw.twin.creatures.shape import swimming
 from hw.twin.landmarks import true_tags

@@ -1,7 +1,7 @@
 """Three robots that swim in search of a fish in the dark: when one of them sees it, by lent light and by own.
 
-Whole kernels in virtual time (tests/kernel/lamps/dark_fish.py): no pictures, and what lamps show is the kernel's own
-model of light, in harbour water. Seeds by AUCAMP_FISH_SEARCH_SEEDS; length by AUCAMP_FISH_SEARCH_S.
+Whole kernels in virtual time (tests/capabilities/light/dark_fish.py): no pictures, and what lamps show is the
+kernel's own model of light, in harbour water. Seeds by AUCAMP_FISH_SEARCH_SEEDS; length by AUCAMP_FISH_SEARCH_S.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import statistics
 from typing import Any
 from unittest.mock import patch
 
-from tests.kernel.lamps.dark_fish import DarkFish
+from tests.capabilities.light.dark_fish import DarkFish
 
 SEEDS = [int(seed) for seed in os.environ.get("AUCAMP_FISH_SEARCH_SEEDS", "").split()] or list(range(100, 120))
 SEARCH_S = float(os.environ.get("AUCAMP_FISH_SEARCH_S", "120"))
@@ -27,7 +27,7 @@ def run() -> dict[str, dict[str, Any]]:
 
 def searched(seed: int, after_s: float) -> tuple[float, int]:
     """When one of them saw it, s, and how many looks were by lent light until then."""
-    with patch("agent.kernel.lamps.search.OWN_SCAN_NS", round(after_s * 1e9)):
+    with patch("agent.capabilities.light.search.OWN_SCAN_NS", round(after_s * 1e9)):
         world = DarkFish(seed, SPEED_M_S, SEARCH_S + 1.0)
         while not (world.saw and any(world.saw[-1])) and world.seconds < SEARCH_S:
             world.step()

@@ -1,12 +1,12 @@
 """Sweeps in the dark by lamps that are lent, at 30 % loss and worse: which of them counted though a lamp changed.
 
-Whole kernels in virtual time (tests/kernel/lamps/lit_swarm.py), whose lamps are watched apart from what robots say of
-them. No clock in it: the figures are always the same.
+Whole kernels in virtual time (tests/capabilities/light/lit_swarm.py), whose lamps are watched apart from what robots
+say of them. No clock in it: the figures are always the same.
 """
 
 import os
 
-from tests.kernel.lamps.lit_swarm import LitSwarm, Weather
+from tests.capabilities.light.lit_swarm import LitSwarm, Weather
 
 SWEEPS = int(os.environ.get("AUCAMP_LEASE_SWEEPS", "1000"))
 PART_S = 20.0

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import Calibration
 from agent.demo.summary import PASS_PERCENT
-from agent.fleet_files import fleet_file
-from agent.kernel.config import Fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import Calibration
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.scene import scene_of
 from tests.bench.light.lockstep import Ended, calibrated, night
 

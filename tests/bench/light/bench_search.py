@@ -1,6 +1,7 @@
 """Three robots that swim in search of a ball in the dark: when it is found and measured, by lent light and by own.
 
-Whole kernels in virtual time (tests/kernel/lamps/dark_search.py): no pictures, and what lamps show is the kernel's own
+Whole kernels in virtual time (tests/capabilities/light/dark_search.py): no pictures, and what lamps show is the
+kernel's own
 model of light, in harbour water. By own lamps: nobody lends, so that in a search each lamp goes with its own camera.
 Seeds by AUCAMP_SEARCH_SEEDS; length by AUCAMP_SEARCH_S.
 """
@@ -12,8 +13,8 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from tests.kernel.lamps.dark_search import DarkSearch
-from tests.kernel.lamps.lit_swarm import HARBOUR
+from tests.capabilities.light.dark_search import DarkSearch
+from tests.capabilities.light.lit_swarm import HARBOUR
 
 SEEDS = [int(seed) for seed in os.environ.get("AUCAMP_SEARCH_SEEDS", "11 12 13 14").split()]
 SEARCH_S = float(os.environ.get("AUCAMP_SEARCH_S", "180"))

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.fleet_files import fleet_file
-from agent.kernel.config import Fleet
-from agent.kernel.estimation.choice import dynamics
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.lighting.settings import Lighting, WaterOptics
-from agent.kernel.navigation.pursuit import carried_on
-from agent.kernel.ranging.calibration import Calibration
+from agent.capabilities.swim.pursuit import carried_on
+from agent.core.config import Fleet
+from agent.core.estimation.choice import dynamics
+from agent.core.ranging.calibration import Calibration
+from agent.core.settings import Lighting, WaterOptics
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive
 from hw.twin.scene import load_scene
 from tests.bench.light.lockstep import Diver, under_way

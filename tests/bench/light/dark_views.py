@@ -15,27 +15,27 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from agent.capabilities.light.aim import AHEAD_M, Aim, aim_of
+from agent.capabilities.light.allocate import Lamp
+from agent.capabilities.light.frames import FrameChoice, FrameScene, allocate_frame
+from agent.capabilities.survey.candidates import Best, Candidate, Where, ahead, better, drawn
+from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, Grid, grid_of
+from agent.capabilities.survey.making import block_px, lens_of, sigma_of
+from agent.capabilities.survey.rays import place_m, rotation
+from agent.capabilities.survey.spots import frame_scene
+from agent.core.attitude import Attitude
+from agent.core.config import Fleet, Pose
+from agent.core.control.lens_positions import full_positions
+from agent.core.messages import Vector
+from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.focus import h
+from agent.core.settings import Lighting, WaterOptics
+from agent.core.step_io import SweepPlan
 from agent.experiments.posed_robot import PosedRobot
-from agent.fleet_files import fleet_file
-from agent.kernel.config import Fleet, Pose
-from agent.kernel.control.attitude import Attitude
-from agent.kernel.control.lens_positions import full_positions
-from agent.kernel.coverage.candidates import Best, Candidate, Where, ahead, better, drawn
-from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.grid import FARTHEST_M, NEAREST_M, Grid, grid_of
-from agent.kernel.coverage.making import block_px, lens_of, sigma_of
-from agent.kernel.coverage.rays import place_m, rotation
-from agent.kernel.coverage.spots import frame_scene
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.lamps.aim import AHEAD_M, Aim, aim_of
-from agent.kernel.lighting.allocate import Lamp
-from agent.kernel.lighting.frames import FrameChoice, FrameScene, allocate_frame
-from agent.kernel.lighting.settings import Lighting, WaterOptics
-from agent.kernel.messages import Vector
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.ranging.focus import h
-from agent.kernel.step_io import SweepPlan
 from agent.perception.clarity.block_sweep import BlockSweep
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.landmarks import true_tags
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

@@ -20,18 +20,18 @@ import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.core.codec import encode
+from agent.core.config import Fleet
+from agent.core.ranging.calibration import Calibration
+from agent.core.step_io import Heard, Inputs, Outputs, Sighting
 from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
 from agent.demo.history import History
 from agent.demo.summary import settled
 from agent.experiments.posed_robot import PosedRobot
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet
-from agent.kernel.core import Agent
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.step_io import Heard, Inputs, Outputs, Sighting
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.vision import Vision
+from agent.robot.core import Agent
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock, unhurried

@@ -21,14 +21,14 @@ from pathlib import Path
 import zenoh
 from msgspec.structs import replace
 
+from agent.core import topics
+from agent.core.config import Access, Fleet
+from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet, listening
-from agent.kernel import topics
-from agent.kernel.config import Access, Fleet
-from agent.kernel.toml_files import dump
-from agent.keys.certificates import certificate_file, issue, key_file, write
-from agent.keys.fleet_certificates import authority
-from agent.keys.make import make_all
-from agent.ports import free_ports
+from agent.ground.make import make_all
+from agent.process.certificates import certificate_file, issue, key_file, write
+from agent.process.fleet_certificates import authority
+from agent.process.ports import free_ports
 from replay.recorder import Arrivals, receiving
 from router_config.door import Session
 from router_config.session import peer_config

@@ -19,11 +19,11 @@ from typing import Any
 
 import msgspec
 
+from agent.core.config import Access
+from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
-from agent.kernel.config import Access
-from agent.kernel.toml_files import dump
-from agent.keys.make import make_all
-from agent.ports import free_ports
+from agent.ground.make import make_all
+from agent.process.ports import free_ports
 from replay.files.log import read
 from tests.places import ROOT
 from tests.waiting import until

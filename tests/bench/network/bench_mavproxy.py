@@ -20,13 +20,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.orders_words import Answer
+from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.orders.words import Answer
-from agent.kernel.topics import ANSWER
-from agent.keys.fleet_certificates import credentials
-from agent.transport import Observer
+from agent.process.fleet_certificates import credentials
+from agent.process.transport import Observer
 from tests.bench.network.bench_orders import agents_of_three
 from tests.network.conftest import unused_port
 from tests.places import ROOT

@@ -19,13 +19,13 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from agent.core.config import Access, Fleet
+from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
 from agent.ground.console import OrderConsole
-from agent.kernel.config import Access, Fleet
-from agent.kernel.toml_files import dump
-from agent.keys.fleet_certificates import credentials
-from agent.keys.make import make_all
-from agent.ports import free_ports
+from agent.ground.make import make_all
+from agent.process.fleet_certificates import credentials
+from agent.process.ports import free_ports
 from tests.killing import killed_after
 from tests.places import ROOT
 

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from agent.kernel.config import Fleet, Pose, Robot, Target
-from agent.kernel.fleet_reader import load_fleet
+from agent.core.config import Fleet, Pose, Robot, Target
+from agent.robot.fleet_reader import load_fleet
 from tests.network.conftest import unused_port
 from tests.network.looking.page_process import Tab, fleet_on_disk, page_process
 from tests.network.looking.scripted_robots import JPEG, scripted

@@ -10,9 +10,9 @@ import threading
 import time
 from pathlib import Path
 
-from agent.kernel import topics
-from agent.kernel.fleet_reader import load_fleet
-from agent.keys.fleet_certificates import credentials
+from agent.core import topics
+from agent.process.fleet_certificates import credentials
+from agent.robot.fleet_reader import load_fleet
 from router_config.door import Session
 from router_config.session import peer_config
 

@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.kernel.codec import decode
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate, Image, State
-from agent.kernel.step_io import Outputs
-from agent.kernel.topics import LINK, STATE
-from agent.keys.fleet_certificates import credentials
-from agent.stop_signal import until_signal
-from agent.transport import Transport
+from agent.core.codec import decode
+from agent.core.messages import Estimate, Image, State
+from agent.core.step_io import Outputs
+from agent.core.topics import LINK, STATE
+from agent.process.fleet_certificates import credentials
+from agent.process.stop_signal import until_signal
+from agent.process.transport import Transport
+from agent.robot.fleet_reader import load_fleet
 from replay.files.log import read
 from tests.places import ROOT
 

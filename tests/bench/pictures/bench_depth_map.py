@@ -15,8 +15,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agent.pictures.depth_map import depth_map
-from agent.pictures.depth_sweep import measure, sweep
+from agent.perception.depth_sweep import measure, sweep
+from agent.tools.depth_map import depth_map
 from hw.camera.files import open_stack
 from hw.picture_files import picture_files, read_picture
 from tests.bench.bench_vision import medians_s

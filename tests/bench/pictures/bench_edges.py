@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import cv2
 import numpy as np
 
-from agent.pictures.depth_sweep import clarity_of, measure
+from agent.perception.depth_sweep import clarity_of, measure
 from hw.picture_files import read_picture
 from tests.bench.pictures.edges.scenes import FRAMES, PHOTOGRAPHS, Stack, stacks
 from tests.bench.pictures.edges.score import Score, score

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agent.training.warm import Kept, kept_warm
+from agent.tools.warm import Kept, kept_warm
 from tests.places import DATA
 
 BALLS = DATA / "real_water" / "balls"

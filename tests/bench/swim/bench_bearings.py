@@ -14,11 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.kernel.estimation.bearing import bearing
-from agent.kernel.estimation.matrix import apply
-from agent.kernel.estimation.tracks.dynamics import Dynamics, swimming
-from agent.kernel.estimation.tracks.fixed_lag_filter import FixedLagFilter, Held
-from agent.kernel.estimation.tracks.track import Track, predict
+from agent.core.bearing import bearing
+from agent.core.estimation.dynamics import Dynamics, swimming
+from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.core.estimation.track import Track, predict
+from agent.core.matrix import apply
 from hw.twin.creatures.school import School
 from hw.twin.scene import Creature, load_scene
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.calibration import body_fit
-from agent.kernel.config import Goto, Pose, Trial
-from agent.kernel.ranging.calibration import BodyFit
+from agent.core.config import Goto, Pose, Trial
+from agent.core.ranging.calibration import BodyFit
+from agent.tools import body_fit
 from hw.twin.physics.forces import RING_M, RING_RAD
 from tests.bench.swim.drawn import MIDDLE, DrawnSwimmer, drawn, swimming
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.kernel.config import Goto
-from agent.kernel.navigation.angle import wrap
+from agent.core.angle import wrap
+from agent.core.config import Goto
 from tests.bench.swim.drawn import MIDDLE, drawn, swimming
 
 STILL = Goto(x_m=MIDDLE.x_m, y_m=MIDDLE.y_m, yaw_deg=MIDDLE.yaw_deg)

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from agent.fleet_files import fleet_file
-from agent.kernel.config import Look, Orbit
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.navigation.angle import wrap
+from agent.core.angle import wrap
+from agent.core.config import Look, Orbit
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from tests.bench.swim.lockstep import swim
 
 SECONDS, FROM_S = 32.0, 15.0  # of a dive, and what counts of it

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.kernel.navigation.barrier import RINGS_M
-from tests.kernel.navigation.swimming_fleet import FleetInTank, fleet_of
-from tests.kernel.navigation.tank_with_tags import TANK_M
+from agent.capabilities.swim.barrier import RINGS_M
+from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of
+from tests.capabilities.swim.tank_with_tags import TANK_M
 
 LOSSES = (0.0, 0.3)
 FIRST_SEED = int(os.environ.get("AUCAMP_CROSSING_SEED", "101"))

@@ -16,12 +16,12 @@ import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.kernel.config import Behaviour, Fleet, Navigation, Pose, Twin
-from agent.kernel.core import Agent
-from agent.kernel.navigation.angle import wrap
-from agent.kernel.navigation.pose.event_ring import Event
-from agent.kernel.ranging.calibration import BodyFit
-from agent.kernel.step_io import Inputs, SeenTags, SetPoint
+from agent.capabilities.swim.event_ring import Event
+from agent.core.angle import wrap
+from agent.core.config import Behaviour, Fleet, Navigation, Pose, Twin
+from agent.core.ranging.calibration import BodyFit
+from agent.core.step_io import Inputs, SeenTags, SetPoint
+from agent.robot.core import Agent
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.dive import Dive
@@ -29,8 +29,8 @@ from hw.twin.pace import run_in_lock_step
 from hw.twin.physics.rotation import euler_rad
 from hw.twin.physics.servo import PLAY_DEG
 from hw.twin.scene import Current, Pull, Scene
-from tests.kernel.navigation.swimming_agent import CALIBRATION, fleet
-from tests.kernel.navigation.tank_with_tags import TANK_M, VIEW, sight
+from tests.capabilities.swim.swimming_agent import CALIBRATION, fleet
+from tests.capabilities.swim.tank_with_tags import TANK_M, VIEW, sight
 
 STEP_TICKS, FRAME_STEPS, LATE_STEPS = 5, 4, 2  # 20 Hz; 5 frames a second; known 0.1 s after their exposure
 SCENE = Scene(name="bench", moored=False, current=Current(gust_m_s=0.005), tether_pull=Pull(force_n=0.05))

@@ -13,16 +13,16 @@ import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.core.codec import encode
+from agent.core.config import Behaviour, Look
+from agent.core.step_io import Inputs
 from agent.experiments.posed_robot import PosedRobot
-from agent.fleet_files import fleet_file
-from agent.kernel.codec import encode
-from agent.kernel.config import Behaviour, Look
-from agent.kernel.core import Agent
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.step_io import Inputs
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.vision import Vision
+from agent.process.fleet_files import fleet_file
+from agent.robot.core import Agent
+from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import FocusRange, Frame, Roi, deliverable
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter

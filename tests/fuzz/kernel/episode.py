@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
-from agent.kernel.codec import encode
-from agent.kernel.step_io import Heard, Inputs, Outputs
+from agent.core.codec import encode
+from agent.core.step_io import Heard, Inputs, Outputs
 from tests.fuzz.kernel.invariants import Broken, Watch
 from tests.fuzz.kernel.swarm import START_NS, STEP_NS, Known, Robot, Scene, known, record, wake
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from agent.kernel.codec import Refusal, decode, encode
-from agent.kernel.estimation.matrix import semidefinite, trace
-from agent.kernel.messages import Estimate, State, Vector
-from agent.kernel.step_io import Outputs
+from agent.core.codec import Refusal, decode, encode
+from agent.core.matrix import semidefinite, trace
+from agent.core.messages import Estimate, State, Vector
+from agent.core.step_io import Outputs
 from tests.fuzz.kernel.sizes import largest
 from tests.fuzz.kernel.swarm import STEP_NS, Known, Recording, Robot
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
-from agent.kernel.messages import Entry, Epoch, Proposal, Sample
-from agent.kernel.trust import signed
+from agent.core import signed
+from agent.core.messages import Entry, Epoch, Proposal, Sample
 from tests.fuzz.kernel import swarm
 from tests.fuzz.values import integer, number, of_type, text
 

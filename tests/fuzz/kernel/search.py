@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from random import Random
 
-from agent.kernel.config import Protocol
+from agent.core.config import Protocol
 from tests.fuzz import cases
 from tests.fuzz.kernel.episode import QUIET_STEPS, Lie, Plan, Tell, outcome, play
 from tests.fuzz.kernel.invariants import Broken

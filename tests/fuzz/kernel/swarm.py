@@ -16,13 +16,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet, Protocol
-from agent.kernel.core import Agent
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate, Gossip, Vector
-from agent.kernel.step_io import Heard, Inputs, Outputs
-from agent.kernel.trust import signed
+from agent.core import signed
+from agent.core.codec import encode
+from agent.core.config import Fleet, Protocol
+from agent.core.messages import Estimate, Gossip, Vector
+from agent.core.step_io import Heard, Inputs, Outputs
+from agent.robot.core import Agent
+from agent.robot.fleet_reader import load_fleet
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 from tests.places import ROOT
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgpack
 
-from agent.kernel.messages import MAX_PAYLOAD, Estimate
+from agent.core.messages import MAX_PAYLOAD, Estimate
 from tests.fuzz import mutate
 from tests.fuzz.kernel.episode import Lie, Plan, Tell
 from tests.fuzz.kernel.lies import Theme

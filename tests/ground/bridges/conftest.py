@@ -2,8 +2,8 @@
 
 import pytest
 
-from agent.kernel.config import Fleet
-from agent.kernel.fleet_reader import load_fleet
+from agent.core.config import Fleet
+from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from agent.kernel.messages import State
+from agent.core.messages import State
 
 S = 1_000_000_000
 START_NS = 1_700_000_000 * S

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from tests.places import ROOT
 
 TANK = ROOT / "agent" / "fleets" / "tank.toml"

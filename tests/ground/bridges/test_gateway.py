@@ -8,10 +8,10 @@ from msgspec.structs import replace
 pytest.importorskip("pymavlink", reason="pip install 'aucamp[mavlink]'")
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import LogLine
 from agent.ground.bridges.mavlink.gateway import MOST_SYSTEMS, READ_ONLY
 from agent.ground.console import Outcome
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import LogLine
 from tests.ground.bridges.states import START_NS, S, state
 from tests.ground.bridges.station import ACCEPTED, ARM, DENIED, MODE, REQUEST, UNSUPPORTED, Station, answer
 

@@ -1,10 +1,10 @@
 """What bridges believe: a robot's word in its own name, of any size that its row allows."""
 
+from agent.core.codec import encode
+from agent.core.messages import MAX_JPEG, Estimate, Image, LogLine, Message
+from agent.core.topics import IMAGE, LINK, LOG, STATE, Topic
 from agent.ground.bridges.hearing import own_word
-from agent.kernel.codec import encode
-from agent.kernel.messages import MAX_JPEG, Estimate, Image, LogLine, Message
-from agent.kernel.topics import IMAGE, LINK, LOG, STATE, Topic
-from agent.transport import Received
+from agent.process.transport import Received
 from tests.ground.bridges.states import START_NS, state
 from tests.sample_messages import estimate
 

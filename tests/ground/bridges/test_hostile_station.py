@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pymavlink", reason="pip install 'aucamp[mavlink]'")
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from tests.ground.bridges.states import START_NS, state
 from tests.ground.bridges.station import ARM, MODE, REQUEST, Station, answer
 

@@ -9,10 +9,10 @@ pytest.importorskip("keelson", reason="pip install 'aucamp[keelson]'")
 from keelson import get_protobuf_message_class_from_type_name
 from keelson.codec import uncover_to_json
 
+from agent.core.config import Fleet
+from agent.core.messages import Image, LogLine
 from agent.ground.bridges.keelson.language import Keelson
 from agent.ground.bridges.outward import Foreign
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Image, LogLine
 from tests.ground.bridges.states import START_NS, state
 
 

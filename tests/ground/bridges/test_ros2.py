@@ -6,10 +6,10 @@ import struct
 import pytest
 from msgspec.structs import replace
 
+from agent.core.config import Body, Fleet
+from agent.core.messages import Estimate, Image, Whereabouts
+from agent.core.ranging.camera_model import camera_pose
 from agent.ground.bridges.ros2.names import Kind, nodes
-from agent.kernel.config import Body, Fleet
-from agent.kernel.messages import Estimate, Image, Whereabouts
-from agent.kernel.ranging.camera_model import camera_pose
 from tests.ground.bridges.states import START_NS, state
 
 STRING = Kind("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")

@@ -5,6 +5,8 @@ import math
 import pytest
 from msgspec.structs import replace
 
+from agent.core.config import Pose, Robot
+from agent.core.messages import Whereabouts
 from agent.ground.bridges.mavlink.vehicle import (
     ACTIVE,
     ALT_HOLD,
@@ -16,8 +18,6 @@ from agent.ground.bridges.mavlink.vehicle import (
     SURFACING,
     vehicle,
 )
-from agent.kernel.config import Pose, Robot
-from agent.kernel.messages import Whereabouts
 from tests.ground.bridges.states import state
 
 MOORED = Robot(

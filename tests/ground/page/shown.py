@@ -13,13 +13,13 @@ import numpy as np
 from cv2 import imencode
 from websockets.sync.client import ClientConnection, connect
 
+from agent.core.codec import encode
+from agent.core.config import Fleet, Pose, Robot, Target
+from agent.core.messages import Image, LogLine, Message, State
+from agent.core.toml_files import dump
+from agent.core.topics import Topic, key, match
 from agent.ground.page.board import Board
 from agent.ground.page.server import serving
-from agent.kernel.codec import encode
-from agent.kernel.config import Fleet, Pose, Robot, Target
-from agent.kernel.messages import Image, LogLine, Message, State
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import Topic, key, match
 from replay.files.backlog import Entry
 from replay.files.channels import NETWORK, name
 from replay.files.log import LogWriter

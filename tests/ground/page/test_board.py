@@ -2,9 +2,9 @@
 
 import json
 
+from agent.core.codec import Refusal
 from agent.ground.page.board import KEPT, MOST_KEYS, Board, Viewer
 from agent.ground.page.rows import text
-from agent.kernel.codec import Refusal
 
 
 def shows(board: Board, key: str, value: int) -> None:

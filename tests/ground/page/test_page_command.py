@@ -7,10 +7,10 @@ from threading import Event
 import pytest
 from msgspec.structs import replace
 
+from agent.core.config import ConfigError
+from agent.core.toml_files import dump
+from agent.core.topics import STATE
 from agent.ground.page.command import run
-from agent.kernel.config import ConfigError
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
 from tests.ground.page.shown import FLEET, NOW_NS, record, row, state
 from tests.network.conftest import unused_port
 

@@ -6,12 +6,12 @@ from threading import Event
 
 import pytest
 
+from agent.core.config import ConfigError
+from agent.core.topics import IMAGE, LINK, LOG, STATE
 from agent.ground.page.board import Board
 from agent.ground.page.reel import Reel
 from agent.ground.page.replayed import Replayed
 from agent.ground.page.rows import LINES, Rows
-from agent.kernel.config import ConfigError
-from agent.kernel.topics import IMAGE, LINK, LOG, STATE
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, record, row, state
 from tests.sample_messages import estimate
 

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
+from agent.core.claim import Claim, Has, View
+from agent.core.codec import Refusal, encode
+from agent.core.keyframe import TURN_ONE, Lens
+from agent.core.orders_words import Answer
+from agent.core.topics import ANSWER, CLAIM, IMAGE, LIGHT, LINK, LOG, NEAR, STATE
 from agent.ground.page.rows import Rows
-from agent.kernel.codec import Refusal, encode
-from agent.kernel.keyframes.claim import Claim, Has, View
-from agent.kernel.keyframes.keyframe import TURN_ONE, Lens
-from agent.kernel.orders.words import Answer
-from agent.kernel.topics import ANSWER, CLAIM, IMAGE, LIGHT, LINK, LOG, NEAR, STATE
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, received, row, state
 from tests.sample_messages import estimate, presence
 

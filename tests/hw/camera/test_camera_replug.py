@@ -1,12 +1,12 @@
 """A camera is pulled out and comes back as another node: the vision worker goes on by itself."""
 
 from agent.clock.clock import SystemClock
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.step_io import SweepPlan
+from agent.core.ranging.calibration import CameraFit
+from agent.core.step_io import SweepPlan
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.camera import v4l2_calls as v4l2
 from tests.hw.camera.fake_v4l2 import FakeComputer
 from tests.sightings import collect

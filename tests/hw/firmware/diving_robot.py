@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.kernel.config import Fleet, Pose, Robot, Target, Twin
-from agent.kernel.step_io import SetPoint, Telemetry
+from agent.core.config import Fleet, Pose, Robot, Target, Twin
+from agent.core.step_io import SetPoint, Telemetry
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.cycle_times import CycleTimes
@@ -157,7 +157,7 @@ def diving_robot(
 HOST = """
 import signal, sys, time
 from agent.clock.clock import SystemClock
-from agent.kernel.step_io import SetPoint
+from agent.core.step_io import SetPoint
 from hw.stm32.driver import Stm32
 
 def break_off(*_):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from agent.kernel.step_io import SetPoint, Telemetry
+from agent.core.step_io import SetPoint, Telemetry
 from hw.stm32.driver import Stm32
 from tests.hw.desk import Desk
 

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import pytest
 from msgspec.structs import replace
 
-from agent.board_reboot import reboot
-from agent.failure import Failed
-from agent.kernel.toml_files import dump
+from agent.core.toml_files import dump
+from agent.ground.board_reboot import reboot
+from agent.process.failure import Failed
 from hw.firmware import failsafe, wire
 from hw.stm32.arming import Arming
 from tests.hw.firmware.diving_robot import FLEET

@@ -14,15 +14,15 @@ import pytest
 from agent.clock.clock import SystemClock
 from agent.clock.keeper import start_clock
 from agent.clock.run_clock import RunClock
-from agent.kernel.config import ConfigError
-from agent.kernel.step_io import Telemetry
+from agent.core.config import ConfigError
+from agent.core.step_io import Telemetry
 from hw.firmware import failsafe, wire
 from hw.stm32.driver import Stm32
 from hw.stm32.fields import Level
 from hw.stm32.motors import AGAIN_NS, Motors
 from hw.stm32.port import open_port_path
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
-from tests.kernel.desk.ordering import Ordering
+from tests.robot.ordering import Ordering
 from tests.waiting import until
 
 

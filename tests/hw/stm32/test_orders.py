@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from agent.clock.clock import SystemClock
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.firmware import parameters, wire
 from hw.stm32.driver import Stm32
 from hw.stm32.orders import NO_ANSWER, NO_BOARD

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.kernel.step_io import SetPoint
+from agent.core.step_io import SetPoint
 from hw.firmware import parameters, wire
 from hw.stm32.arming import CURABLE
 from hw.stm32.fields import event_line

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from agent.kernel.config import Fleet, Pose, Robot, Target, Twin
+from agent.core.config import Fleet, Pose, Robot, Target, Twin
 from hw.twin.devices.board import Board
 from hw.twin.dive import Dive
 from hw.twin.pace import run_in_lock_step

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.twin import faults
 from hw.twin.devices.board import ALL_SENSORS, BATTERY_MV, CURRENT_10MA
 from hw.twin.dive import Dive, apply

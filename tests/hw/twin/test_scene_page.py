@@ -2,7 +2,7 @@
 
 import re
 
-from agent.kernel.fleet_reader import load_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive
 from hw.twin.faults import KINDS
 from hw.twin.scene import SCENES, load_scene

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.kernel.fleet_reader import load_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.twin import faults
 from hw.twin.devices.camera_device import EXPOSURE_NS, DiveCamera, FrameClock
 from hw.twin.dive import Dive

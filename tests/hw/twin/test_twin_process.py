@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.kernel.config import Landmarks
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.step_io import SetPoint
+from agent.core.config import Landmarks
+from agent.core.step_io import SetPoint
+from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import Roi
 from hw.camera.open import open_camera
 from hw.twin.bench_socket import BenchClient

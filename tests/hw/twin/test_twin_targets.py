@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.fleet_files import fleet_file
-from agent.kernel.config import ConfigError, Target
-from agent.kernel.fleet_reader import load_fleet
+from agent.core.config import ConfigError, Target
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.view import Eye

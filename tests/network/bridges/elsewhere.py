@@ -9,11 +9,11 @@ from pathlib import Path
 
 import zenoh
 
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, Image
+from agent.core.toml_files import dump
 from agent.ground.bridges.outward import Language, run
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, Image
-from agent.kernel.toml_files import dump
-from agent.transport import Transport
+from agent.process.transport import Transport
 from tests.ground.bridges.states import state
 from tests.network.conftest import unused_port
 from tests.network.secured.parties import secure

@@ -16,12 +16,12 @@ os.environ.setdefault("MAVLINK20", "1")  # mavutil looks for it when it is impor
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.orders_words import Order
+from agent.core.toml_files import dump
 from agent.ground.bridges.mavlink.bridge import run
 from agent.ground.bridges.mavlink.telling import Origin
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.orders.words import Order
-from agent.kernel.toml_files import dump
 from tests.network.conftest import unused_port
 from tests.network.orders.answering import Loop
 from tests.network.secured.parties import secure

@@ -13,10 +13,10 @@ import pytest
 
 pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
 
+from agent.core.config import ConfigError, Fleet
+from agent.core.toml_files import dump
 from agent.ground.bridges.outward import run
 from agent.ground.bridges.ros2.language import Ros2
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.toml_files import dump
 from tests.network.bridges.elsewhere import JPEG, PATIENCE_S, shown_elsewhere
 from tests.network.conftest import unused_port
 from tests.places import ROOT

@@ -11,12 +11,12 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from agent.clock.run_clock import RunClock
+from agent.core.ranging.calibration import Calibration
+from agent.core.toml_files import dump
+from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
-from agent.run_folder import temporary_folder
-from agent.transport import Observer
+from agent.process.run_folder import temporary_folder
+from agent.process.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
 from tests.killing import killed_after
 from tests.known_lens import TWIN, TWIN_CAMERA

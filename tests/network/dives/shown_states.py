@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Sequence
 
-from agent.kernel.codec import decode
-from agent.kernel.messages import State
-from agent.transport import Observer
+from agent.core.codec import decode
+from agent.core.messages import State
+from agent.process.transport import Observer
 from tests.waiting import until
 
 

@@ -18,17 +18,17 @@ import numpy as np
 import pytest
 
 from agent.clock.run_clock import RunClock
-from agent.kernel.codec import decode
-from agent.kernel.config import Access, Target
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate
-from agent.kernel.step_io import Inputs, Sighting
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE, TOPICS
-from agent.kernel.trust.signed import entry_bytes, verify
-from agent.launch import crew, wait_for
-from agent.run_folder import temporary_folder
-from agent.transport import Observer
+from agent.core.codec import decode
+from agent.core.config import Access, Target
+from agent.core.messages import Estimate
+from agent.core.signed import entry_bytes, verify
+from agent.core.step_io import Inputs, Sighting
+from agent.core.toml_files import dump
+from agent.core.topics import STATE, TOPICS
+from agent.process.launch import crew, wait_for
+from agent.process.run_folder import temporary_folder
+from agent.process.transport import Observer
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.devices.twin_folder import clock_path
 from replay.files.channels import STEP_IN, VISION, network_topic
 from replay.files.frames import Frames, pixels
@@ -105,7 +105,7 @@ def test_demo_signed_all_that_it_sent_and_left_no_private_key(run: Path) -> None
 
 def test_the_told_turned_before_they_saw(run: Path) -> None:
     """r2 and r3 start with the ball out of view: blind, then told, then sees, in their own black boxes."""
-    from agent.kernel.step_io import Outputs
+    from agent.core.step_io import Outputs
 
     for name in ("r2", "r3"):
         known = []

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from agent.clock.keeper import STALLED_S
-from agent.kernel.codec import decode
-from agent.kernel.step_io import Inputs
+from agent.core.codec import decode
+from agent.core.step_io import Inputs
 from hw.firmware.failsafe import OK, SURFACE
 from replay.files.channels import STEP_IN
 from replay.files.log import read

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.codec import encode
-from agent.kernel.estimation.mailbox import LATEST_T
-from agent.kernel.messages import Entry, Epoch, Gossip, State
-from agent.kernel.toml_files import dump
-from agent.run_folder import temporary_folder
+from agent.core.codec import encode
+from agent.core.estimation.mailbox import LATEST_T
+from agent.core.messages import Entry, Epoch, Gossip, State
+from agent.core.toml_files import dump
+from agent.process.run_folder import temporary_folder
 from hw.firmware import wire
 from tests.dive_timing import timing
 from tests.killing import killed_after

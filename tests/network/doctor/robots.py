@@ -8,11 +8,11 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from agent.kernel.config import Access, Fleet
-from agent.kernel.messages import NeighbourState, State
-from agent.kernel.toml_files import dump
-from agent.keys.make import make_all
-from agent.transport import Transport
+from agent.core.config import Access, Fleet
+from agent.core.messages import NeighbourState, State
+from agent.core.toml_files import dump
+from agent.ground.make import make_all
+from agent.process.transport import Transport
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 PERIOD_S = 0.1

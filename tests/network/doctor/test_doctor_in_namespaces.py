@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.config import Access
-from agent.kernel.toml_files import dump
-from agent.keys.make import make_all
+from agent.core.config import Access
+from agent.core.toml_files import dump
+from agent.ground.make import make_all
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import Swarm
 from tests.places import ROOT

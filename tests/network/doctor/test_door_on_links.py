@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from msgspec import json
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from router_config.door import Link, Session
 from router_config.metadata import metadata
 from router_config.session import observer_config, peer_config

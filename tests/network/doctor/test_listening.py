@@ -6,12 +6,12 @@ from collections.abc import Callable
 import pytest
 from msgspec.structs import replace
 
+from agent.core import topics
+from agent.core.codec import encode, encoding
+from agent.core.config import Fleet
+from agent.core.messages import NeighbourState, State
 from agent.ground.doctor import listening
 from agent.ground.doctor.listening import Facts, Looker, _Ears, listen
-from agent.kernel import topics
-from agent.kernel.codec import encode, encoding
-from agent.kernel.config import Fleet
-from agent.kernel.messages import NeighbourState, State
 from router_config.session import observer_config
 
 

@@ -15,7 +15,7 @@ import zenoh
 from msgspec import json
 
 from agent.ground.doctor.probe import PROBE_S, context, probe, speaks_tls
-from agent.keys.certificates import CLIENT, SERVER, Pair, certificate_file, issue, key_file, make_ca, write
+from agent.process.certificates import CLIENT, SERVER, Pair, certificate_file, issue, key_file, make_ca, write
 from router_config.session import tls
 from tests.network.conftest import unused_port
 

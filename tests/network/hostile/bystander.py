@@ -14,14 +14,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate, State
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
-from agent.router import run_router
-from agent.transport import Observer, Transport
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, State
+from agent.core.toml_files import dump
+from agent.core.topics import STATE
+from agent.process.router import run_router
+from agent.process.transport import Observer, Transport
+from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 
 STEP_S = 0.05

@@ -13,8 +13,8 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agent.kernel.config import Fleet
-from agent.kernel.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Sample
+from agent.core.config import Fleet
+from agent.core.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Sample
 
 Make = Callable[[int], bytes]  # the number of a message, from 1 on -> its payload
 

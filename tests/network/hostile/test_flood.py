@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import pytest
 
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.messages import State
+from agent.core.step_io import Inputs
+from agent.core.toml_files import dump
+from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State
-from agent.kernel.step_io import Inputs
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
-from agent.transport import Observer
+from agent.process.transport import Observer
 from replay.files.log import read
 from tests.killing import killed_after
 from tests.network.rogue import flooding

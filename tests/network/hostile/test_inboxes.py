@@ -7,14 +7,14 @@ import pytest
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.kernel import topics
-from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.config import Fleet, Navigation, Target
-from agent.kernel.messages import MAX_PAYLOAD, Estimate
-from agent.kernel.presence import Presence
-from agent.kernel.topics import LINK
-from agent.links.inboxes import BURST, FASTEST_HZ, Inboxes
-from agent.transport import Transport
+from agent.core import topics
+from agent.core.codec import decode, encode, encoding
+from agent.core.config import Fleet, Navigation, Target
+from agent.core.messages import MAX_PAYLOAD, Estimate
+from agent.core.presence import Presence
+from agent.core.topics import LINK
+from agent.process.inboxes import BURST, FASTEST_HZ, Inboxes
+from agent.process.transport import Transport
 from tests.network.rogue import Rogue
 from tests.waiting import until
 

@@ -17,22 +17,22 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.core.codec import decode, encode
+from agent.core.config import Access, Fleet
+from agent.core.estimation.evidence_table import opinion
+from agent.core.estimation.fuse import Opinion, fuse
+from agent.core.matrix import apply, upper
+from agent.core.messages import Entry, Estimate, Gossip, State
+from agent.core.toml_files import dump
+from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
 from agent.experiments.localization.liar import told
 from agent.experiments.localization.lie_search import Lies, best_lies
 from agent.experiments.localization.many_lies import conclusions
-from agent.kernel.codec import decode, encode
-from agent.kernel.config import Access, Fleet
-from agent.kernel.estimation.evidence_table import opinion
-from agent.kernel.estimation.fuse import Opinion, fuse
-from agent.kernel.estimation.matrix import apply, upper
-from agent.kernel.messages import Entry, Estimate, Gossip, State
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import STATE
-from agent.keys.key_files import private_file, public_file, read_private
-from agent.keys.make import make_keys
-from agent.keys.signing import signing
-from agent.transport import Observer
+from agent.ground.make import make_keys
+from agent.process.key_files import private_file, public_file, read_private
+from agent.process.signing import signing
+from agent.process.transport import Observer
 from tests.killing import killed_after
 from tests.network.rogue import Rogue
 from tests.places import ROOT

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from agent.kernel import topics
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, Image, State
-from agent.kernel.topics import IMAGE, LINK, STATE
-from agent.transport import Observer, Transport
+from agent.core import topics
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, Image, State
+from agent.core.topics import IMAGE, LINK, STATE
+from agent.process.transport import Observer, Transport
 from tests.network.hostile.bystander import bystander
 from tests.network.rogue import Rogue
 from tests.waiting import until

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel import topics
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Entry, Estimate, Gossip
-from agent.links import tokens
-from agent.transport import Transport
+from agent.core import topics
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.messages import Entry, Estimate, Gossip
+from agent.process import tokens
+from agent.process.transport import Transport
 from tests.network.hostile.bystander import bystander
 from tests.network.rogue import Rogue
 from tests.waiting import until

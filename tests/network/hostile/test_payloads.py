@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import MAX_PAYLOAD, Estimate
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet
+from agent.core.messages import MAX_PAYLOAD, Estimate
 from tests.network.hostile.payloads import MANY, kinds
 
 

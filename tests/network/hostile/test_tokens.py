@@ -8,10 +8,10 @@ from contextlib import ExitStack
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel import topics
-from agent.kernel.config import Fleet
-from agent.links.tokens import FOREIGN, LASTING_S, SESSIONS, Tokens
-from agent.transport import Transport
+from agent.core import topics
+from agent.core.config import Fleet
+from agent.process.tokens import FOREIGN, LASTING_S, SESSIONS, Tokens
+from agent.process.transport import Transport
 from tests.network.conftest import unused_port
 from tests.network.rogue import Rogue
 from tests.waiting import until

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from msgspec import UNSET
 
-from agent.kernel.codec import Refusal, decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, Image, LogLine, NeighbourState, State
-from agent.kernel.orders.words import MAX_ORDER, Answer, Order
-from agent.transport import Transport
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, Image, LogLine, NeighbourState, State
+from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.process.transport import Transport
 
 STEP_S = 0.05
 

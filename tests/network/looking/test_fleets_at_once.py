@@ -11,13 +11,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.kernel.codec import decode
-from agent.kernel.config import Access, ConfigError, Fleet
-from agent.kernel.messages import State
-from agent.kernel.toml_files import dump
-from agent.keys.make import make_all
-from agent.observing.at_once import at_once, keys_of, load_fleets, recordings_of
-from agent.transport import Transport
+from agent.core.codec import decode
+from agent.core.config import Access, ConfigError, Fleet
+from agent.core.messages import State
+from agent.core.toml_files import dump
+from agent.ground.at_once import at_once, keys_of, load_fleets, recordings_of
+from agent.ground.make import make_all
+from agent.process.transport import Transport
 from replay.files.log import info, read
 from tests.places import ROOT
 from tests.waiting import until

@@ -7,9 +7,9 @@ import sys
 import time
 from collections.abc import Callable
 
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State
-from agent.transport import Transport
+from agent.core.config import Fleet
+from agent.core.messages import State
+from agent.process.transport import Transport
 from tests.killing import killed_after
 from tests.places import ROOT
 from tests.waiting import until

@@ -11,13 +11,13 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.failure import Failed
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Image, LogLine, State
-from agent.kernel.toml_files import dump
-from agent.observing import snapshot
-from agent.observing.snapshot import hopeless, next_picture, target_table
-from agent.transport import Transport
+from agent.core.config import Fleet
+from agent.core.messages import Image, LogLine, State
+from agent.core.toml_files import dump
+from agent.ground import snapshot
+from agent.ground.snapshot import hopeless, next_picture, target_table
+from agent.process.failure import Failed
+from agent.process.transport import Transport
 
 JPEG = b"\xff\xd8\xff whatever a camera gives"
 PICTURE = Image(

@@ -4,12 +4,12 @@ import threading
 import time
 from pathlib import Path
 
-from agent.kernel.codec import decode
-from agent.kernel.config import Fleet
-from agent.kernel.messages import State
-from agent.kernel.orders.words import Answer, Order
-from agent.kernel.step_io import Ordered
-from agent.transport import Transport
+from agent.core.codec import decode
+from agent.core.config import Fleet
+from agent.core.messages import State
+from agent.core.orders_words import Answer, Order
+from agent.core.step_io import Ordered
+from agent.process.transport import Transport
 
 
 class Loop(threading.Thread):

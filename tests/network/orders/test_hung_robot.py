@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from agent.core.toml_files import dump
+from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.kernel.toml_files import dump
-from agent.kernel.topics import ANSWER
-from agent.transport import Observer
+from agent.process.transport import Observer
 from tests.killing import killed_after
 from tests.places import ROOT
 from tests.waiting import until

@@ -9,14 +9,14 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
+from agent.core import topics
+from agent.core.codec import decode, encode, encoding
+from agent.core.config import Access, ConfigError, Fleet
+from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.kernel import topics
-from agent.kernel.codec import decode, encode, encoding
-from agent.kernel.config import Access, ConfigError, Fleet
-from agent.kernel.orders.words import MAX_ORDER, Answer, Order
-from agent.kernel.topics import ANSWER
-from agent.links.order_box import WAITING
-from agent.transport import Observer
+from agent.process.order_box import WAITING
+from agent.process.transport import Observer
 from router_config.session import observer_config
 from tests.network.orders.answering import Loop
 from tests.waiting import until

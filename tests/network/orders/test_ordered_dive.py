@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from agent.core.codec import decode
+from agent.core.orders_words import Answer
+from agent.core.step_io import Inputs, Outputs
+from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.kernel.codec import decode
-from agent.kernel.orders.words import Answer
-from agent.kernel.step_io import Inputs, Outputs
-from agent.kernel.topics import ANSWER
 from hw.firmware.failsafe import SURFACE
 from replay.check.black_box import STEP_BYTES, open_boxes
 from replay.check.check import check

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from tests.network.secured.parties import CHAIN, secure
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import zenoh
 from msgspec.structs import replace
 
-from agent.kernel import topics
-from agent.kernel.config import Access, Fleet
-from agent.keys.certificates import issue, write
-from agent.keys.fleet_certificates import authority
-from agent.keys.make import make_all
+from agent.core import topics
+from agent.core.config import Access, Fleet
+from agent.ground.make import make_all
+from agent.process.certificates import issue, write
+from agent.process.fleet_certificates import authority
 from router_config.session import tls
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}

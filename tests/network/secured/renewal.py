@@ -4,9 +4,9 @@ from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from agent.kernel.config import Fleet
-from agent.keys.certificates import issue, write
-from agent.keys.fleet_certificates import authority, hosts
+from agent.core.config import Fleet
+from agent.process.certificates import issue, write
+from agent.process.fleet_certificates import authority, hosts
 
 
 def replace_certificate(fleet: Fleet, keys: Path, name: str, ends: datetime) -> None:

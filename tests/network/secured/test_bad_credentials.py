@@ -10,9 +10,9 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from agent.kernel.config import Fleet
-from agent.keys.certificates import CLIENT, SERVER, Pair, issue, make_ca, write
-from agent.keys.fleet_certificates import authority
+from agent.core.config import Fleet
+from agent.process.certificates import CLIENT, SERVER, Pair, issue, make_ca, write
+from agent.process.fleet_certificates import authority
 from router_config.session import peer_config
 from tests.network.conftest import unused_port
 from tests.network.secured.conftest import Secured

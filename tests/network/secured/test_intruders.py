@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from agent.kernel import topics
-from agent.kernel.codec import encode, encoding
-from agent.kernel.config import Fleet
-from agent.kernel.messages import LogLine, State
-from agent.transport import Observer, Transport
+from agent.core import topics
+from agent.core.codec import encode, encoding
+from agent.core.config import Fleet
+from agent.core.messages import LogLine, State
+from agent.process.transport import Observer, Transport
 from replay.recorder import Arrivals, receiving
 from router_config.session import observer_config
 from tests.network.secured.conftest import Secured

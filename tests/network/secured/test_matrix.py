@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from agent.kernel import topics
-from agent.kernel.config import Fleet
+from agent.core import topics
+from agent.core.config import Fleet
 from router_config.session import observer_config, peer_config, router_config
 from tests.network.conftest import unused_port
 from tests.network.secured.conftest import Secured

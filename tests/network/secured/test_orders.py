@@ -6,10 +6,10 @@ import time
 import pytest
 from msgspec.structs import replace
 
+from agent.core.config import Access, ConfigError
+from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.kernel.config import Access, ConfigError
-from agent.kernel.topics import ANSWER
-from agent.transport import Observer
+from agent.process.transport import Observer
 from tests.network.orders.answering import Loop
 from tests.network.secured.conftest import Secured
 from tests.waiting import until

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.config import Tank
-from agent.kernel.toml_files import dump
-from agent.keys.robot_keys import VARIABLE
+from agent.core.config import Tank
+from agent.core.toml_files import dump
+from agent.process.robot_keys import VARIABLE
 from tests.network.conftest import unused_port
 from tests.network.looking.page_process import page_process
 from tests.network.looking.scripted_robots import scripted

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.agent_process import OPEN, load_setup
-from agent.kernel.config import Fleet, Tank
-from agent.kernel.messages import Image, State
-from agent.kernel.ranging.calibration import Calibration
-from agent.kernel.toml_files import dump
-from agent.keys.robot_keys import VARIABLE
-from agent.transport import Transport
+from agent.core.config import Fleet, Tank
+from agent.core.messages import Image, State
+from agent.core.ranging.calibration import Calibration
+from agent.core.toml_files import dump
+from agent.process.agent_process import OPEN, load_setup
+from agent.process.robot_keys import VARIABLE
+from agent.process.transport import Transport
 from replay.files.log import info
 from tests.known_lens import CAMERA, PLAIN
 from tests.network.conftest import unused_port

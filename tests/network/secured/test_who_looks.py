@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel import topics
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Estimate, Image, State
-from agent.keys.fleet_certificates import CONSOLE_FILE
-from agent.observing.snapshot import next_picture
-from agent.router import run_router
-from agent.transport import Transport
+from agent.core import topics
+from agent.core.config import ConfigError
+from agent.core.messages import Estimate, Image, State
+from agent.ground.snapshot import next_picture
+from agent.process.fleet_certificates import CONSOLE_FILE
+from agent.process.router import run_router
+from agent.process.transport import Transport
 from router_config.door import Session
 from router_config.session import peer_config, tls
 from tests.network.conftest import unused_port

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.kernel.ranging.focus import fit_peaks
+from agent.core.ranging.focus import fit_peaks
 from agent.perception.clarity.peaks import block_peaks
 
 SWEEP = np.linspace(0, 1023, 30).round()

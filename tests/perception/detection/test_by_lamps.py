@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from agent.core.ranging.calibration import CameraFit
 from agent.experiments.lighting.dark_water import DarkWater, stand
-from agent.kernel.ranging.calibration import CameraFit
 from agent.perception.detection.detect import LIMIT, find_ball
 from agent.perception.detection.detectors import BY_LAMPS
 from tests.perception.painted import CAMERA, expose

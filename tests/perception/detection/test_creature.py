@@ -5,7 +5,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError, Target
+from agent.core.config import ConfigError, Target
 from agent.perception.detection.creature import find_creature, named_hues, sampled_hues
 from agent.perception.detection.detectors import CreatureDetector, creature_hues
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError, Fleet, Pose, Robot, Target
+from agent.core.config import ConfigError, Fleet, Pose, Robot, Target
 from agent.perception.detection.detectors import load_detectors
 from tests.perception.painted import CAMERA, ball_light, expose
 

@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.perception.enhancement import enhance as face
 
 FRAME = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)

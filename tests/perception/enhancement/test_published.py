@@ -8,7 +8,7 @@ from collections import OrderedDict
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.ranging.calibration import CameraFit, at_lens_position
-from agent.kernel.step_io import SeenTags
+from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.step_io import SeenTags
 from agent.perception.landmarks.tags import find_tags, seen_tags
 from tests.perception.landmarks.printed import (
     CODES,

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from agent.kernel.ranging.calibration import CameraFit
-from agent.kernel.ranging.focus import lens_position
-from agent.kernel.step_io import Sighting
+from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.focus import lens_position
+from agent.core.step_io import Sighting
 from agent.perception.landmarks.flow import OLDEST_NS
 from agent.perception.landmarks.slopes import to_pixels
 from agent.perception.landmarks.watch import NEAR_M, QUEUE, REST_M, LandmarkWatch

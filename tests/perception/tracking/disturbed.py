@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from agent.perception.tracking.box import Box
-from agent.pictures.track_truth import Truth
+from agent.tools.track_truth import Truth
 from tests.perception.tracking.loss_clips import Clip
 
 

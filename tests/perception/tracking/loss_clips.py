@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from agent.perception.tracking.box import Box
-from agent.pictures.track_truth import Truth
+from agent.tools.track_truth import Truth
 
 WATER = "real_water"
 WINDOW = (320, 240)  # width and height of the moving window, pixels

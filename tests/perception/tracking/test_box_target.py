@@ -8,12 +8,12 @@ import pytest
 from msgspec.structs import replace
 
 from agent.clock.clock import StandingClock
+from agent.core.config import ConfigError, Fleet, Pose, Robot, Target
+from agent.core.control.sweep import Measurement, Sweep
+from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.core.ranging.camera_model import Eye
+from agent.core.ranging.fix import BOX_NOISE, locate
 from agent.experiments.still_camera import StillCamera, View
-from agent.kernel.config import ConfigError, Fleet, Pose, Robot, Target
-from agent.kernel.control.sweep import Measurement, Sweep
-from agent.kernel.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.kernel.ranging.camera_model import Eye
-from agent.kernel.ranging.fix import BOX_NOISE, locate
 from agent.perception.clarity.clarity import tenengrad_blocks
 from agent.perception.clarity.region import around, box_clarity
 from agent.perception.detection.detectors import load_detectors

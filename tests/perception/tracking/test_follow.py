@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from agent.perception.tracking.appearance import likeness, remember, search
 from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.codec import decode
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import State
-from agent.kernel.step_io import Outputs
+from agent.core.codec import decode
+from agent.core.config import ConfigError
+from agent.core.messages import State
+from agent.core.step_io import Outputs
 from replay.check.black_box import open_box
 from replay.check.explain import explain, find
 from tests.places import GOLDEN

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.codec import decode
-from agent.kernel.desk.desk import BROKE
-from agent.kernel.messages import Explain, LogLine, State
-from agent.kernel.orders.verbs import VERBS
-from agent.kernel.orders.words import Answer
-from agent.kernel.step_io import Outputs
+from agent.core.codec import decode
+from agent.core.messages import Explain, LogLine, State
+from agent.core.orders_words import Answer
+from agent.core.step_io import Outputs
 from agent.perception.rerun_vision import rerun_vision
+from agent.robot.desk import BROKE
+from agent.robot.verbs import VERBS
 from replay.check.black_box import open_box, open_boxes
 from replay.check.check import check, text
 from replay.check.vision_check import check_vision
@@ -119,14 +119,14 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
 
 
 MUTATIONS = {
-    "agent.kernel.core.LATEST_ITERATION": 1.4,
-    "agent.kernel.desk.showing.STATE_NS": 250_000_000,
-    "agent.kernel.control.seek.CENTRED": 1.0,
-    "agent.kernel.control.sweep.TRACK_SPAN": 1.6,
-    "agent.kernel.control.pointing.SETTLE_NS": 10**6,
-    "agent.kernel.estimation.fuse.AGREE": 1e6,
-    "agent.kernel.control.lens_positions.HOME": 0.7,
-    "agent.kernel.status.NO_FRAMES_NS": 10**7,
+    "agent.robot.core.LATEST_ITERATION": 1.4,
+    "agent.robot.showing.STATE_NS": 250_000_000,
+    "agent.core.control.seek.CENTRED": 1.0,
+    "agent.core.control.sweep.TRACK_SPAN": 1.6,
+    "agent.core.control.pointing.SETTLE_NS": 10**6,
+    "agent.core.estimation.fuse.AGREE": 1e6,
+    "agent.core.control.lens_positions.HOME": 0.7,
+    "agent.core.status.NO_FRAMES_NS": 10**7,
 }
 
 
@@ -142,7 +142,7 @@ def test_a_changed_gain_in_a_copy_is_named_by_its_first_step_and_field(tmp_path:
 
     for package in ("agent", "replay"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    source = tmp_path / "agent" / "kernel" / "estimation" / "paper.py"
+    source = tmp_path / "agent" / "core" / "estimation" / "paper.py"
     line = "alpha = 1.0 / (self.t + 1)"
     assert source.read_text().count(line) == 1
     source.write_text(source.read_text().replace(line, "alpha = 1.1 / (self.t + 1)"))

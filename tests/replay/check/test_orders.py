@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.codec import decode, encode
-from agent.kernel.step_io import Outputs
+from agent.core.codec import decode, encode
+from agent.core.step_io import Outputs
 from replay.check.black_box import open_boxes
 from replay.check.check import check
 from replay.check.explain import explain
@@ -17,10 +17,10 @@ from replay.report.report import report
 from replay.report.run import open_run
 from replay.report.tables import orders, remarks
 from replay.viewers.viewer_channels import ViewerChannels
-from tests.kernel.desk.ordering import FLEET, START_NS, Ordering
 from tests.network.scripted_agent import CALIBRATION
 from tests.replay.rewritten import rewritten
 from tests.replay.step_box import StepBox
+from tests.robot.ordering import FLEET, START_NS, Ordering
 
 DONE = (
     ("ann", "hold", {"depth_m": 0.2}),

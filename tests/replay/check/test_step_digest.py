@@ -13,7 +13,7 @@ from tests.places import ROOT
 TEST = """
 import pytest
 from agent.kernel.desk import showing
-from tests.kernel.desk.ordering import Ordering
+from tests.robot.ordering import Ordering
 
 @pytest.fixture(scope="module")
 def robot():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.check.check import check
 from replay.check.update import update_recordings
 from replay.files.log import info, read
@@ -33,7 +33,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.kernel.control.sweep.TRACK_SPAN", 1.6)
+    monkeypatch.setattr("agent.core.control.sweep.TRACK_SPAN", 1.6)
     assert check([run]).exit_code == 1
     accepted = [text] if (text := info(run / "r1.mcap").run.get("accepted")) else []
     before = {record.sequence: record.data for record in read(run / "r1.mcap") if record.channel == "/raw/step_in"}
@@ -69,7 +69,7 @@ def test_it_needs_a_reason(run: Path, git: Path) -> None:
 
 
 def test_it_refuses_a_dirty_checkout(run: Path, git: Path) -> None:
-    git.write_text("#!/bin/sh\necho ' M agent/kernel/core.py'\n")
+    git.write_text("#!/bin/sh\necho ' M agent/robot/core.py'\n")
     with pytest.raises(ConfigError, match="uncommitted changes"):
         update_recordings([run], "a reason")
 

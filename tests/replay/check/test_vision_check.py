@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.codec import encode
-from agent.kernel.ranging.focus import Peak, fit_peak
-from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting, SweepOutcome
+from agent.core.codec import encode
+from agent.core.ranging.focus import Peak, fit_peak
+from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, SweepOutcome
 from agent.perception.clarity.region import disc_clarity
 from agent.perception.detection.detect import find_ball
 from agent.perception.rerun_vision import rerun_vision

@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.kernel.codec import decode
-from agent.kernel.config import ConfigError
-from agent.kernel.step_io import Inputs, Outputs, Sighting
+from agent.core.codec import decode
+from agent.core.config import ConfigError
+from agent.core.step_io import Inputs, Outputs, Sighting
 from replay.check.black_box import open_box
 from replay.export.film import FPS, write_film
 from replay.export.json_lines import lines, write_lines

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel import topics
+from agent.core import topics
 from replay.files.channels import CHANNELS, NETWORK, PRESENCE, PRIOR, Channel, match, name, network_topic
 from replay.files.info import info
 from tests.places import ROOT
@@ -62,7 +62,7 @@ def test_no_other_file_spells_a_channel() -> None:
     pattern = re.compile(r"/raw/|/zenoh/|\"/plot/|(}|r\d)(" + "|".join(of_robots) + r")\b")
     guilty = [str(path.relative_to(ROOT)) for path in sources if pattern.search(path.read_text(encoding="utf-8"))]
     # The first is the other table: a key of the network also ends in "{robot}/log".
-    assert guilty == ["agent/kernel/topics.py", "replay/files/channels.py"]
+    assert guilty == ["agent/core/topics.py", "replay/files/channels.py"]
 
 
 def test_the_readme_shows_the_table() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from agent.clock.clock import SystemClock
-from agent.kernel.codec import decode, encode
-from agent.kernel.messages import LogLine
+from agent.core.codec import decode, encode
+from agent.core.messages import LogLine
 from replay.files.channels import CLOCK
 from replay.files.clock_rate import ClockRate, Moment, Pace, RateNotes, in_dive, moment, pace
 from replay.files.info import describe, info

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.backlog import Entry
 from replay.files.info import describe, info
 from replay.files.log import LogWriter

@@ -13,7 +13,7 @@ import msgpack
 import pytest
 
 import replay.files.log
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import DROPS
 from replay.files.log import LogWriter, info, read, unused

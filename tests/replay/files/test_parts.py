@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import replay.files.log
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.check.check import check
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import FRAME, STEP_IN, STEP_OUT, entry_on
@@ -183,8 +183,8 @@ def test_viewer_channels_that_fail_do_not_end_the_recording(tmp_path: Path, capl
 FIRST = """
 import sys, typing
 from pathlib import Path
-from agent.kernel.codec import decode, encode
-from agent.kernel.step_io import Inputs
+from agent.core.codec import decode, encode
+from agent.core.step_io import Inputs
 from replay.files.log import LogWriter
 
 def look(*_):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from replay.files.auto_recover import torn_files
 from replay.files.backlog import Entry
 from replay.files.channels import CUT, STEP_IN, STEP_OUT

@@ -5,11 +5,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.fleet_files import fleet_file
-from agent.kernel.codec import encode
-from agent.kernel.fleet_reader import load_fleet
-from agent.kernel.messages import Estimate, Explain
-from agent.kernel.step_io import Inputs, Outputs, SetPoint, Sighting
+from agent.core.codec import encode
+from agent.core.messages import Estimate, Explain
+from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
+from agent.process.fleet_files import fleet_file
+from agent.robot.fleet_reader import load_fleet
 from replay.check.black_box import open_box
 from replay.report.creature_track import creature_track, true_path
 from replay.report.figures_track import made_of, seen_when, track_above

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 from replay.check.black_box import open_boxes
 from replay.report.lead.ends import ends
 from replay.report.lead.lead import lead

@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError, Target
-from agent.kernel.messages import LogLine
-from agent.kernel.toml_files import dump
+from agent.core.config import ConfigError, Target
+from agent.core.messages import LogLine
+from agent.core.toml_files import dump
 from replay.check.black_box import open_boxes
 from replay.report.errors import error_table, relative_percent
 from replay.report.figures_posture import hover, thin

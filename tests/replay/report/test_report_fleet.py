@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import LogLine, Message
+from agent.core.config import ConfigError
+from agent.core.messages import LogLine, Message
 from replay.check.black_box import open_boxes
 from replay.report.fleet_timeline import open_fleet_file, overheard
 from replay.report.report import report

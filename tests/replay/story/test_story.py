@@ -8,8 +8,8 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.kernel.config import ConfigError
-from agent.kernel.messages import Message, State
+from agent.core.config import ConfigError
+from agent.core.messages import Message, State
 from replay.files.info import info
 from replay.story.facts import story_facts
 from replay.story.told import info_all

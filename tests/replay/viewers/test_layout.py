@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.fleet_reader import load_fleet
+from agent.core.config import ConfigError, Fleet
+from agent.robot.fleet_reader import load_fleet
 from replay.view import where_the_layout_is
 from replay.viewers.layout import foxglove_layout, shipped, write
 

@@ -11,20 +11,20 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from msgspec import UNSET
 
-from agent.kernel.codec import encode
-from agent.kernel.coverage.evidence import CoverageMap
-from agent.kernel.coverage.exchange import holdings
-from agent.kernel.coverage.grid import ONE
-from agent.kernel.coverage.rays import along, block_slopes, place_m, rotation
-from agent.kernel.keyframes.claim import Claim, View
-from agent.kernel.keyframes.keyframe import UNIT_M, Frame, Keyframe, measured
-from agent.kernel.messages import State, Whereabouts
-from agent.kernel.step_io import Outputs, SetPoint
+from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.exchange import holdings
+from agent.capabilities.survey.grid import ONE
+from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
+from agent.core.claim import Claim, View
+from agent.core.codec import encode
+from agent.core.keyframe import UNIT_M, Frame, Keyframe, measured
+from agent.core.messages import State, Whereabouts
+from agent.core.step_io import Outputs, SetPoint
 from replay.files.backlog import Entry
 from replay.viewers.layout import foxglove_layout
 from replay.viewers.plots import message_class
 from replay.viewers.viewer_channels import ViewerChannels
-from tests.kernel.coverage.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
+from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
 from tests.replay.small_box import state
 from tests.replay.viewers.test_viewer_channels import rotate
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.codec import encode
-from agent.kernel.ranging.focus import lens_position
-from agent.kernel.step_io import Sighting
-from agent.pictures.recorded_depth import BLOCK_PX, growth, sweep_depth
+from agent.core.codec import encode
+from agent.core.ranging.focus import lens_position
+from agent.core.step_io import Sighting
+from agent.perception.recorded_depth import BLOCK_PX, growth, sweep_depth
 from replay.files.channels import VISION, entry_on
 from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read

@@ -18,9 +18,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from agent.kernel.codec import decode
-from agent.kernel.ranging.camera_model import camera_pose
-from agent.kernel.step_io import Sighting
+from agent.core.codec import decode
+from agent.core.ranging.camera_model import camera_pose
+from agent.core.step_io import Sighting
 from replay.files.backlog import Entry
 from replay.files.channels import FRAME, VISION
 from replay.files.frames import EXACT_EVERY, Frames, pixels

@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 
+from agent.core.config import Follow, Look, Pose
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.pursuit.wanderer import ToldEstimator, Wanderer
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
 from agent.experiments.spread import rms
-from agent.kernel.config import Follow, Look, Pose
 from hw.twin.scene import generator
 
 ROBOTS, STANDOFF_M = 3, 0.7

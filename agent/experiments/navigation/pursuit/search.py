@@ -9,14 +9,14 @@ import math
 
 import numpy as np
 
+from agent.core.angle import wrap
+from agent.core.config import Look, Pose, Search
+from agent.core.messages import Vector
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
-from agent.kernel.config import Look, Pose, Search
-from agent.kernel.messages import Vector
-from agent.kernel.navigation.angle import wrap
 from hw.twin.scene import generator
 
 ROBOTS, FIND_S, SEARCH_S = 3, 12.0, 180.0

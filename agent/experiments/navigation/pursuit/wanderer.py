@@ -10,14 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from agent.core.angle import wrap
+from agent.core.estimation.interface import Posterior, Prior, Update, Word
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.letters import Letter
+from agent.core.messages import Estimate, Vector
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import START_NS
 from agent.experiments.navigation.drawn_ball import Pillar
-from agent.kernel.estimation.interface import Posterior, Prior, Update, Word
-from agent.kernel.estimation.mailbox import Mailbox
-from agent.kernel.messages import Estimate, Vector
-from agent.kernel.navigation.angle import wrap
-from agent.kernel.trust.letters import Letter
 
 TURNS_S, TURNS_RAD_S = 1.5, 1.2  # how long its turning is alike, and how fast it is (rms over a root second)
 SHY_M, AWAY_RAD_S = 0.45, 1.5  # from a wall, and how fast it turns away there

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from agent.kernel.config import Tank
+from agent.core.config import Tank
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
 SIZE_M, SURFACE_M = (10.0, 6.0, 1.6), 1.3

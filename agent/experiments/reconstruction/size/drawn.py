@@ -13,15 +13,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.ranging.focus import lens_position, phase_sigma
 from agent.experiments.choices import Sensor
 from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.reconstruction.intrinsics import camera_of
 from agent.experiments.reconstruction.render import EXACT, rotation_of_view
 from agent.experiments.reconstruction.size.basin import Stop, basin, stops, tank
 from agent.experiments.sweeps import WATER_INDEX
-from agent.kernel.ranging.focus import lens_position, phase_sigma
-from agent.pictures.depth_peaks import GridPeaks, Reason
-from agent.pictures.depth_sweep import DepthMap
+from agent.perception.depth_peaks import GridPeaks, Reason
+from agent.perception.depth_sweep import DepthMap
 from agent.reconstruction.camera import Camera
 from agent.reconstruction.composite import linear
 from agent.reconstruction.focus_maps import MOST_SPREAD, FocusMap, focus_map

@@ -12,12 +12,12 @@ from typing import Any
 import keelson
 from msgspec import UNSET
 
+from agent.core.config import Fleet
+from agent.core.messages import Image, Level, LogLine, Message, State
+from agent.core.topics import IMAGE, LOG, STATE, Topic
 from agent.ground.bridges.mavlink.vehicle import ALT_HOLD, GUIDED, SURFACING, vehicle
 from agent.ground.bridges.outward import Foreign
 from agent.ground.bridges.placed import WORLD, placed
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Image, Level, LogLine, Message, State
-from agent.kernel.topics import IMAGE, LOG, STATE, Topic
 
 MODES = {ALT_HOLD: "ALT_HOLD", GUIDED: "GUIDED", SURFACING: "SURFACE"}
 LEVELS: dict[Level, int] = {"info": 2, "warning": 3, "error": 4}  # of foxglove.Log

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.ground.bridges.mavlink.vehicle import ALT_HOLD, SURFACING
-from agent.kernel.orders.verbs import URGENT
+from agent.robot.verbs import URGENT
 
 EVERYBODY = 0  # as the target system: all
 CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED

@@ -17,16 +17,16 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.clock import machine
-from agent.fleet_clock import fleet_clock
+from agent.core.config import Fleet
+from agent.core.messages import LogLine, State
+from agent.core.topics import LOG, STATE
 from agent.ground.bridges.hearing import own_word
 from agent.ground.bridges.mavlink.gateway import MOST_UNDER_WAY, Done, Gateway, Give
 from agent.ground.bridges.mavlink.telling import Origin
 from agent.ground.console import OrderConsole, Outcome
-from agent.kernel.config import Fleet
-from agent.kernel.messages import LogLine, State
-from agent.kernel.topics import LOG, STATE
-from agent.keys.fleet_certificates import credentials
-from agent.transport import LOOKER, Observer
+from agent.process.fleet_certificates import credentials
+from agent.process.fleet_clock import fleet_clock
+from agent.process.transport import LOOKER, Observer
 
 HOST = "127.0.0.1"
 PERIOD_S = 0.02  # between two looks at what robots have said

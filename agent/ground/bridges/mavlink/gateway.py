@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import LogLine, State
 from agent.ground.bridges.mavlink import telling
 from agent.ground.bridges.mavlink.asking import COMMANDS, EVERYBODY, ORDERS, Act, No, asked
 from agent.ground.bridges.mavlink.parameters import answers, parameters
@@ -19,9 +21,7 @@ from agent.ground.bridges.mavlink.telling import Origin
 from agent.ground.bridges.mavlink.vehicle import vehicle
 from agent.ground.bridges.newest import Newest
 from agent.ground.console import Outcome
-from agent.kernel.config import ConfigError, Fleet
-from agent.kernel.messages import LogLine, State
-from agent.kernel.orders.verbs import URGENT
+from agent.robot.verbs import URGENT
 
 MOST_SYSTEMS = 250  # ground stations are 255, and other programs about them 254 and so on
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1

@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from agent.kernel.config import Fleet
+from agent.core.config import Fleet
 
 Parameters = dict[str, float]
 

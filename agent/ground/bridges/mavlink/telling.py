@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from agent.core.messages import Level
 from agent.ground.bridges.mavlink.vehicle import Vehicle
-from agent.kernel.messages import Level
 
 EARTH_M = 6_378_137.0  # equatorial radius of WGS84
 NONE16 = 2**16 - 1  # not known

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from msgspec import UNSET
 
-from agent.kernel.config import Robot
-from agent.kernel.messages import State
-from agent.kernel.status import FAILSAFE
+from agent.core.config import Robot
+from agent.core.messages import State
+from agent.core.status import FAILSAFE
 from hw.firmware.failsafe import SURFACE
 
 # Custom modes of ArduSub. Source: ArduPilot, ArduSub/mode.h.

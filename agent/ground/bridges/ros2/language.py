@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, Image, Message, State
+from agent.core.topics import IMAGE, LINK, STATE, Topic
 from agent.ground.bridges.outward import Foreign
 from agent.ground.bridges.ros2.names import Node, nodes
 from agent.ground.bridges.ros2.telling import CAMERA, POSE, Telling
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, Image, Message, State
-from agent.kernel.topics import IMAGE, LINK, STATE, Topic
 
 
 class Ros2:

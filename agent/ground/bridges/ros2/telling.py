@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
+from agent.core.config import Fleet
+from agent.core.messages import Estimate, Image, Message, State
+from agent.core.topics import target_chunk
 from agent.ground.bridges.placed import WORLD, placed
 from agent.ground.bridges.ros2.names import Kind
-from agent.kernel.config import Fleet
-from agent.kernel.messages import Estimate, Image, Message, State
-from agent.kernel.topics import target_chunk
 
 ANY_ANGLE = math.pi**2 / 3.0  # variance of an angle of which nothing is known: a ball has none
 POSE, TARGET, CAMERA = "pose", "target", "camera/compressed"

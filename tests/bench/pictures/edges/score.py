@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.pictures.depth_peaks import GridPeaks
-from agent.pictures.depth_sweep import DepthMap
+from agent.perception.depth_peaks import GridPeaks
+from agent.perception.depth_sweep import DepthMap
 
 MINOR = 0.15
 FAR = 0.02  # of the sweep

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
-from agent.kernel.fleet_reader import load_fleet
+from agent.core.config import ConfigError
+from agent.robot.fleet_reader import load_fleet
 from hw.twin import faults
 from hw.twin.creatures.lookout import Lookout
 from hw.twin.devices.camera_device import DiveCamera, FrameClock

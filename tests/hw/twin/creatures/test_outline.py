@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.fleet_reader import load_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.creatures.shape import swimming
 from hw.twin.creatures.swimmer import Attitude
 from hw.twin.optics.lens import draw_lens

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.twin.creatures.school import ROBOT_M, TICK_S, School
 from hw.twin.creatures.shape import swimming
 from hw.twin.creatures.steering import SHY_M, Thing, Water, lee

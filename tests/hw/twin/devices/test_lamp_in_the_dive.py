@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.kernel.fleet_reader import load_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import Roi
 from hw.twin.devices.boot import Act
 from hw.twin.devices.camera_device import DiveCamera, FrameClock, burning

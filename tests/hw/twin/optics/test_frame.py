@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.kernel.config import Tank
+from agent.core.config import Tank
 from hw.twin.optics.defocus import apparent_m
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

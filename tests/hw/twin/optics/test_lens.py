@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.kernel.config import ConfigError
+from agent.core.config import ConfigError
 from hw.twin.optics.lens import PRESETS, Vcm, draw_lens
 from hw.twin.scene import generator
 

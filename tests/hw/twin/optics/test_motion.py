@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.kernel.config import Tag
+from agent.core.config import Tag
 from hw.twin.landmarks import surveyed_tag
 from hw.twin.optics.motion import MOST, PART_PX, parts_of
 from hw.twin.optics.painter import Painter

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.kernel.config import Landmarks, Tag, Tank
-from agent.kernel.fleet_reader import load_fleet
+from agent.core.config import Landmarks, Tag, Tank
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.landmarks import surveyed_tag, true_tags
 from hw.twin.optics.defocus import apparent_m
 from hw.twin.optics.lens import draw_lens

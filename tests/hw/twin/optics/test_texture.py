@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from agent.fleet_files import shipped_fleet
-from agent.kernel.fleet_reader import load_fleet
 from agent.perception.clarity.clarity import tenengrad_blocks
+from agent.process.fleet_files import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics import texture
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

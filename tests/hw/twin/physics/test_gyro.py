@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.kernel.config import Navigation
+from agent.core.config import Navigation
 from hw.firmware.wire import NO_RATE
 from hw.twin.dive import Dive
 from hw.twin.physics.gyro import FULL_SCALE_CDEG_S, NOISE_DEG_S, WALK_DEG_S, ZERO_DEG_S, Gyros

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.kernel.config import Body, Tank
+from agent.core.config import Body, Tank
 from hw.twin.physics.body import BODY, draw_body
 from hw.twin.physics.rotation import quaternion
 from hw.twin.physics.sensors import ATMOSPHERE_PA, NOISE_M, PA_PER_M, STEP_PA, PressureSensors, water_pressure_pa

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.kernel.config import Body, Tank
+from agent.core.config import Body, Tank
 from hw.twin.physics.body import BODY, HULL_M, MOORING, draw_body, draw_servos
 from hw.twin.physics.forces import GRAVITY_M_S2, TETHER_WEIGHT_N, add_water
 from hw.twin.physics.rotation import euler_rad, matrix, quaternion, to_body, to_world

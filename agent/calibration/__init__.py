@@ -1,1 +1,0 @@
-"""Procedures that measure what a real camera, lens and gimbal do."""

@@ -1,0 +1,141 @@
+"""What one lamp, aimed at the target, adds to the picture: light on the target and veil in front of it.
+
+Radiance per colour (blue, green, red) as it arrives at the camera, W/m2/sr, lamp at full power. Linear in the power,
+so that any set of lamps is a sum of such pairs. Direct light after Jaffe, IEEE J. Oceanic Eng. 15 (1990), 101-111.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from agent.capabilities.light.orders import all_orders
+from agent.capabilities.light.phase import phase
+from agent.core.messages import Vector
+from agent.core.settings import Beam, Lighting, WaterOptics
+
+Colours = tuple[float, float, float]
+
+STEPS = 160  # along the axis, even in the angle at which the lamp sees them
+FORWARD = 0.4  # share of scattering that is lost to a lamp's light on a surface: most of it still arrives there
+ALBEDO = 0.3  # of the target; the same in all sets of lamps, so that it matters to exposure and read noise alone
+RINGS = (0.0, 0.5, 0.87)  # of the inner disc's radius, where its light is sampled
+SPOKES = 12
+INNER = 0.5  # of the target's radius: the part of its disc that clarity is taken over
+LEAST_M = 1e-3  # off the axis: a lamp exactly on it is taken as beside it
+
+
+class Pair(NamedTuple):
+    """One lamp's share of a picture."""
+
+    direct: tuple[Colours, ...]  # at each of the points of the inner disc
+    veil: Colours  # on the axis
+
+
+def beam_share(angle_rad: float, half_rad: float) -> float:
+    """Intensity at an angle off the lamp's axis, of that on it: flat to 0.8 of the half angle, nothing beyond 1.2."""
+    t = min(max((1.2 - angle_rad / half_rad) / 0.4, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def pair(camera_m: Vector, target_m: Vector, radius_m: float, lamp_m: Vector, lighting: Lighting) -> Pair:
+    """The lamp at lamp_m, looked at by a camera that aims at the target as the lamp does; all in the world frame."""
+    direct = direct_light(camera_m, target_m, radius_m, lamp_m, lighting)
+    depth_m = math.dist(camera_m, target_m)
+    along = tuple((t - c) / depth_m for t, c in zip(target_m, camera_m, strict=True))
+    offset = tuple(p - c for p, c in zip(lamp_m, camera_m, strict=True))
+    ahead_m = sum(a * o for a, o in zip(along, offset, strict=True))
+    aside_m = math.sqrt(max(sum(o * o for o in offset) - ahead_m * ahead_m, 0.0))
+    single = single_veil(depth_m, radius_m, ahead_m, aside_m, lighting.water, lighting.beam)
+    times = all_orders(depth_m, ahead_m, aside_m, lighting.water)
+    blue, green, red = (s * f for s, f in zip(single, times, strict=True))
+    return Pair(direct, (blue, green, red))
+
+
+def single_veil(
+    depth_m: float,
+    radius_m: float,
+    ahead_m: float,
+    aside_m: float,
+    water: WaterOptics,
+    beam: Beam,
+    lost: float = FORWARD,
+    steps: int = STEPS,
+) -> Colours:
+    """Veil of one order of scattering on the camera's axis, from the camera to the target's surface.
+
+    depth_m: camera to the target's centre. The lamp is so far ahead of the camera and beside its axis.
+    The integral of  b p I exp(-k r - c s) / r^2  with k = a + 0.4 b, by midpoints of equal angles seen from the lamp,
+    where 1/r^2 is even. lost: share of scattering that the lamp's light does not survive; 1 for a single order alone.
+    """
+    aside_m = max(aside_m, LEAST_M)
+    end_m = max(depth_m - radius_m, 0.0)
+    low, high = math.atan2(-ahead_m, aside_m), math.atan2(end_m - ahead_m, aside_m)
+    step = (high - low) / steps
+    half_rad = math.radians(beam.half_deg)
+    lamp_range_m = math.hypot(depth_m - ahead_m, aside_m)
+    aim_z, aim_x = (depth_m - ahead_m) / lamp_range_m, -aside_m / lamp_range_m
+    a, b = water.absorption_per_m, water.scattering_per_m
+    blue = green = red = 0.0
+    for i in range(steps):
+        turn = low + (i + 0.5) * step
+        cos, sin = math.cos(turn), math.sin(turn)
+        off = math.acos(min(max(aim_z * sin - aim_x * cos, -1.0), 1.0))
+        shining = beam_share(off, half_rad)
+        if shining == 0.0:
+            continue
+        r = aside_m / cos
+        s = ahead_m + r * sin
+        # ds / r^2 is step / aside_m; light that goes along (sin, cos) is scattered towards the camera
+        weight = phase(0.5 * math.pi + turn) * shining
+        blue += weight * math.exp(-(a[0] + lost * b[0]) * r - (a[0] + b[0]) * s)
+        green += weight * math.exp(-(a[1] + lost * b[1]) * r - (a[1] + b[1]) * s)
+        red += weight * math.exp(-(a[2] + lost * b[2]) * r - (a[2] + b[2]) * s)
+    scale = beam.intensity_w_sr * step / aside_m
+    return blue * b[0] * scale, green * b[1] * scale, red * b[2] * scale
+
+
+def direct_light(
+    camera_m: Vector, target_m: Vector, radius_m: float, lamp_m: Vector, lighting: Lighting
+) -> tuple[Colours, ...]:
+    """Light of a ball at the points of its inner disc, 0 where it lies in its own shade."""
+    water, beam = lighting.water, lighting.beam
+    k = [a + FORWARD * b for a, b in zip(water.absorption_per_m, water.scattering_per_m, strict=True)]
+    c = [a + b for a, b in zip(water.absorption_per_m, water.scattering_per_m, strict=True)]
+    half_rad = math.radians(beam.half_deg)
+    to_target = [t - p for t, p in zip(target_m, lamp_m, strict=True)]
+    lamp_range_m = math.sqrt(sum(x * x for x in to_target))
+    found: list[Colours] = []
+    for normal in disc_normals(camera_m, target_m):
+        point = [t + radius_m * n for t, n in zip(target_m, normal, strict=True)]
+        way = [p - q for p, q in zip(point, lamp_m, strict=True)]
+        r = math.sqrt(sum(x * x for x in way))
+        facing = -sum(w * n for w, n in zip(way, normal, strict=True)) / r
+        if facing <= 0.0:
+            found.append((0.0, 0.0, 0.0))
+            continue
+        aligned = sum(w * t for w, t in zip(way, to_target, strict=True)) / (r * lamp_range_m)
+        off = math.acos(min(max(aligned, -1.0), 1.0))
+        z = math.dist(point, camera_m)
+        lit = ALBEDO / math.pi * beam.intensity_w_sr * beam_share(off, half_rad) * facing / (r * r)
+        blue, green, red = (lit * math.exp(-kl * r - cc * z) for kl, cc in zip(k, c, strict=True))
+        found.append((blue, green, red))
+    return tuple(found)
+
+
+def disc_normals(camera_m: Vector, target_m: Vector) -> list[Vector]:
+    """Outward normals of a ball at the points of its inner disc as the camera sees it, 25 of them, world frame."""
+    depth_m = math.dist(camera_m, target_m)
+    nx, ny, nz = ((c - t) / depth_m for c, t in zip(camera_m, target_m, strict=True))
+    level = math.hypot(nx, ny)
+    ux, uy, uz = (-ny / level, nx / level, 0.0) if level > 1e-6 else (1.0, 0.0, 0.0)
+    vx, vy, vz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+    normals: list[Vector] = []
+    for ring in RINGS:
+        rho = INNER * ring
+        rise = math.sqrt(1.0 - rho * rho)
+        for spoke in range(SPOKES if ring else 1):
+            turn = 2.0 * math.pi * spoke / SPOKES
+            u, v = rho * math.cos(turn), rho * math.sin(turn)
+            normals.append((rise * nx + u * ux + v * vx, rise * ny + u * uy + v * vy, rise * nz + u * uz + v * vz))
+    return normals

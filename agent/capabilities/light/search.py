@@ -1,0 +1,161 @@
+"""Where a robot asks for light while nobody knows where the target is.
+
+A lamp beside the camera shows what is near. Farther out its veil outshines every target, and a neighbour's lamp from
+aside shows what it does not. So a robot that has looked by its own lamp and found nothing has places lit, one by one:
+ahead of it and to either side, then the same farther out. A place counts where the lamps that the rule names there
+would show a target to this camera, and the own lamp would not. Whoever knows no more looks there as well, while it is
+lit.
+
+A robot that swims in search of a target has a gaze that goes all around (control/roam.py), and wants light where that
+is. When that has gone round often by its own lamp, a look that shows nothing is lit once, farther out, before the next.
+That is for half of the time at most, for all hold still meanwhile, and what nobody sees from afar is found by who comes
+near. What swims is looked for by a gaze that never rests (control/scan.py): after a while in vain it stays for a lit
+look, too, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import math
+
+from agent.capabilities.light.aim import axis_of
+from agent.capabilities.light.allocate import Choice
+from agent.capabilities.light.followers import FAINT, PLAIN
+from agent.capabilities.light.lease import Party
+from agent.core.attitude import Attitude
+from agent.core.config import Fleet, Target
+from agent.core.control.pointing import SEARCH_DEG
+from agent.core.control.seek import Seek
+from agent.core.messages import Vector
+from agent.core.ranging.camera_model import Eye, camera_pose
+from agent.core.savepoint import Revertible
+
+# From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from
+# 0.7 m before it to 0.7 m behind; nearer than that the own lamp shows what there is.
+RANGES_M = (1.4, 2.0)
+LEAST_M = 0.4
+# Of a target's light in all light: by more of it the ball is found in the twin's pictures, sharp or not, by less its
+# own lamp does not show it (harbour water, worlds 2 and 10, 0.7 to 1.5 m).
+SHOWS = 0.2
+SHOWS_SIDE = 0.5 * (FAINT + PLAIN)  # likewise, of a creature
+OWN_LOOK_NS = 1_200_000_000  # by the own lamp, before light is asked for: four frames
+# Of a gaze, by the own lamp, before light is asked for: in a minute and a half who swims has come near what there is.
+# With light from the first round on the ball was measured within two minutes in 6 of 11 worlds, by own lamps in 9.
+OWN_ROUNDS = 6
+OWN_SCAN_NS = 20_000_000_000  # likewise, of a gaze without rests, which has gone round all rows by then
+SWIMS_NS = 3_000_000_000  # between lit looks of robots that swim, which all hold still for: as long as one takes
+SHOWN_NS = 900_000_000  # of light and gimbal at rest, without a target: three frames
+
+
+class LightSearch(Revertible):
+    """Of one robot that looks for a target from where it is, between steps."""
+
+    def __init__(self, fleet: Fleet, name: str) -> None:
+        robot = fleet.robot[name]
+        self._fleet, self._name, self._robot = fleet, name, robot
+        self._step = 0
+        self._glimpsed_m: Vector | None = None
+        self._looks_ns: int | None = None  # since when, by the own lamp
+        self.at_m: Vector | None = None  # that the own lease is about
+
+    def look(self, seek: Seek, now_ns: int) -> bool:
+        """Whether the own lamp has shown by now what it can. Others' light in between counts as well."""
+        if self._looks_ns is None and seek.lit_from_ns is not None and seek.pointing.goal_us is not None:
+            self._looks_ns = max(seek.lit_from_ns, seek.pointing.steady_from_ns)
+        return not self._robot.lamp or (self._looks_ns is not None and now_ns - self._looks_ns > OWN_LOOK_NS)
+
+    def place(self, seek: Seek, level: Attitude) -> Vector | None:
+        """The one whose turn it is, no farther than the tank's walls; None: that is too near, or out of the gimbal's
+        reach."""
+        if self._glimpsed_m is not None:
+            return self._glimpsed_m
+        (pan, tilt), far_m = self._way_deg(), RANGES_M[self._step // len(SEARCH_DEG) % len(RANGES_M)]
+        body, tank = self._fleet.body, self._fleet.tank
+        limits = body.pan_limit_deg, body.tilt_limit_deg
+        if not all(low <= deg <= high for deg, (low, high) in zip((pan, tilt), limits, strict=True)):
+            return None
+        return self._along(camera_pose(seek.pose, body, *level, pan, tilt, tank.surface_m), far_m)
+
+    def _along(self, eye: Eye, far_m: float) -> Vector | None:
+        """So far ahead of a camera, but for walls; None: these are too near."""
+        tank = self._fleet.tank
+        way, walls_m = axis_of(eye), (*tank.size_m[:2], tank.surface_m)
+        for at, part, most_m in zip(eye.position_m, way, walls_m, strict=True):
+            if part:
+                far_m = min(far_m, ((most_m if part > 0.0 else 0.0) - at) / part)
+        if far_m < LEAST_M:
+            return None
+        x, y, z = (at + far_m * part for at, part in zip(eye.position_m, way, strict=True))
+        return x, y, z
+
+    def worth(self, choice: Choice | None, target: Target) -> bool:
+        """Whether those lamps show what the own lamp does not."""
+        least = SHOWS if target.radius_m else SHOWS_SIDE
+        if choice is None or choice.contrast < least or choice.lamps == (self._name,):
+            return False
+        return not self._robot.lamp or choice.own_contrast < least
+
+    def shown(self, seek: Seek, granted_ns: int, now_ns: int) -> bool:
+        """Whether a target at the place would have been seen by now, by the light that was granted then."""
+        if seek.lit_from_ns is None or seek.lit_from_ns < granted_ns:
+            return False
+        return now_ns - max(seek.lit_from_ns, seek.pointing.steady_from_ns) > SHOWN_NS
+
+    def follows(self, party: Party, seek: Seek, target: str, level: Attitude | None, now_ns: int) -> Vector | None:
+        """The place that is lit, by whosever lease, for the camera to look at. What it sees there by another's is its
+        own next place."""
+        if party.bound is None:
+            return self.at_m if party.mine is not None and party.mine.granted else None
+        lit_m = party.bound.lease.at_m
+        if lit_m is not None and level is not None and not seek.pointing.tracks:  # all know of what swims at once
+            far_m = math.dist(lit_m, seek.eye(level).position_m)
+            self._glimpsed_m = seek.glimpsed_m(target, level, far_m, now_ns) or self._glimpsed_m
+        return lit_m
+
+    def advance(self) -> None:
+        """On to the next place, for ever."""
+        if self._glimpsed_m is None:
+            self._step += 1
+        self._glimpsed_m = self.at_m = None
+
+    def _way_deg(self) -> tuple[float, float]:
+        """Pan and tilt of the place whose turn it is."""
+        pan, tilt = SEARCH_DEG[self._step % len(SEARCH_DEG)]
+        return self._robot.look.pan_deg + pan, self._robot.look.tilt_deg + tilt
+
+
+class SwimSearch(LightSearch):
+    """Of one that may swim about meanwhile: its search then has a gaze of its own."""
+
+    def __init__(self, fleet: Fleet, name: str) -> None:
+        super().__init__(fleet, name)
+        self._lit_look = -1  # the newest for which light was asked, or would be of no use
+        self._leased_ns = 0  # when anybody had the light last
+        self._away = False  # its camera was turned to what is lit for another
+
+    def look(self, seek: Seek, now_ns: int) -> bool:
+        if self._glimpsed_m is not None:  # by another's light, just now
+            return True
+        if now_ns - self._leased_ns <= SWIMS_NS:
+            return False
+        if (roam := seek.roam) is None:
+            return super().look(seek, now_ns)
+        if seek.pointing.tracks:
+            return now_ns - roam.since_ns > OWN_SCAN_NS
+        return roam.rounds >= OWN_ROUNDS and roam.empty and roam.looks != self._lit_look
+
+    def place(self, seek: Seek, level: Attitude) -> Vector | None:
+        if (roam := seek.roam) is None:
+            return super().place(seek, level)
+        self._lit_look, roam.lit = roam.looks, True
+        return self._glimpsed_m or self._along(seek.eye(level), RANGES_M[0])
+
+    def follows(self, party: Party, seek: Seek, target: str, level: Attitude | None, now_ns: int) -> Vector | None:
+        lit_m = super().follows(party, seek, target, level, now_ns)
+        if party.phase != "free":
+            self._leased_ns = now_ns
+        if (roam := seek.roam) is not None:
+            roam.lit = lit_m is not None or (self.at_m is not None and party.mine is not None)
+            if self._away and party.bound is None and not roam.found:
+                roam.repeat()
+            self._away = party.bound is not None and lit_m is not None
+        return lit_m

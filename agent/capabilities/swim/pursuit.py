@@ -1,0 +1,180 @@
+"""A target that swims, of which the robot's behaviour is: frames give bearings instead of sweeps, and the camera goes
+with it.
+
+A sweep takes a second, in which a fish is elsewhere. So the newest frame of each short iteration is a sample, from
+where the robot was and its camera looked at that moment; between landmarks and target the camera is the target's,
+unless the robot knows too little of its own place (Swimmer.glance).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from msgspec import UNSET, UnsetType
+
+from agent.capabilities.swim.gaze import SHOWN_DEG, Gaze, across, own_part
+from agent.capabilities.swim.scan import Scan
+from agent.capabilities.swim.swimmer import Swimmer, pose_of
+from agent.capabilities.swim.tag_priors import TURNING_DEG
+from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.config import Fleet
+from agent.core.control.seek import Seek
+from agent.core.control.servo_path import SERVO_LAG_S
+from agent.core.estimation.choice import dynamics, pursued
+from agent.core.estimation.dynamics import Dynamics, growth
+from agent.core.estimation.interface import Bearing, Posterior
+from agent.core.messages import Symmetric, Vector
+from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import camera_pose, look_at
+from agent.core.ranging.cues import Outline
+from agent.core.ranging.focus import lens_position
+from agent.core.ranging.sight_line import NEAREST_M, sight_line
+from agent.core.savepoint import Revertible
+from agent.core.step_io import Sighting
+from agent.core.target_state import TargetState, grown
+
+STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
+ALL_LOST_NS = 600_000_000  # three iterations in which nobody saw it
+HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not be made out
+# Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
+# alike in more of them does not count more often.
+REMEMBERS = 2.0
+# Of the gaze: the servos' lag, half of a step, and what a frame is known late of the gaze's own doing.
+AHEAD_S = SERVO_LAG_S + 0.05
+
+
+class Pursuit(Revertible):
+    """Of one robot, between steps; of one whose behaviour is about no target that swims it does nothing."""
+
+    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, swimmer: Swimmer | None) -> None:
+        robots = sorted(fleet.robot)
+        self._fleet, self._calibration, self._swimmer = fleet, calibration, swimmer
+        self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
+        share = robots.index(name) / len(robots)
+        self._gaze, self._scan = Gaze(share), Scan(share)
+        self._newest: Sighting | None = None  # that showed the target since the last iteration
+        self._lens: int | None = None  # where it is sharp; None: where landmarks are
+        self._told: int | None = None  # the lens
+
+    @property
+    def target(self) -> str | None:
+        """The one that frames give bearings of."""
+        about = None if self._swimmer is None else self._swimmer.about
+        return about if about in self._swims else None
+
+    def see(self, sightings: Sequence[Sighting]) -> None:
+        for sighting in sightings:
+            if sighting.found and sighting.target == self.target:
+                self._gaze.saw(sighting.t_ns)
+                self._newest = sighting
+
+    def sees(self, of: TargetState) -> bool:
+        """Whether a frame has shown that target since the last bearing."""
+        return self._newest is not None and self._newest.target == of.name
+
+    def bearing(self, of: TargetState, attitude: AttitudeLog, now_ns: int) -> Bearing | None:
+        """What the newest frame says of that target, once; None: none showed it, or nobody knows where from."""
+        seen, self._newest = self._newest, None
+        if seen is None or self._swimmer is None or of.name != seen.target or seen.centre_px is None:
+            return None
+        level, gimbal = attitude.at(seen.t_ns), self._swimmer.gimbal.at(seen.t_ns)
+        if level is None or gimbal is None:
+            return None
+        known = self._swimmer.localizer.of_sample(seen.t_ns, now_ns)
+        if known is None:
+            return None
+        surface_m = self._fleet.tank.surface_m
+        eye = camera_pose(pose_of(known[0]), self._fleet.body, *level, *gimbal.deg, surface_m)
+        outline = Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
+        believed, swims = of.estimator.posterior, self._swims[of.name]
+        play_deg = 0.0 if gimbal.rests else TURNING_DEG
+        # Of a pan that goes with the target it is in the yaw already, which the same camera has from landmarks.
+        sigma_deg = math.hypot(0.0 if gimbal.tracks else play_deg, gimbal.lag_sigma_deg)
+        return sight_line(
+            self._calibration.camera,
+            eye,
+            outline,
+            of.ball,
+            known[1]._replace(kappa=min(known[1].kappa, REMEMBERS)),
+            math.radians(math.hypot(self._calibration.camera.noise_deg, sigma_deg)),
+            None if believed is None else carried_on(believed, swims, seen.t_ns),
+            seen.t_ns,
+            0.5 * max(self._fleet.tank.size_m),
+            sized=self._fleet.ranging.cues != "focus",
+            velocity_m_s=None if believed is None else believed.v_m_s,
+            tilt_sigma_rad=math.radians(play_deg) if gimbal.tracks else 0.0,
+        )
+
+    def goes_with(self, of: TargetState, seek: Seek) -> bool:
+        """Whether the camera goes without rest, with that target or in search of it. Who does not know how it swims
+        itself finds that out first."""
+        knows = of.estimator.posterior is not None or seek.roam is not None
+        swims = self._swimmer is not None and self._swimmer.under_way
+        return of.name == self.target and not seek.measuring and knows and swims
+
+    def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
+        """Point the camera at that target, or to and fro where it ought to be, or all around where nobody knows;
+        returns whether that is its turn."""
+        here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
+        if of.name != self.target or seek.measuring:
+            return False
+        if here is None or level is None or not self.goes_with(of, seek):
+            self._lens = None
+            return False
+        if believed is None or seek.roam is not None:
+            camera, body, surface_m = self._calibration.camera, self._fleet.body, self._fleet.tank.surface_m
+            rests = self._gaze.sees(now_ns) or seek.lit_m is not None
+            way_deg = self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns)
+            if seek.lit_m is not None:  # for whoever looks there
+                way_deg = look_at(seek.lit_m, pose_of(here), body, *level, surface_m)
+            seek.track(of.name, *way_deg, now_ns)
+            self._lens = None
+            return True
+        x, y, psi = (at + AHEAD_S * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
+        pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
+        at_m = carried_on(believed, self._swims[of.name], now_ns + round(AHEAD_S * 1e9))
+        lost = (known := of.estimate(now_ns)) is None or now_ns - known.seen_ns > ALL_LOST_NS
+        at_m = self._searched(at_m, grown(believed, self._swims[of.name], now_ns), (x, y, at_m[2]), lost, now_ns)
+        pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)
+        eye_m = camera_pose(pose, self._fleet.body, *level, pan, tilt, self._fleet.tank.surface_m).position_m
+        self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))
+        seek.track(of.name, pan, tilt, now_ns)
+        return True
+
+    def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:
+        """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have
+        lost it each takes its part of them. Who knows well where others see it, and does not, has something in
+        between."""
+        unseen_s = self._gaze.unseen_s(now_ns)
+        if not unseen_s or self._swimmer is None:
+            self._gaze.swing(0.0, now_ns)
+            return at_m
+        step_m, sigma_deg = across(at_m, cov_m2, here_m)
+        low, high = own_part(at_m, step_m, here_m, self._swimmer.fellows_m if lost_by_all else ())
+        low, high = low + SHOWN_DEG / sigma_deg, high - SHOWN_DEG / sigma_deg
+        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.0)
+        if not lost_by_all and not half and unseen_s > HIDDEN_S and math.dist(at_m, here_m) < HIDDEN_M:
+            self._swimmer.hidden(at_m, now_ns)
+        swing = self._gaze.swing(half * sigma_deg, now_ns)
+        x, y, z = (at + (middle + half * swing) * way for at, way in zip(at_m, step_m, strict=True))
+        return x, y, z
+
+    def lens(self) -> int | UnsetType | None:
+        """Where the lens shall be between sweeps, when that has changed by enough."""
+        before, wanted = self._told, self._lens if self.target is not None else None
+        near = STEP * self._calibration.focus.width
+        if wanted == before or (wanted is not None and before is not None and abs(wanted - before) < near):
+            return UNSET
+        self._told = wanted
+        return wanted
+
+
+def carried_on(believed: Posterior, moves: Dynamics, t_ns: int) -> Vector:
+    """Where it is at t_ns by what is believed of another moment, a little earlier or later."""
+    if not believed.t_ns:
+        return believed.x_m
+    h_s = (t_ns - believed.t_ns) * 1e-9
+    reach_s = math.copysign(growth(moves, abs(h_s)).reach_s, h_s)
+    x, y, z = (at + reach_s * v for at, v in zip(believed.x_m, believed.v_m_s, strict=True))
+    return x, y, z

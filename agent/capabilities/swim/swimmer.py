@@ -1,0 +1,299 @@
+"""A robot that swims: where it is, when it looks for landmarks instead of the target, and where it thrusts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from msgspec.structs import replace
+
+from agent.capabilities.swim.barrier import STILL as AT_REST
+from agent.capabilities.swim.barrier import TARGET_M, Disc, Planar
+from agent.capabilities.swim.body_model import Wrench
+from agent.capabilities.swim.company import Company, direly_unsure, pace
+from agent.capabilities.swim.errand import Errand, about, kind
+from agent.capabilities.swim.gimbal_log import GimbalLog
+from agent.capabilities.swim.glance import Glance, Sure, half_picture_deg
+from agent.capabilities.swim.gyro import Gyro
+from agent.capabilities.swim.layout import markers
+from agent.capabilities.swim.localizer import (
+    AWAY_S,
+    LOST_DEG,
+    LOST_M,
+    STILL,
+    SURE_DEG,
+    SURE_M,
+    SWIFTLY_S,
+    UNSURE_DEG,
+    UNSURE_M,
+    Carriage,
+    Localizer,
+    adrift,
+    foresees,
+    sigmas,
+    within,
+)
+from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
+from agent.capabilities.swim.pose_filter import Belief
+from agent.capabilities.swim.task import Task
+from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.config import Fleet, Pose
+from agent.core.control.seek import Seek
+from agent.core.estimation.choice import pursued
+from agent.core.estimation.interface import Posterior
+from agent.core.messages import Vector
+from agent.core.net import SURFACE_M
+from agent.core.presence import Presence
+from agent.core.ranging.calibration import Calibration
+from agent.core.savepoint import Revertible
+from agent.core.step_io import Flow, SeenTags, Telemetry
+from agent.core.target_state import TargetEstimate
+
+SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
+CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
+BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilot's damping takes
+# Of a camera that rests where it is to stay: then there is a key frame, and flow. Who begins to swim as it turns back
+# from landmarks has no odometry, and is lost again. (What goes with a target never rests, and waits for nothing.)
+KEY_NS = 250_000_000
+# Shares of what is else too unsure: one that pursues looks later, for less, and what it sees meanwhile counts for less.
+PURSUES, BRIEF = 2.2, 0.75
+NOTHING = Sure(math.inf, 180.0)
+ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may show landmarks where it looks now
+
+
+class Swimmer(Revertible):
+    """Between steps, of one robot of a fleet with `[navigation]`."""
+
+    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
+        assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
+        robot, self.company = fleet.robot[name], Company(fleet, name, incarnation)
+        self._limits, self.task = fleet.navigation.limits, Task(robot)
+        self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
+        self._swims = pursued(fleet)
+        self._depth_m = robot.depth_m
+        self._errand = Errand(fleet, calibration)
+        self.localizer = Localizer(fleet, calibration)
+        self._gyro = Gyro() if fleet.navigation.gyro else None
+        half_deg = half_picture_deg(calibration.camera)
+        self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m, half_deg)
+        self._glancing = False
+        self._swept_ns = 0  # when a sweep was last seen under way
+        self.gimbal = GimbalLog(calibration.camera, fleet.body)
+        self._lost_since_ns: int | None = None
+        self.here: Belief | None = None  # what it steers by
+        self._found = False  # it has known well enough how it moves, and was not lost since
+        self._off = False  # and its camera has come to rest since
+        self._holds = False  # it has seen landmarks, and was not lost since
+        self._still: Reference | None = None  # where it stays, whatever it is told to do
+
+    def feel(self, told: Sequence[Telemetry]) -> None:
+        """The gyro's reading, where there is one: of the telemetry since the last step the newest that can be used."""
+        if self._gyro is None:
+            return
+        readings = [reading for telemetry in told if (reading := self._gyro.read(telemetry)) is not None]
+        if readings:
+            self.localizer.turning(readings[-1])
+
+    def faults(self, now_ns: int) -> tuple[str, ...]:
+        """What is wrong with its sensors and its neighbours, for people."""
+        fault = None if self._gyro is None else self._gyro.fault(now_ns)
+        return (*(() if fault is None else (fault,)), *self.company.neighbours.faults(now_ns))
+
+    def dive(self, depth_m: float) -> None:
+        """Hover there from now on."""
+        self._depth_m = depth_m
+
+    def limit_speed(self, most_m_s: float) -> None:
+        self._limits = replace(self._limits, speed_m_s=most_m_s)
+
+    def survey(self, station: tuple[Planar, float] | None) -> None:
+        """Where a survey looks from next, and how the body is turned there, rad; None: where it is."""
+        self._errand.station = station
+
+    @property
+    def about(self) -> str | None:
+        """The name of the target that its behaviour is about."""
+        return about(self.task.behaviour)
+
+    @property
+    def does(self) -> str:
+        """Its behaviour in effect, as the fleet file calls it."""
+        return kind(self._errand.does or self.task.behaviour)
+
+    def keep_still(self, still: bool) -> None:
+        """Stay where it is, or go on with what it is told to do."""
+        here = self.here if still else None
+        self._still = here and (self._still or Reference(here.pose[:2], here.pose[2]))
+
+    def heed(self, target: TargetEstimate | None, seek: Seek, now_ns: int) -> None:
+        """What the fleet knows of that target; `seek` is told whether to look everywhere for it."""
+        neighbours = self.company.neighbours
+        self._errand.heed(self.task.behaviour, self.task.progress, target, neighbours, seek, self._depth_m, now_ns)
+
+    def see(
+        self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
+    ) -> None:
+        """Landmarks and flow of frames; those that were exposed while the gimbal turned say nothing."""
+        self.gimbal.add(seek.pointing)
+        if seek.measuring:
+            self._swept_ns = now_ns
+        lens = {frame.t_ns: frame.focus for frame in tags}
+        for frame in tags:
+            if self._glancing and frame.t_ns >= seek.pointing.nearly_from_ns:
+                self._glance.add_frame(bool(frame.tags))
+            carriage = self._carriage_at(frame.t_ns, attitude)
+            if carriage is not None:
+                self.localizer.see(frame, carriage)
+        for flow in flows:
+            then, now = self._carriage_at(flow.since_ns, attitude), self._carriage_at(flow.t_ns, attitude)
+            if then is not None and now is not None:
+                others_m = self.company.neighbours.places()
+                self.localizer.follow(flow, then, now, lens.get(flow.t_ns), others_m)
+        self.localizer.advance(now_ns)
+        here = self.localizer.at(now_ns)
+        if here is not None and within(here, LOST_M, LOST_DEG):
+            self._lost_since_ns = None
+        elif self._lost_since_ns is None:
+            self._lost_since_ns = now_ns
+        if here is None or self.lost:
+            self._found = False
+        elif foresees(here, SWIFTLY_S if self.about in self._swims else AWAY_S) and seek.pointing.steady(now_ns):
+            self._found = True
+        goes = seek.roam is not None or self.about in self._swims  # a gaze that never rests
+        ready = (goes or seek.pointing.steady(now_ns - KEY_NS)) and not self._glancing
+        self._off = self._found and (self._off or ready)
+        self._holds = not self.lost and (self._holds or now_ns - self.localizer.fixed_ns < ARRIVED_NS)
+
+    def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
+        """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
+        What it says, intends and doubts goes by the own one. others: where the target is by all but this robot."""
+        self.here = self.localizer.best(others, now_ns)
+        if self.here is not None:
+            seek.pose = pose_of(self.here)
+
+    def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
+        """Level and gimbal at that time; None: one of them is not known."""
+        level, gimbal = attitude.at(t_ns), self.gimbal.at(t_ns)
+        return None if level is None or gimbal is None else Carriage(level, gimbal)
+
+    @property
+    def under_way(self) -> bool:
+        """It does what it is told: it knows where it is and how it moves, and its camera is where it is to be."""
+        return self._found and self._off
+
+    @property
+    def glances(self) -> bool:
+        """Its camera is turned to landmarks."""
+        return self._glancing
+
+    @property
+    def fellows_m(self) -> tuple[Planar, ...]:
+        """Where those are that do the same about the same target."""
+        return () if self._errand.around is None else self._errand.around.fellows_m
+
+    def hidden(self, at_m: Vector, now_ns: int) -> None:
+        """The target that is there is not in sight from here."""
+        if self.here is not None:
+            self._errand.hidden(self.here.pose[:2], (at_m[0], at_m[1]), now_ns)
+
+    @property
+    def lost(self) -> bool:
+        """It does not know where it is."""
+        return self._lost_since_ns is not None
+
+    def glance(self, seek: Seek, level: Attitude | None, pursues: bool, now_ns: int) -> bool:
+        """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
+        sweep is under way; after it the lens is sharp again first, and may show enough where it is. pursues: else the
+        camera goes with a target that swims."""
+        here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
+        swift = self._found and pursues  # what swims does not wait, and landmarks pass behind it
+        brief = self._glancing and swift
+        enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
+        if swift:
+            share = BRIEF if brief else PURSUES
+            enough = share * UNSURE_M, share * UNSURE_DEG
+        moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
+        sure = here is not None and within(here, *enough) and moves
+        # Nobody who searches watches anything, and who does not know how it swims cannot search.
+        searches = seek.roam is not None and not self._found
+        waits = self.company.waits(here, self._glancing, now_ns) and not searches
+        blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
+        dire = blind and here is not None and direly_unsure(here)
+        if level is None or sure or waits or not (steady or dire or self._glancing or searches):
+            self._glancing = False
+            return False
+        if not self._glancing:
+            if not dire and now_ns <= max(seek.pointing.steady_from_ns, self._swept_ns) + ARRIVED_NS:
+                return True
+            self._glancing = True
+            self._glance.reset()
+        by = self.here or here
+        pose, known = (None, NOTHING) if by is None or adrift(by) else (seek.pose, Sure(*sigmas(by)))
+        from_deg = seek.gimbal_deg() if swift else None
+        pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns, from_deg)
+        seek.look(pan, tilt, now_ns, swift)
+        return True
+
+    def calm(self, now_ns: int) -> bool:
+        """Whether a sweep may begin: it takes seconds, some of them too blurred for tags, in which a robot on its way
+        would get lost."""
+        here = self.localizer.at(now_ns)
+        return here is not None and math.hypot(here.x[3], here.x[4]) < CALM_M_S
+
+    def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
+        """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
+        here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
+        self._found = self._found and allowed  # whoever lies still may begin when it is well
+        by, since_ns = self.here or here, self._lost_since_ns
+        if here is None or by is None or not allowed or adrift(here):
+            asked = STILL
+        elif self.under_way and self._still is None:
+            asked = self._towards(here, by, watched_m, now_ns)
+        elif self._holds or self.under_way:
+            asked = self._stays(by, self._still or Reference(by.pose[:2], by.pose[2]), now_ns)
+        elif since_ns is not None and now_ns - since_ns < BRAKES_NS:
+            asked = wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST)
+        else:  # what it leans against may be drag that it believed wrong, and gone with its speed
+            asked = STILL
+        self.localizer.sent(asked, now_ns)
+        return asked
+
+    def _stays(self, by: Belief, to: Reference, now_ns: int) -> Wrench:
+        """There, but out of the way of others: whoever lets himself drift is pulled into them."""
+        velocity = self.company.velocity(wanted_velocity(by, to), by, to, (), now_ns)
+        return wrench(by, self.localizer.hull, to, velocity)
+
+    def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
+        """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
+        around = self._errand.around and self._errand.around._replace(velocity_m_s=(own.x[3], own.x[4]))
+        to = self.task.reference(own.pose, now_ns, watched_m, around, self._tank_m)
+        if to.coast:
+            return STILL
+        share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)
+        turns = 0.0 if self._glancing else share  # the gimbal would look past the landmarks
+        most_m_s = min(self._limits.speed_m_s, to.most_m_s)
+        to = to._replace(speed_m_s=share * most_m_s, turn_rad_s=turns * turn_rad_s)
+        if to.depth_m is not None:
+            self._depth_m = to.depth_m
+        things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
+        if (followed := self._errand.disc(now_ns)) is not None:
+            things = (followed,)
+        velocity = self.company.velocity(wanted_velocity(by, to), by, to, things, now_ns)
+        return wrench(by, self.localizer.hull, to, velocity)
+
+    def say(self, attitude: AttitudeLog, now_ns: int) -> tuple[Presence, ...]:
+        """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""
+        here = self.localizer.at(now_ns)
+        if (newest := attitude.newest) is None or not self.company.due(now_ns) or here is None:
+            return ()
+        return self.company.say(here, self.does, self.about, self._glancing, newest.depth_m, now_ns)
+
+    def depth_m(self, now_ns: int) -> float:
+        """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
+        lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
+        return SURFACE_M if lost else self._depth_m
+
+
+def pose_of(belief: Belief) -> Pose:
+    x, y, psi = belief.pose
+    return Pose(x_m=x, y_m=y, yaw_deg=math.degrees(psi))

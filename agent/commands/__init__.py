@@ -1,1 +1,0 @@
-"""What can be typed after `aucamp`: options in, one call out."""

@@ -1,0 +1,75 @@
+"""Messages <-> bytes: the msgpack map of a struct, and why bytes are no message. Only the shape is believed here."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from contextlib import suppress
+from typing import Literal, TypeVar
+
+import msgpack
+import msgspec
+
+from agent.core.messages import MAX_PAYLOAD, SCHEMA, Message
+
+M = TypeVar("M", bound=Message)
+
+RefusalKind = Literal[
+    "size", "garbage", "schema", "content", "address", "order", "place", "target", "clock", "fleet file", "quarantine"
+]
+
+
+class Refusal(ValueError):
+    """A payload that is not believed: `kind` to count by, the text to read."""
+
+    def __init__(self, kind: RefusalKind, text: str) -> None:
+        super().__init__(text)
+        self.kind = kind
+
+
+def encode(message: Message) -> bytes:
+    """The msgpack map of a message, fields in the order of declaration: equal messages give equal bytes."""
+    return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,))))
+
+
+READABLE = frozenset({1, SCHEMA})  # schemas of recordings: what the later one added, older messages lack
+
+
+def decode(
+    payload: bytes, kind: type[M], limit: int = MAX_PAYLOAD, accepted: Collection[int] = frozenset({SCHEMA})
+) -> M:
+    """Bytes -> struct. Raises Refusal for anything that is not a message of this kind and an accepted schema."""
+    if len(payload) > limit:
+        raise Refusal("size", f"{len(payload)} bytes, limit {limit}")
+    try:
+        fields = msgpack.unpackb(payload, strict_map_key=True)
+    except (ValueError, msgpack.UnpackException, RecursionError):
+        raise Refusal("garbage", "not msgpack") from None
+    if not isinstance(fields, dict):
+        raise Refusal("garbage", "not a map")
+    if "schema" in kind.__struct_fields__:
+        said = fields.get("schema")
+        if type(said) is not int:
+            raise Refusal("schema", f"schema of type {type(said).__name__}, ours is {SCHEMA}")  # a repr has no end
+        if said not in accepted:
+            raise Refusal("schema", f"schema {said}, ours is {SCHEMA}")
+    try:
+        return msgspec.convert(fields, kind, builtin_types=(bytes,))
+    except msgspec.ValidationError as error:
+        raise Refusal("content", str(error)[:200]) from None
+    except RecursionError:
+        raise Refusal("content", "nested too deeply") from None
+
+
+def prepare() -> None:
+    """Have msgspec look into all kinds of messages that there are, before a second thread reads any: two that do it at
+    the same time were seen to end in a segmentation fault (msgspec 0.22.0)."""
+    kinds: list[type[Message]] = [Message]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        with suppress(msgspec.ValidationError):
+            msgspec.convert(None, kind)
+
+
+def encoding(kind: type[Message]) -> str:
+    """The encoding string that every sample of this kind carries."""
+    return f"application/msgpack;aucamp.{kind.__name__}"

@@ -1,0 +1,260 @@
+"""Focus as a state machine: when to look everywhere, when around the last peak, and what a finished sweep gave.
+
+A full sweep looks everywhere, once; tracking sweeps then visit a few positions around the last peak. After two without
+a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far, or whose
+frames came too slowly, is rejected, and the next one repeats it: a full one with half the positions, so that it is over
+sooner. Where full sweeps keep giving nothing, there is a pause between them: a lens that always moves sees nothing
+sharply for long.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from agent.core.control.lens_positions import (
+    TRACK_SPAN,
+    expected_positions,
+    full_positions,
+    home_position,
+    short_of_infinity,
+    track_positions,
+)
+from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.cues import Outline
+from agent.core.ranging.focus import Peak, fit_peak, phase_sigma
+from agent.core.savepoint import Revertible
+from agent.core.step_io import Sighting, SweepPlan, Telemetry
+
+WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
+STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
+BOX_LIMIT = 0.12  # of a box's diagonal, if that is more: NanoTrack's box of a resting thing jumps by up to 0.06
+# From the least to the most in a sweep, along the rows or the columns. Clarity is taken where the target is in each
+# frame, so a steady drift costs little: 120 px move the peak by less than one lens position, its noise, in full and in
+# tracking sweeps at 0.35, 0.6 and 1.0 m (twin); more was not measured. In its dives half of the tracking sweeps see
+# less than 4 px, and the worst full one saw 97.
+DRIFT_LIMIT_PX = 120.0
+TILT_LIMIT_DEG = 2.0  # roll or pitch, from least to most in a sweep: 40 px, a sixth of the disc; hovering stays below 1
+ALIKE = 0.07  # of a ball's radius: three times what blur does to it in one sweep
+FOUND_SHARE = 0.7  # of a sweep's frames must show the target
+SLACK_NS = 1_500_000_000  # a sweep that takes this much longer than it should, and has no more frames, is given up
+STEP_NS = 200_000_000  # generous time for one position: lens at rest, exposure, transfer
+FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
+FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
+FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
+PAUSE_NS = 2_000_000_000
+
+
+class Measurement(NamedTuple):
+    """One accepted sweep, in lens and pixel terms; stamped with the time of its sharpest frame."""
+
+    sweep: int  # number of its plan
+    t_ns: int
+    lens_position: float  # of the peak
+    sigma: float  # its standard deviation, lens positions
+    width: float  # half width of the peak, lens positions
+    held_width: float | None  # that the fit was told; None: it was free
+    outline: Outline  # in the frame nearest to the peak: blur moves an edge
+    quality: float  # correlation of curve and model, 0 to 1
+
+
+class Rejected(NamedTuple):
+    """Why a finished sweep gave nothing."""
+
+    sweep: int  # number of its plan
+    reason: str
+    too_long: bool = False  # target or robot moved, or frames came slowly: fewer positions may succeed
+    held_width: float | None = None  # as of a measurement, where a fit was made
+
+
+class ByLight(NamedTuple):
+    """What lamps change of a sweep in the dark."""
+
+    around: float | None  # lens position at which the target is expected: what is far from sharp does not show; or none
+    aside: bool  # others' lamps burn: some frames show the lit part of a ball as a ball of its own
+
+
+class Sweep(Revertible):
+    """Plans sweeps and collects their frames. The caller decides when the next may start."""
+
+    def __init__(self, fit: FocusFit, full_steps: int) -> None:
+        self._fit = fit
+        self._full_steps = full_steps
+        self._number = 0
+        self._plan: SweepPlan | None = None
+        self._deadline_ns = self._rest_until_ns = 0
+        self._frames: list[Sighting] = []
+        self._tilts: list[tuple[float, float]] = []  # roll and pitch since the sweep began, degrees
+        self._last: Measurement | None = None  # the peak to track
+        self._by_light: ByLight | None = None
+        self._before: Measurement | None = None  # the one before it
+        self._failures = 0  # in a row, of tracking sweeps while there is a peak to track, of full ones else
+        self._halvings = 0  # of the full sweep's positions
+        self._remark: str | None = None
+        self._remarked = False
+
+    @property
+    def running(self) -> bool:
+        return self._plan is not None
+
+    def ready(self, now_ns: int) -> bool:
+        """Whether the next sweep may start."""
+        return not self.running and now_ns >= self._rest_until_ns
+
+    def start(self, now_ns: int, by_light: ByLight | None = None) -> SweepPlan:
+        """Begin the next sweep: full when there is no peak to track, and nothing is told of where one may be."""
+        self._by_light = by_light
+        if self._last is not None:
+            half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
+            lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
+        elif by_light is not None and by_light.around is not None and self._failures % 2 == 0:
+            lens_positions = expected_positions(by_light.around, self._fit.width, self._full_steps)
+        else:
+            fewest = min(FEWEST_STEPS, self._full_steps)
+            lens_positions = full_positions(self._fit, max(self._full_steps >> self._halvings, fewest))
+        self._number += 1
+        self._frames, self._tilts = [], []
+        self._plan = SweepPlan(sweep=self._number, focus=(home_position(lens_positions, self._fit), *lens_positions))
+        self._deadline_ns = now_ns + SLACK_NS + len(lens_positions) * STEP_NS
+        return self._plan
+
+    def frame(self, sighting: Sighting) -> None:
+        """Collect a frame of the running sweep; others pass by."""
+        if self._plan is not None and sighting.sweep == self._plan.sweep:
+            self._frames.append(sighting)
+            self._deadline_ns = max(self._deadline_ns, sighting.t_ns + SLACK_NS)
+
+    def telemetry(self, telemetry: Telemetry) -> None:
+        """Watch how still the robot is while a sweep runs."""
+        if self._plan is not None:
+            self._tilts.append((telemetry.roll_deg, telemetry.pitch_deg))
+
+    def finish(self, now_ns: int) -> Measurement | Rejected | None:
+        """The result once the last position has been seen or time has run out; None while the sweep runs."""
+        if self._plan is None:
+            return None
+        complete = bool(self._frames) and self._frames[-1].index == len(self._plan.focus) - 1
+        if not complete and now_ns < self._deadline_ns:
+            return None
+        number = self._plan.sweep
+        result = self._result(number) if complete else Rejected(number, "not finished in time", too_long=True)
+        self._plan = None
+        if isinstance(result, Measurement):
+            self._before, self._last, self._failures, self._halvings = self._last, result, 0, 0
+        else:
+            self._failed(result.too_long, now_ns)
+        return result
+
+    def take_back(self) -> None:
+        """What was measured last is to be forgotten: the light changed in it, and its peak may be none."""
+        self._last = self._before
+
+    @property
+    def most_ns(self) -> int:
+        """How long a full sweep may take, if its frames come in time."""
+        return SLACK_NS + self._full_steps * STEP_NS
+
+    def remark(self) -> str | None:
+        """What a full sweep showed about the lens, once."""
+        remark, self._remark = self._remark, None
+        return remark
+
+    def forget(self) -> None:
+        """The target is lost: the next sweep is a full one, and may start at once."""
+        self._plan, self._last, self._failures = None, None, 0
+        self._halvings = self._rest_until_ns = 0
+
+    def _failed(self, too_long: bool, now_ns: int) -> None:
+        self._failures += 1
+        if self._last is None:
+            self._halvings = self._halvings + 1 if too_long else 0
+            if self._failures >= FAILURES_BEFORE_PAUSE:
+                self._rest_until_ns = now_ns + PAUSE_NS
+        elif self._failures >= FAILURES_BEFORE_FULL:
+            self._last, self._failures, self._halvings = None, 0, int(too_long)
+
+    def _result(self, number: int) -> Measurement | Rejected:
+        aside = self._by_light is not None and self._by_light.aside
+        good = usable(number, alike(self._frames) if aside else self._frames, self._tilts)
+        if isinstance(good, Rejected):
+            return good
+        if self._last is None and not self._remarked:
+            self._remark = short_of_infinity(self._fit, [f.focus for f in self._frames if f.focus is not None])
+            self._remarked = True
+        return peak_of(number, good, None if self._last is None else self._last.width)
+
+
+def usable(
+    number: int, frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]
+) -> list[Sighting] | Rejected:
+    """The frames of a sweep that show the target, where they are enough and belong together."""
+    good = [f for f in frames if f.found and f.focus is not None and f.clarity is not None]
+    if len(good) < FOUND_SHARE * len(frames):
+        return Rejected(number, f"target seen in {len(good)} of {len(frames)} frames")
+    moved = how_moved(good, tilts_deg)
+    return good if moved is None else Rejected(number, moved, too_long=True)
+
+
+def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> Measurement | Rejected:
+    """What usable frames measure; `held_width`: of the peak that a tracking sweep follows, None: it is free."""
+    peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], held_width)
+    if not isinstance(peak, Peak):
+        return Rejected(number, peak.reason, held_width=held_width)
+    sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
+    assert sharpest.centre_px is not None
+    return Measurement(
+        sweep=number,
+        t_ns=sharpest.t_ns,
+        lens_position=peak.lens_position,
+        sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
+        width=peak.width,
+        held_width=held_width,
+        outline=Outline(
+            sharpest.centre_px,
+            sharpest.radius_px,
+            sharpest.score,
+            sharpest.focus,
+            sharpest.size_px,
+            sharpest.radius_sigma_px,
+        ),
+        quality=peak.quality,
+    )
+
+
+def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]) -> str | None:
+    """Why frames that show the target, with roll and pitch meanwhile, do not belong together; None where they do."""
+    centres = [frame.centre_px for frame in frames if frame.centre_px is not None]
+    step_px = max((span(pair) for pair in itertools.pairwise(centres)), default=0.0)
+    if step_px > max((step_limit_px(frame) for frame in frames), default=0.0):
+        return f"moved {step_px:.0f} px between frames"
+    if span(centres) > DRIFT_LIMIT_PX:
+        return f"moved {span(centres):.0f} px during the sweep"
+    if span(tilts_deg) > TILT_LIMIT_DEG:
+        return f"tilted by {span(tilts_deg):.1f} degrees during the sweep"
+    return None
+
+
+def alike(frames: Sequence[Sighting]) -> list[Sighting]:
+    """The frames of a sweep by light from aside, in which most show the disc of a ball and some its lit part alone, or
+    the other way round: those that are in the minority show nothing."""
+    radii = sorted(f.radius_px for f in frames if f.found and f.radius_px is not None)
+    if not radii:
+        return list(frames)
+    middle = radii[len(radii) // 2]
+    return [
+        f if f.radius_px is None or abs(f.radius_px - middle) <= ALIKE * middle else replace(f, found=False)
+        for f in frames
+    ]
+
+
+def step_limit_px(sighting: Sighting) -> float:
+    return max(STEP_LIMIT_PX, BOX_LIMIT * math.hypot(*(sighting.size_px or (0.0, 0.0))))
+
+
+def span(points: Sequence[tuple[float, float]]) -> float:
+    """Distance from the least to the most, along the axis on which that is more."""
+    return max((max(axis) - min(axis) for axis in zip(*points, strict=True)), default=0.0)

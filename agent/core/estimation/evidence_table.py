@@ -1,0 +1,174 @@
+"""Who has measured what of a target at rest: a map that only grows, and grows to the same from any order of news.
+
+Each robot writes one entry for each of its starts (its incarnation), the sum of all it measured since. Newer replaces
+older, so merging is commutative, associative and idempotent: loss, repeats, reordering and loops among the relays
+cannot count a sample twice. Of two entries with the same count, which no honest robot writes, the one with the larger
+numbers stands, everywhere. After a restart a robot writes under a new incarnation, and its old entry comes back to it
+from the neighbours.
+"""
+
+from __future__ import annotations
+
+from struct import pack
+from typing import Any
+from zlib import crc32
+
+from agent.core.estimation.evidence_checks import floored
+from agent.core.estimation.fuse import AGREE, Opinion
+from agent.core.estimation.interface import NOTHING, Bearing, Prior
+from agent.core.matrix import ZERO, apply, distance2, inverse, minus, plus, semidefinite, times, trace
+from agent.core.messages import Entry, Symmetric, Vector
+from agent.core.savepoint import Revertible
+
+Key = tuple[str, int]  # origin, incarnation
+
+ALIKE = 4.0  # times a covariance may differ from one start of a robot to the next: targets are seen from other places
+NOTHING_M2 = 1e-12  # a micrometre
+INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day must not fill everybody's memory
+
+
+class Table(Revertible):
+    """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
+
+    def __init__(self) -> None:
+        self.entries: dict[Key, Entry] = {}
+        self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
+        self.hearsay: set[Key] = set()  # entries of which only others told
+        self._own: Key | None = None  # the one that we add to
+        self._opinions: dict[str, Opinion | None] = {}  # None: to be made again, or not yet possible
+
+    def measure(self, key: Key, prior: Prior | Bearing) -> Symmetric:
+        """Add a sample of our own; returns its information R^-1 in 1/m^2.
+
+        Raises ValueError where the covariance of the prior has no inverse.
+        """
+        if isinstance(prior, Bearing):
+            information, fixed_m2 = prior.information, NOTHING
+        else:
+            found, fixed_m2 = inverse(floored(prior.random_m2)), prior.systematic_m2
+            if found is None:
+                raise ValueError(f"covariance of the prior {prior.random_m2} is singular")
+            information = found
+        x, y, z = apply(information, prior.x_m)
+        old = self.entries.get(key)
+        if old is None:
+            entry = Entry(*key, 1, information, (x, y, z), fixed_m2)
+        else:
+            count, (ox, oy, oz) = old.count + 1, old.vector
+            drift = times((count - 1) / count, old.systematic_m2)
+            systematic = plus(drift, times(1.0 / count, fixed_m2))
+            entry = Entry(*key, count, plus(old.information, information), (ox + x, oy + y, oz + z), systematic)
+        self._own = key
+        self._put(entry)
+        return information
+
+    def is_news(self, entry: Entry) -> bool:
+        """Whether merging it would change anything."""
+        old = self.entries.get((entry.origin, entry.incarnation))
+        if old is not None:
+            return _rank(entry) > _rank(old)
+        newest = self._newest(entry.origin)
+        return len(newest) < INCARNATIONS or entry.incarnation > newest[-1][1]
+
+    def merge(self, entry: Entry, hearsay: bool = False) -> str | None:
+        """Take in a neighbour's entry that is news and is believed; returns what is strange about it, or None."""
+        key = (entry.origin, entry.incarnation)
+        old = self.entries.get(key)
+        self._put(entry)
+        if hearsay:
+            self.hearsay.add(key)
+        else:
+            self.hearsay.discard(key)
+        return "equivocates" if old is not None and old.count == entry.count else None
+
+    def drop(self, key: Key) -> None:
+        """An entry is believed no more."""
+        del self.entries[key], self.marks[key]
+        self.hearsay.discard(key)
+        if any(origin == key[0] for origin, _ in self.entries):
+            self._opinions[key[0]] = None
+        else:
+            del self._opinions[key[0]]
+
+    def opinions(self) -> list[Opinion]:
+        """What each origin says by itself, in the order of their names; those that cannot place the target yet not."""
+        return [opinion for name in sorted(self._opinions) if (opinion := self._opinion(name)) is not None]
+
+    def _put(self, entry: Entry) -> None:
+        key = (entry.origin, entry.incarnation)
+        self.entries[key], self.marks[key] = entry, mark(entry)
+        self._opinions[key[0]] = None
+        for old in self._newest(key[0])[INCARNATIONS:]:
+            del self.entries[old], self.marks[old]
+            self.hearsay.discard(old)
+
+    def _newest(self, origin: str) -> list[Key]:
+        """Entries of an origin, the newest first; the one that we add to is not among them, it is never let go."""
+        return sorted((key for key in self.entries if key[0] == origin and key != self._own), key=lambda k: -k[1])
+
+    def _opinion(self, origin: str) -> Opinion | None:
+        if self._opinions[origin] is None:
+            keys = sorted(key for key in self.entries if key[0] == origin)
+            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)])
+        return self._opinions[origin]
+
+
+def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
+    """One origin's mean over its incarnations, given newest first; None while some direction is unseen.
+
+    The newest counts; older ones are added as long as their means agree with it. One that claims to have seen
+    better, or with other systematic errors, says no more than the newest does. So a robot that was knocked, repaired
+    and started again is believed at once, one that merely started again has lost nothing, and one that lied is not
+    held to its lie, unless that looked like its own samples.
+
+    Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
+    """
+    information, vector, systematic, total = ZERO, (0.0, 0.0, 0.0), ZERO, 0.0
+    most = trace(entries[0].information) if entries else 0.0
+    for entry in entries:
+        if total and not _agrees(information, vector, entry):
+            break
+        share = 1.0 if _alike(entries[0], entry) else min(1.0, most / trace(entry.information))
+        information = plus(information, times(share, entry.information))
+        vector = _sum(vector, share, entry.vector)
+        systematic = plus(systematic, times(share * entry.count, entry.systematic_m2))
+        total += share * entry.count
+    random = inverse(information)
+    if random is None:
+        return None
+    covariance = plus(random, times(1.0 / total, systematic))
+    precision = inverse(covariance)
+    return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision)
+
+
+def _agrees(information: Symmetric, vector: Vector, older: Entry) -> bool:
+    """Whether what an origin measured before may be the same place as what it measured since."""
+    random, before = inverse(information), inverse(older.information)
+    if random is None or before is None:
+        return True  # nothing is known against it
+    x, y, z = apply(random, vector)
+    ox, oy, oz = apply(before, older.vector)
+    return distance2(plus(random, before), (x - ox, y - oy, z - oz)) < AGREE
+
+
+def _alike(newest: Entry, older: Entry) -> bool:
+    """Whether the same camera can have measured both: samples as good, and the same systematic errors."""
+    new, old = newest.systematic_m2, older.systematic_m2
+    return (
+        trace(older.information) * newest.count <= ALIKE * trace(newest.information) * older.count
+        and semidefinite(minus(times(ALIKE, new), old), NOTHING_M2)
+        and semidefinite(minus(times(ALIKE, old), new), NOTHING_M2)
+    )
+
+
+def mark(entry: Entry) -> int:
+    """A checksum of what an entry says, 32 bits."""
+    return crc32(pack("<15d", *entry.information, *entry.vector, *entry.systematic_m2))
+
+
+def _rank(entry: Entry) -> tuple[Any, ...]:
+    return entry.count, entry.information, entry.vector, entry.systematic_m2
+
+
+def _sum(a: Vector, k: float, b: Vector) -> Vector:
+    return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]

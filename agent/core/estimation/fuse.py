@@ -1,0 +1,277 @@
+"""Fuse what each robot says into one place: a vote finds those that agree, then each is left out in turn.
+
+One robot that is wrong must not move the others, and nobody knows beforehand which one it is. Two opinions agree when
+their distance is likely under the sum of their covariances; the largest group that agrees with one of its members
+enters. Inside it a liar may still stand, just near enough to one honest robot, and with a covariance so small that it
+would be the mean. So every origin is asked how far it stands from what the others say without it. While nobody stands
+out, all count as they claim. Where somebody does, the place is a mean over the ways to leave one out, each weighted by
+how plausible it is that all are right but this one: who stands apart takes itself out, and where two are equally
+suspect, the place lies between what follows from either.
+
+No weight depends on what was said before: who speaks the truth again is believed at once. Covariances hold the
+systematic error of their robot, so no robot grows surer than its survey and calibration allow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate
+from typing import Literal, NamedTuple
+
+from agent.core.matrix import ZERO, apply, difference, distance2, invert, plus, quadratic, times, trace
+from agent.core.messages import Symmetric, Vector
+
+Verdict = Literal["none", "single", "ok", "ambiguous", "outlier"]
+Word = tuple[Symmetric, Vector]  # (P^-1, P^-1 x), which add up
+
+AGREE = 16.27  # chi^2, 3 degrees of freedom, 0.999: honest robots disagree once in a thousand pairs
+VOTERS = 64  # beyond this many, pairs cost more than a tick has: then who is consistent with the median
+DOUBTED = 3  # opinions from which on one can be left out and two still compared
+PAIRS = (7, 32)  # fewest opinions among which two liars can be told, and most of whose pairs a tick has the time
+
+# Of honest opinions one in ten stands farther than LOW from the others, and one in nine hundred farther than HIGH.
+LOW = 2.5  # sigma; up to here nobody stands out. What one robot can move unseen grows with it
+HIGH = 4.0  # sigma; from here on somebody is wrong
+TEMPER = 0.3  # of the likelihoods: covariances are themselves only estimates. 0.5 lets a liar move more, and costs more
+
+
+class Opinion(NamedTuple):
+    """Where one robot places the target, by its own samples alone; world frame."""
+
+    origin: str
+    x_m: Vector
+    cov_m2: Symmetric  # random part, shrunk by its samples, plus systematic part
+    precision: Symmetric  # the inverse of that, 1/m^2
+
+
+class Ballot(NamedTuple):
+    """Outcome of a vote."""
+
+    group: frozenset[str]  # the leader and who is consistent with it
+    verdict: Verdict
+    votes: dict[str, int]  # origins consistent with each, itself included
+
+
+class Without(NamedTuple):
+    """What a group says without some of its members, and how far these stand from it."""
+
+    out: frozenset[str]
+    x_m: Vector
+    cov_m2: Symmetric
+    d2: float  # by which chi^2 of the group falls when they go
+
+
+class Doubt(NamedTuple):
+    """Whether somebody in a group stands out, and who."""
+
+    strength: float  # 0: nobody does, 1: somebody is wrong for certain
+    ways: list[tuple[float, Without]]  # "all are right but these", with probabilities of sum 1; empty at strength 0
+
+    def factor(self, origin: str) -> float:
+        """What is left of an origin's weight."""
+        return 1.0 - self.strength * math.fsum(p for p, without in self.ways if origin in without.out)
+
+
+class Fused(NamedTuple):
+    """The agreed place, and how it came about."""
+
+    x_m: Vector
+    cov_m2: Symmetric
+    verdict: Verdict
+    votes: dict[str, int]  # origins consistent with each, itself included
+    factors: dict[str, float]  # what counts of each origin's claim; 0: left out
+    shares: dict[str, float]  # of each origin in the mean, by trace of information; sum 1
+    sway_m: dict[str, float]  # of each in the group: from here to where the others would be without it
+
+
+def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO, liars: int = 1) -> Fused | None:
+    """Fuse opinions given in the order of their names; None without any.
+
+    `common_m2`: covariance of errors that all robots share (tank frame, water), which no vote can see.
+    `liars`: how many may be wrong at once, 1 or 2; two are looked for where as many agree as PAIRS says.
+    """
+    if not opinions:
+        return None
+    ballot = vote(opinions)
+    group = [opinion for opinion in opinions if opinion.origin in ballot.group]
+    information, vector = _sum(map(_word, group))
+    covariance = invert(information)
+    everybody = (apply(covariance, vector), covariance)
+    singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
+    doubt = _doubt(group, singles, liars)
+    certain = 1.0 - doubt.strength
+    places = [(certain, *everybody), *((doubt.strength * p, way.x_m, way.cov_m2) for p, way in doubt.ways)]
+    x, covariance = mixture(places) if doubt.ways else everybody
+    factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
+    sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
+    total = math.fsum(sizes.values())
+    return Fused(
+        x,
+        plus(covariance, common_m2),
+        ballot.verdict,
+        ballot.votes,
+        {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
+        {name: size / total for name, size in sizes.items()},
+        {name: math.dist(x, single.x_m) for single in singles for name in single.out},
+    )
+
+
+def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, Symmetric]:
+    """Mean and covariance of places (weight, x, P) whose weights sum to 1: their disagreement widens it."""
+    found = list(places)
+    x = (
+        math.fsum(w * at[0] for w, at, _ in found),
+        math.fsum(w * at[1] for w, at, _ in found),
+        math.fsum(w * at[2] for w, at, _ in found),
+    )
+    covariance = ZERO
+    for w, at, cov in found:
+        a, b, c = difference(at, x)
+        covariance = plus(covariance, times(w, plus(cov, (a * a, a * b, a * c, b * b, b * c, c * c))))
+    return x, covariance
+
+
+# --- who stands out -------------------------------------------------------------------------------------------
+
+
+def doubts(group: Sequence[Opinion], liars: int = 1, beside: Mapping[str, float] | None = None) -> Doubt:
+    """Who of a group that agrees may still be wrong; nobody in a group too small to tell.
+
+    beside: d^2 of each by what else is known of it, where one is left out; the larger counts.
+    """
+    singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
+    if beside:
+        singles = [way._replace(d2=max(way.d2, *(beside.get(name, 0.0) for name in way.out))) for way in singles]
+    return _doubt(group, singles, liars)
+
+
+def _doubt(group: Sequence[Opinion], singles: list[Without], liars: int) -> Doubt:
+    """singles: the group without each of its members."""
+    ways, scale = singles, 1.0
+    if liars > 1 and PAIRS[0] <= len(group) <= PAIRS[1]:
+        ways, scale = list(_leaving_two_out(group)), math.sqrt(2.0)  # two are twice as many degrees of freedom
+    largest = max((way.d2 for way in ways), default=0.0)
+    strength = min(1.0, (math.sqrt(largest) / scale - LOW) / (HIGH - LOW))
+    if strength <= 0.0:
+        return Doubt(0.0, [])
+    odds = [math.exp(-0.5 * TEMPER * (largest - way.d2)) for way in ways]
+    total = math.fsum(odds)
+    return Doubt(strength, [(odd / total, way) for odd, way in zip(odds, ways, strict=True)])
+
+
+def _leaving_one_out(group: Sequence[Opinion]) -> Iterator[Without]:
+    """The others are summed, not taken from the sum of all: next to one that boasts nothing would be left of them."""
+    before, after = _partial_sums(group)
+    for j, opinion in enumerate(group):
+        information, vector = _both(before[j], after[j + 1])
+        covariance = invert(information)
+        x = apply(covariance, vector)
+        d2 = distance2(plus(opinion.cov_m2, covariance), difference(opinion.x_m, x))
+        yield Without(frozenset((opinion.origin,)), x, covariance, d2)
+
+
+def _leaving_two_out(group: Sequence[Opinion]) -> Iterator[Without]:
+    before, after = _partial_sums(group)
+    words = [_word(opinion) for opinion in group]
+    for j, one in enumerate(group):
+        between: Word = (ZERO, (0.0, 0.0, 0.0))
+        for k in range(j + 1, len(group)):
+            two = group[k]
+            information, vector = _both(_both(before[j], between), after[k + 1])
+            covariance = invert(information)
+            x = apply(covariance, vector)
+            information, vector = _both(words[j], words[k])
+            pair = invert(information)
+            apart = distance2(plus(one.cov_m2, two.cov_m2), difference(one.x_m, two.x_m))
+            d2 = apart + distance2(plus(pair, covariance), difference(apply(pair, vector), x))
+            yield Without(frozenset((one.origin, two.origin)), x, covariance, d2)
+            between = _both(between, words[k])
+
+
+def _partial_sums(group: Sequence[Opinion]) -> tuple[list[Word], list[Word]]:
+    """Sums of the first k, and sums from the k-th on."""
+    words, nothing = [_word(opinion) for opinion in group], (ZERO, (0.0, 0.0, 0.0))
+    before = list(accumulate(words, _both, initial=nothing))
+    after = list(accumulate(reversed(words), _both, initial=nothing))
+    return before, after[::-1]
+
+
+# --- the vote -------------------------------------------------------------------------------------------------
+
+
+def vote(opinions: Sequence[Opinion]) -> Ballot:
+    """Who agrees with whom, of opinions given in the order of their names; at least one.
+
+    The most numerous group wins; of equals the one that is closest in itself, by the mean distance of its pairs:
+    to be sure of oneself is no merit here, or a liar would only have to boast.
+    """
+    groups, distances2 = _consistent(opinions)
+    most = max(map(len, groups))
+    tied = list(dict.fromkeys(tuple(group) for group in groups if len(group) == most))
+    group = tied[0] if len(tied) == 1 else min(tied, key=lambda each: _spread(each, distances2))
+    return Ballot(
+        frozenset(opinions[j].origin for j in group),
+        _verdict(most, len(opinions)),
+        {opinion.origin: len(each) for opinion, each in zip(opinions, groups, strict=True)},
+    )
+
+
+def _verdict(agreeing: int, all_: int) -> Verdict:
+    if all_ == 1:
+        return "single"
+    if 2 * agreeing <= all_:
+        return "ambiguous"
+    return "ok" if agreeing == all_ else "outlier"
+
+
+def _consistent(opinions: Sequence[Opinion]) -> tuple[list[list[int]], list[list[float]]]:
+    """Indices of those that agree with each opinion, itself included, in order; d^2 of [k][j], j < k, none if many."""
+    n = len(opinions)
+    if n > VOTERS:
+        median = _median(opinions)
+        near = [j for j, o in enumerate(opinions) if quadratic(o.precision, difference(o.x_m, median)) < AGREE]
+        return [near if j in near else [j] for j in range(n)], []
+    consistent: list[list[int]] = [[j] for j in range(n)]
+    distances2: list[list[float]] = []
+    for j in range(n):
+        _, xj, pj, _ = opinions[j]
+        row = [distance2(plus(pj, o.cov_m2), difference(xj, o.x_m)) for o in opinions[:j]]
+        for k, d2 in enumerate(row):
+            if d2 < AGREE:
+                consistent[j].append(k)
+                consistent[k].append(j)
+        distances2.append(row)
+    return [sorted(each) for each in consistent], distances2
+
+
+def _spread(group: tuple[int, ...], distances2: list[list[float]]) -> float:
+    """Sum of d^2 over the pairs of a group; groups of one size, so it stands for the mean. Nothing where none is."""
+    return math.fsum(distances2[k][j] for at, k in enumerate(group) for j in group[:at]) if distances2 else 0.0
+
+
+def _median(opinions: Sequence[Opinion]) -> Vector:
+    """Weighted median of each coordinate, by the inverse trace of the covariance."""
+    weights = [1.0 / trace(opinion.cov_m2) for opinion in opinions]
+    half = 0.5 * math.fsum(weights)
+
+    def along(axis: int) -> float:
+        order = sorted((o.x_m[axis], w) for o, w in zip(opinions, weights, strict=True))
+        passed = accumulate(weight for _, weight in order)
+        return next(value for (value, _), sum_ in zip(order, passed, strict=True) if sum_ >= half)
+
+    return along(0), along(1), along(2)
+
+
+def _word(opinion: Opinion) -> Word:
+    return opinion.precision, apply(opinion.precision, opinion.x_m)
+
+
+def _both(a: Word, b: Word) -> Word:
+    (p, (x, y, z)), (q, (u, v, w)) = a, b
+    return plus(p, q), (x + u, y + v, z + w)
+
+
+def _sum(words: Iterable[Word]) -> Word:
+    *_, total = accumulate(words, _both)
+    return total

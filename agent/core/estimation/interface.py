@@ -1,0 +1,94 @@
+"""What every protocol offers to the kernel, in the paper's words: x̂ is the prior, x the posterior, S the valid set.
+
+An estimator belongs to one robot and one target. Its life is a circle: `hear` what neighbours said, `tick` once an
+iteration, `say` the outcome to each neighbour, as often as the link allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.letters import Letter
+from agent.core.messages import Estimate, Explain, Gossip, Symmetric, Vector
+
+NOTHING: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Prior(NamedTuple):
+    """x̂: one measurement of this robot's own camera, world frame."""
+
+    x_m: Vector
+    random_m2: Symmetric  # covariance of what averages out over measurements
+    t_ns: int  # when the sharpest frame was exposed
+    systematic_m2: Symmetric = NOTHING  # of what does not: the same error in every measurement of this robot
+
+    @property
+    def cov_m2(self) -> Symmetric:
+        xx, xy, xz, yy, yz, zz = (a + b for a, b in zip(self.random_m2, self.systematic_m2, strict=True))
+        return xx, xy, xz, yy, yz, zz
+
+
+class Bearing(NamedTuple):
+    """What a frame says of a target that is not swept: a line that it is on (bearing.py), world frame."""
+
+    x_m: Vector  # on the line, at the range that is believed
+    information: Symmetric  # 1/m^2, of rank 2; 3 where a range was measured too
+    t_ns: int  # when the frame was exposed
+
+
+class Posterior(NamedTuple):
+    """x: what this robot believes after the update, world frame."""
+
+    x_m: Vector
+    cov_m2: Symmetric
+    v_m_s: Vector = (0.0, 0.0, 0.0)  # where the protocol tells motion from rest; never said to anybody
+    t_ns: int = 0  # of a target that moves: when it was there
+
+
+class Update(NamedTuple):
+    """One iteration, explained: enough to say why the posterior is what it is."""
+
+    t: int  # the iteration that this update led to
+    rule: str  # which branch of the protocol fired
+    alpha: float  # step size towards the own prior
+    used: tuple[str, ...]  # N_i ∩ S^t: the neighbours that counted
+    explain: Explain = Explain()
+
+
+class Word(NamedTuple):
+    """What goes to a neighbour beside `t` and `valid`: fields of messages.Estimate."""
+
+    x_m: Vector | None
+    cov_m2: Symmetric | None
+    degree: int | None = None
+    gossip: Gossip | None = None
+
+
+class Estimator(Protocol):
+    t: int
+    valid: bool  # in S^t: the last iteration had a prior
+
+    @property
+    def posterior(self) -> Posterior | None:
+        """x by all that was heard and measured so far, or since the last iteration where the protocol says so."""
+
+    def by_others(self) -> Posterior | None:
+        """Where a target at rest is without anything that this robot measured; None where nobody else did, where others
+        contradict each other, or where the protocol cannot take one's own word out again."""
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        """The public keys of the robots, as they are from now on. Where this was never called nothing is signed."""
+
+    def adopt(self, t: int) -> None:
+        """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""
+
+    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+        """Take in a message that the mailbox accepted. Returns the kinds of what in it was not believed."""
+
+    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+        """One iteration: the newest usable word of each neighbour and, if the target was seen, a prior."""
+
+    def say(self, to: str, now_ns: int) -> Word:
+        """What to tell this neighbour now. Time never decreases from call to call."""

@@ -1,0 +1,108 @@
+"""Algebra of vectors and symmetric 3x3 matrices in scalar floats: the same bits on every processor, as BLAS has not.
+
+A matrix is its upper triangle, xx xy xz yy yz zz. Inverses are closed forms (adjugate over determinant).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from agent.core.messages import Symmetric, Vector
+
+ZERO: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+IDENTITY: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+SINGULAR = 1e-14  # determinant over (trace / 3)^3, the largest it can be: below this an inverse is not to be trusted
+
+
+WELL = 1e-6  # the same measure: from here on, an inverse is as good as the matrix to ten digits
+
+
+def upper(matrix: Iterable[Iterable[float]]) -> Symmetric:
+    """The upper triangle of a symmetric 3x3 matrix, as it travels."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (tuple(map(float, row)) for row in matrix)
+    return (xx, xy, xz, yy, yz, zz)
+
+
+def plus(a: Symmetric, b: Symmetric) -> Symmetric:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
+
+
+def minus(a: Symmetric, b: Symmetric) -> Symmetric:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3], a[4] - b[4], a[5] - b[5]
+
+
+def times(k: float, a: Symmetric) -> Symmetric:
+    return k * a[0], k * a[1], k * a[2], k * a[3], k * a[4], k * a[5]
+
+
+def trace(a: Symmetric) -> float:
+    return a[0] + a[3] + a[5]
+
+
+def apply(a: Symmetric, v: Vector) -> Vector:
+    """a v"""
+    xx, xy, xz, yy, yz, zz = a
+    x, y, z = v
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+def difference(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def quadratic(a: Symmetric, v: Vector) -> float:
+    """v^T a v"""
+    xx, xy, xz, yy, yz, zz = a
+    x, y, z = v
+    return xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
+
+
+def adjugate(a: Symmetric) -> tuple[Symmetric, float]:
+    """(adj a, det a)"""
+    xx, xy, xz, yy, yz, zz = a
+    c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    return (c00, c01, c02, xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy), xx * c00 + xy * c01 + xz * c02
+
+
+def inverse(a: Symmetric) -> Symmetric | None:
+    """The inverse of a positive definite matrix; None where it has none that can be trusted."""
+    third = trace(a) / 3.0
+    adj, det = adjugate(a)
+    if not (third > 0.0 and det > SINGULAR * third * third * third):
+        return None
+    return times(1.0 / det, adj)
+
+
+def well_conditioned(a: Symmetric) -> bool:
+    """Whether a positive matrix knows all its directions well enough to be inverted without a thought."""
+    third = trace(a) / 3.0
+    return adjugate(a)[1] > WELL * third * third * third
+
+
+def invert(a: Symmetric) -> Symmetric:
+    """The inverse of a sum of matrices that `inverse` accepts.
+
+    Unchecked: det^(1/3) is concave (Minkowski), so a sum is no nearer to singular than the worst of its terms.
+    """
+    adj, det = adjugate(a)
+    return times(1.0 / det, adj)
+
+
+def distance2(p: Symmetric, d: Vector) -> float:
+    """d^T p^-1 d of a positive definite p: the squared Mahalanobis distance."""
+    adj, det = adjugate(p)
+    return quadratic(adj, d) / det
+
+
+def semidefinite(a: Symmetric, slack: float) -> bool:
+    """Whether a + slack I has no negative eigenvalue: all principal minors, not only the leading ones."""
+    xx, xy, xz, yy, yz, zz = a[0] + slack, a[1], a[2], a[3] + slack, a[4], a[5] + slack
+    shifted = (xx, xy, xz, yy, yz, zz)
+    tiny = 1e-12 * max(trace(shifted), 0.0)  # minors of a singular matrix round to either side of zero
+    (c00, _, _, c11, _, c22), det = adjugate(shifted)
+    size = max(trace(shifted), 0.0)
+    return min(xx, yy, zz) >= 0.0 and min(c00, c11, c22) >= -tiny * size and det >= -tiny * size * size

@@ -1,0 +1,298 @@
+"""What is said to others, as frozen structs. What a step takes and gives is step_io.py's, the bytes are codec.py's.
+
+Lengths are metres, angles degrees, times integer nanoseconds. `now_ns`, `sent_ns` and every `t_ns` count from
+the Unix epoch on the clock of the process that wrote them (sampled once at start, then monotonic).
+World frame: origin at the lower left corner of the tank floor, z up. Camera and gimbal: pan positive to the left, tilt
+positive upwards.
+
+What a field means stands here and nowhere else: `means` puts it into the JSON Schemas and into docs/messages.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
+
+SCHEMA = 2  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
+
+MAX_PAYLOAD = 16 * 1024  # bytes of any message but a preview; refused before it is decoded
+MAX_TEXT = 400  # characters of a line of the log
+MAX_JPEG = 60_000  # bytes of a preview: with what stands around it, it fits into one batch of Zenoh, 65535
+
+Vector = tuple[float, float, float]
+Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
+Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
+Count = Annotated[int, Meta(ge=0)]
+Signature = Annotated[bytes, Meta(max_length=64)]
+Level = Literal["info", "warning", "error"]
+Mode = Literal["running", "degraded", "stopped", "failed"]
+
+NUMBER = "which edition of these schemas; a robot believes its own alone"
+SENT = "when it was said: ns since the Unix epoch, by the clock of whoever said it"
+SIGNED = "Ed25519 by the origin, 64 bytes, of what agent/core/signed.py makes of it; empty: none"
+
+
+def means(text: str) -> Meta:
+    """What a field is, for whoever reads the schema: unit, frame, when it is missing."""
+    return Meta(description=text)
+
+
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of everything that is sent or logged."""
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if not _finite(getattr(self, name)):
+                raise ValueError(f"{name} is not finite")
+
+
+# --- between robots -------------------------------------------------------------------------------------------
+
+
+class Epoch(msgspec.Struct, frozen=True, array_like=True, order=True):
+    """Which stretch of a target's history evidence belongs to. With a new one older evidence is let go."""
+
+    counter: Annotated[int, Meta(ge=0, le=10**9), means("counts the epochs")] = 0
+    moving: Annotated[bool, means("in this epoch the target moves: samples travel, not sums")] = False
+    proposer: Annotated[str, Meta(max_length=16), means("of schema 1; empty")] = ""
+
+
+class Entry(msgspec.Struct, frozen=True, array_like=True):
+    """All that one robot, since one of its starts, has measured of a resting target: a sum, so newer replaces older."""
+
+    origin: Annotated[Id, means("the robot that measured")]
+    incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
+    count: Annotated[int, Meta(ge=1), means("samples in it; only the origin adds, one at a time, so also its version")]
+    information: Annotated[Symmetric, means("sum of R^-1, 1/m^2, world frame: xx xy xz yy yz zz")]
+    vector: Annotated[Vector, means("sum of R^-1 times the measured place, 1/m, world frame")]
+    systematic_m2: Annotated[
+        Symmetric, means("mean over the samples of what does not average out, m^2: xx xy xz yy yz zz")
+    ]
+    signature: Annotated[Signature, means(SIGNED)] = b""
+
+
+class Sample(msgspec.Struct, frozen=True, array_like=True):
+    """One measurement of a target that moves."""
+
+    origin: Annotated[Id, means("the robot that measured")]
+    incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
+    number: Annotated[int, Meta(ge=1), means("counts the samples of this origin and incarnation")]
+    age_ns: Annotated[Count, means("ns since the exposure, by the clocks of those that carried it")]
+    information: Annotated[Symmetric, means("R^-1, 1/m^2, world frame: xx xy xz yy yz zz; rank 2 for a bearing")]
+    vector: Annotated[Vector, means("R^-1 times the measured place, 1/m, world frame")]
+    t_ns: Annotated[
+        Count, means("of the exposure, on the clock of its origin; relays may write the age, but not this")
+    ] = 0
+    signature: Annotated[Signature, means(SIGNED)] = b""
+
+
+class Proposal(msgspec.Struct, frozen=True, array_like=True):
+    """One robot's word that a new epoch should begin; of two, as a rule, it begins (epoch_vote.py)."""
+
+    proposer: Annotated[Id, means("the robot that says so")]
+    since_ns: Annotated[
+        Count, means("when its own samples said so first, on its clock; tells this alarm from one before")
+    ]
+    counter: Annotated[int, Meta(ge=1, le=10**9), means("of the epoch that should begin")]
+    moving: Annotated[bool, means("whether the target moves in it")]
+    signature: Annotated[Signature, means(SIGNED)] = b""
+
+
+class Holding(msgspec.Struct, frozen=True, array_like=True):
+    """One line of a digest: what the sender has of an origin, so that nobody sends it again."""
+
+    origin: Annotated[Id, means("the robot that measured")]
+    incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
+    newest: Annotated[Count, means("count of its entry, or number of its newest sample")]
+    older: Annotated[
+        int, Meta(ge=0, lt=2**32), means("bit k: sample newest - 1 - k is here too; of an entry, its checksum")
+    ] = 0
+
+
+class Gossip(msgspec.Struct, frozen=True, array_like=True):
+    """What the protocol `evidence` says beside the estimate."""
+
+    epoch: Annotated[Epoch, means("which history all of this belongs to")] = Epoch()
+    entries: Annotated[tuple[Entry, ...], Meta(max_length=64), means("of a target at rest")] = ()
+    samples: Annotated[tuple[Sample, ...], Meta(max_length=64), means("of a target that moves")] = ()
+    digest: Annotated[tuple[Holding, ...], Meta(max_length=64), means("what the sender has already")] = ()
+    proposals: Annotated[
+        tuple[Proposal, ...], Meta(max_length=64), means("for the epoch that is, or for the next")
+    ] = ()
+
+
+class Estimate(Message, frozen=True, kw_only=True):
+    """A robot's a-posteriori estimate to one neighbour; also its heartbeat, sent whether it knows anything or not."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    fleet: Annotated[Id, means("name of the fleet")]
+    src: Annotated[Id, means("the robot that says it")]
+    dst: Annotated[Id, means("the neighbour that it is said to")]
+    incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
+    seq: Annotated[
+        Count, means("counts the rounds in which the sender speaks, one message about each target to each neighbour")
+    ]
+    sent_ns: Annotated[Count, means(SENT)]
+    target: Annotated[Id, means("what it is about")]
+    t: Annotated[int, Meta(ge=0, le=10**9), means("iteration of the estimate")]
+    valid: Annotated[bool, means("the sender sees the target: it is in the valid set S^t")]
+    x_m: Annotated[Vector | None, means("posterior: place of the target, m, world frame; null: none yet")] = None
+    cov_m2: Annotated[Symmetric | None, means("its covariance, m^2, world frame: xx xy xz yy yz zz")] = None
+    degree: Annotated[Count | None, means("protocol `metropolis`: how many neighbours the sender has")] = None
+    gossip: Annotated[Gossip | None, means("protocol `evidence`: what was measured, by whom")] = None
+    common: Annotated[
+        str, Meta(max_length=16), means("digest of what all fleet files have to share; empty: not said")
+    ] = ""
+
+
+# --- to whoever looks -----------------------------------------------------------------------------------------
+
+
+class NeighbourState(Message, frozen=True, kw_only=True):
+    """What a robot has of one of its neighbours."""
+
+    robot: Annotated[Id, means("the neighbour")]
+    age_s: Annotated[float | None, means("s since its newest message; null: never heard")] = None
+    valid: Annotated[bool, means("it sees the target, as it says")] = False
+    used: Annotated[bool, means("took part in the last update")] = False
+    heard: Annotated[Count, means("messages that arrived")] = 0
+    gaps: Annotated[Count, means("sequence numbers that did not")] = 0
+
+
+class Explain(Message, frozen=True, kw_only=True):
+    """Why the last iteration ended where it did; `State.rule`, `alpha` and `neighbours` tell the rest."""
+
+    status: Annotated[str, means("protocol `evidence`: none, single, ok, ambiguous, outlier")] = ""
+    weights: Annotated[
+        dict[str, float], means("share of each robot's word in the posterior, 0 to 1, beside alpha of the own prior")
+    ] = {}
+    votes: Annotated[
+        dict[str, int], means("protocol `evidence`: how many origins agree with this one, itself included")
+    ] = {}
+    doubted: Annotated[
+        dict[str, float], means("origins that count less than they claim: factor, 0 to 1; 0: left out")
+    ] = {}
+    ages_s: Annotated[dict[str, float], means("s, of the newest word of each neighbour when the iteration ran")] = {}
+    epoch: Annotated[Epoch, means("which history the evidence is of")] = Epoch()
+    nis: Annotated[
+        float | None, means("normalised innovation squared of the own prior; mean 3 when all is well, 2 of a bearing")
+    ] = None
+    speed_m_s: Annotated[float | None, means("m/s, of a target that moves")] = None
+    sway_m: Annotated[
+        dict[str, float],
+        means("protocol `evidence`: m, from the posterior to where it would be without this origin"),
+    ] = {}
+
+
+class Whereabouts(Message, frozen=True, kw_only=True):
+    """Where a robot that swims is, by landmarks and its own motion."""
+
+    x_m: Annotated[float, means("m, world frame, of the body's centre")]
+    y_m: Annotated[float, means("m, world frame")]
+    yaw_deg: Annotated[float, means("degrees, anticlockwise from x")]
+    place_sigma_m: Annotated[float, means("m: root of the trace of the covariance of x and y")]
+    yaw_sigma_deg: Annotated[float, means("degrees")]
+
+
+class LampState(Message, frozen=True, kw_only=True):
+    """A robot's lamp, and whose light it is. Obeys: it burns, or is dark, as a neighbour's lease says."""
+
+    power: Annotated[float, Meta(ge=0, le=1), means("share of its full power, as commanded")]
+    pan_deg: Annotated[float, means("degrees, as its gimbal is told; positive to the left")]
+    tilt_deg: Annotated[float, means("degrees, likewise; positive upwards")]
+    phase: Annotated[Literal["free", "asks", "holds", "obeys"], means("free: nobody's lease is known")]
+    lease: Annotated[Count, means("number of the lease; 0: none")] = 0
+    holder: Annotated[Id | None, means("the robot that asks for it or holds it; null: none")] = None
+    lamps: Annotated[tuple[Id, ...], means("whose lamps burn by it, as its holder knows")] = ()
+    load: Annotated[float, means("how warm it is, or how empty the battery: 1 is at its limit")] = 0.0
+    spoiled: Annotated[Count, means("own sweeps discarded so far because a lamp changed in them")] = 0
+
+
+class State(Message, frozen=True, kw_only=True):
+    """What a robot knows of one target, does and suffers from. With several targets the states take turns."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    fleet: Annotated[Id, means("name of the fleet")]
+    robot: Annotated[Id, means("the robot that says it")]
+    incarnation: Annotated[Count, means("which of its starts this is: Unix time of it, ns")]
+    seq: Annotated[Count, means("counts its states about this target")]
+    sent_ns: Annotated[Count, means(SENT)]
+    mode: Annotated[
+        Mode, means("running; degraded: a step broke of late; stopped: ended as planned; failed: ended by a fault")
+    ] = "running"
+    signed: Annotated[
+        bool, means("what others measured counts by their signatures; false: by whose mouth it came from")
+    ] = False
+    target: Annotated[Id, means("what it is about")]
+    knows: Annotated[Literal["blind", "told", "sees"], means("told: by neighbours alone")]
+    t: Annotated[Count, means("iteration")]
+    acquired_t: Annotated[Count | None, means("iteration of the first own view; null: none yet")] = None
+    measurements: Annotated[Count, means("own ones so far")] = 0
+    prior_m: Annotated[Vector | None, means("place of the target by the last own measurement, m, world frame")] = None
+    prior_sigma_m: Annotated[float | None, means("m: root of the trace of its covariance")] = None
+    posterior_m: Annotated[Vector | None, means("place after the last update, m, world frame")] = None
+    posterior_sigma_m: Annotated[float | None, means("m: root of the trace of its covariance")] = None
+    alpha: Annotated[float | None, means("step size of the last update")] = None
+    rule: Annotated[str, means("which branch of the protocol fired")] = ""
+    explain: Annotated[Explain | None, means("why the last iteration ended where it did")] = None
+    neighbours: Annotated[tuple[NeighbourState, ...], means("what it has of each of them")] = ()
+    depth_m: Annotated[float | None, means("m below the surface; null: the control module is silent")] = None
+    roll_deg: Annotated[float | None, means("degrees, about the axis ahead; positive: left side up")] = None
+    pitch_deg: Annotated[float | None, means("degrees, about the axis to the left; positive: bow down")] = None
+    pan_deg: Annotated[float, means("degrees, as the gimbal is told; positive to the left")] = 0.0
+    tilt_deg: Annotated[float, means("degrees, as the gimbal is told; positive upwards")] = 0.0
+    focus: Annotated[int | None, means("lens position, in the camera's own steps")] = None
+    whereabouts: Annotated[
+        Whereabouts | UnsetType | None, means("of a robot that swims; null: it does not know; left out: it is moored")
+    ] = UNSET
+    behaviour: Annotated[
+        str | UnsetType, means("what a robot that swims does now: the kind in the fleet file; left out: it is moored")
+    ] = UNSET
+    lamp: Annotated[LampState | UnsetType, means("left out: its fleet has no [lighting]")] = UNSET
+    ordered: Annotated[
+        tuple[str, ...] | UnsetType, means("what people ordered that holds, `console: order`; left out: nothing")
+    ] = UNSET
+    armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
+    battery_v: Annotated[float | UnsetType, means("V, as its control module last said; left out: it never has")] = UNSET
+    ladder: Annotated[int | UnsetType, means("the module's failsafe level, 0 is normal; left out: likewise")] = UNSET
+    refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
+    faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()
+
+
+class LogLine(Message, frozen=True, kw_only=True):
+    """A line of a robot's log."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    robot: Annotated[Id, means("the robot that says it")]
+    sent_ns: Annotated[Count, means(SENT)]
+    level: Annotated[Level, means("how bad it is")]
+    text: Annotated[str, Meta(max_length=MAX_TEXT), means("one line, for people")]
+
+
+class Image(Message, frozen=True, kw_only=True):
+    """A preview of what a robot's camera sees: for people, never for a measurement."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    robot: Annotated[Id, means("the robot whose camera it is")]
+    seq: Annotated[Count, means("counts the previews")]
+    sent_ns: Annotated[Count, means(SENT)]
+    t_ns: Annotated[int, means("middle of the exposure: ns since the Unix epoch, by the robot's clock")]
+    frame: Annotated[Count, means("number of the frame, as the camera counts")]
+    width_px: Annotated[int, Meta(ge=1), means("of the JPEG, which may be smaller than the frame")]
+    height_px: Annotated[int, Meta(ge=1), means("of the JPEG")]
+    enhanced: Annotated[bool, means("false: as the camera gave it")]
+    focus: Annotated[int | None, means("lens position, once at rest, in the camera's own steps")] = None
+    jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG), means("the whole file, JPEG")]
+
+
+def _finite(value: Any) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, (tuple, list)):
+        return all(map(_finite, value))
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
+    return True

@@ -1,0 +1,151 @@
+"""What the robot shows of itself: its public state, one message for each target, and its faults."""
+
+from __future__ import annotations
+
+import math
+
+from msgspec import UNSET
+
+from agent.core.attitude import AttitudeLog
+from agent.core.control.sweep import Measurement, Rejected
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.logbook import Logbook
+from agent.core.messages import MAX_TEXT, NeighbourState, State, Symmetric
+from agent.core.ranging.cues import NoRange
+from agent.core.ranging.fix import Fix
+from agent.core.savepoint import Revertible
+from agent.core.step_io import Inputs, SweepOutcome
+from agent.core.target_state import TargetState
+
+FAILSAFE = "failsafe level"
+NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
+
+
+class Status(Revertible):
+    """Keeps what only observers need: nothing here is read back by the control of the robot."""
+
+    def __init__(self, fleet: str, robot: str, incarnation: int) -> None:
+        self._fleet, self._robot, self._incarnation = fleet, robot, incarnation
+        self.log = Logbook(robot)
+        self._started_ns = 0
+        self._frame_ns: int | None = None
+        self._lens_position: int | None = None
+        self._faults: tuple[str, ...] = ()
+
+    def start(self, now_ns: int) -> None:
+        self._started_ns = now_ns
+
+    def devices(self, inputs: Inputs, ours: tuple[str, ...], attitude: AttitudeLog, now_ns: int) -> None:
+        """Notice devices that fell silent, devices that came back, and what else is said to be wrong; ours: by the
+        kernel itself, beside what the host says."""
+        for sighting in inputs.sightings:
+            self._frame_ns = now_ns
+            self._lens_position = sighting.focus if sighting.focus is not None else self._lens_position
+        faults = []
+        if now_ns - (self._frame_ns or self._started_ns) > NO_FRAMES_NS:
+            faults.append("no frames")
+        if attitude.silent(now_ns, self._started_ns):
+            faults.append("no telemetry")
+            faults += [fault for fault in self._faults if fault.startswith(FAILSAFE)]  # nobody knows that it is over
+        elif attitude.newest is not None and attitude.newest.ladder > 0:
+            faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
+        told = () if inputs.faults is UNSET else inputs.faults
+        self._show_faults((*faults, *(text[:MAX_TEXT] for text in (*told, *ours))), now_ns)
+
+    def _show_faults(self, faults: tuple[str, ...], now_ns: int) -> None:
+        """Log what has changed since the last step. Of a fault whose words change, now and then the newest."""
+        before, after = ({fault_kind(fault) for fault in all_of} for all_of in (self._faults, faults))
+        for fault in faults:
+            if fault_kind(fault) not in before:
+                self.log.note("warning", fault, now_ns)
+            elif fault not in self._faults:
+                self.log.note_seldom("warning", fault_kind(fault), fault, now_ns)
+        for kind in dict.fromkeys(map(fault_kind, self._faults)):
+            if kind not in after:
+                self.log.note("info", f"over: {kind}", now_ns)
+        self._faults = faults
+
+    def state(
+        self,
+        target: TargetState,
+        refused: dict[str, int],
+        attitude: AttitudeLog,
+        gimbal_deg: tuple[float, float],
+        now_ns: int,
+    ) -> State:
+        """The public state at this moment, about one of the targets."""
+        telemetry, estimator, update, prior = attitude.newest, target.estimator, target.update, target.measured
+        posterior, used = estimator.posterior, update.used if update else ()
+        return State(
+            fleet=self._fleet,
+            robot=self._robot,
+            incarnation=self._incarnation,
+            seq=target.last_state.seq + 1 if target.last_state else 1,
+            sent_ns=now_ns,
+            target=target.name,
+            knows=target.knows,
+            t=estimator.t,
+            acquired_t=target.acquired_t,
+            measurements=target.measurements,
+            prior_m=prior.x_m if prior else None,
+            prior_sigma_m=sigma_m(prior.cov_m2) if prior else None,
+            posterior_m=posterior.x_m if posterior else None,
+            posterior_sigma_m=sigma_m(posterior.cov_m2) if posterior else None,
+            alpha=update.alpha if update else None,
+            rule=update.rule if update else "",
+            explain=update.explain if update else None,
+            neighbours=tuple(
+                neighbour_state(target.mailbox, name, name in used, now_ns) for name in target.mailbox.senders
+            ),
+            depth_m=telemetry.depth_m if telemetry else None,
+            roll_deg=telemetry.roll_deg if telemetry else None,
+            pitch_deg=telemetry.pitch_deg if telemetry else None,
+            pan_deg=gimbal_deg[0],
+            tilt_deg=gimbal_deg[1],
+            focus=self._lens_position,
+            armed=telemetry.armed if telemetry and not attitude.silent(now_ns, self._started_ns) else None,
+            battery_v=round(telemetry.battery_v, 2) if telemetry else UNSET,
+            ladder=telemetry.ladder if telemetry else UNSET,
+            refused=dict(refused),
+            faults=self._faults,
+        )
+
+
+def neighbour_state(mailbox: Mailbox, name: str, used: bool, now_ns: int) -> NeighbourState:
+    sender, age_ns = mailbox.senders[name], mailbox.age_ns(name, now_ns)
+    return NeighbourState(
+        robot=name,
+        age_s=None if age_ns is None else age_ns * 1e-9,
+        valid=sender.newest is not None and sender.newest.message.valid,
+        used=used,
+        heard=sender.heard,
+        gaps=sender.gaps,
+    )
+
+
+def sweep_outcome(target: str, result: Measurement | Rejected, fix: Fix | NoRange | None = None) -> SweepOutcome:
+    """What the log shows of a finished sweep; `fix`: where its peak puts the target, if it has one."""
+    if isinstance(result, Rejected):
+        return SweepOutcome(sweep=result.sweep, target=target, held_width=result.held_width, rejected=result.reason)
+    return SweepOutcome(
+        sweep=result.sweep,
+        target=target,
+        t_ns=result.t_ns,
+        lens_position=result.lens_position,
+        sigma=result.sigma,
+        width=result.width,
+        held_width=result.held_width,
+        quality=result.quality,
+        x_m=fix.position_m if isinstance(fix, Fix) else None,
+        rejected=fix.reason if isinstance(fix, NoRange) else "",
+    )
+
+
+def sigma_m(covariance_m2: Symmetric) -> float:
+    """Root of the trace: the expected 3-D error."""
+    return math.sqrt(covariance_m2[0] + covariance_m2[3] + covariance_m2[5])
+
+
+def fault_kind(fault: str) -> str:
+    """Which of State.faults this is, whatever its words."""
+    return fault.partition(":")[0]

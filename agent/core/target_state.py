@@ -1,0 +1,152 @@
+"""One target as one robot knows it: the post about it, its estimator, and what was measured of it.
+
+A robot has such a state for each target of the fleet file, and nothing passes from one to another. Each has an
+iteration index of its own, which counts while the camera's turn is at this target (control/target_scheduler.py): to
+every protocol it looks as if there were no other.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+from agent.core.config import Fleet
+from agent.core.estimation.choice import dynamics, estimator
+from agent.core.estimation.dynamics import Dynamics, growth
+from agent.core.estimation.evidence import Evidence
+from agent.core.estimation.evidence_checks import inside, widest_m2
+from agent.core.estimation.interface import Bearing, Estimator, Posterior, Prior, Update
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.matrix import plus, times, trace
+from agent.core.messages import Estimate, State, Symmetric, Vector
+from agent.core.savepoint import Revertible
+
+Knows = Literal["blind", "told", "sees"]
+OLD_NS = 1_000_000_000
+HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
+
+
+class TargetEstimate(NamedTuple):
+    """What the fleet agrees on of one target, now."""
+
+    x_m: Vector
+    v_m_s: Vector
+    cov_m2: Symmetric
+    seen_ns: int  # when this robot or one that it hears last measured it
+
+    @property
+    def sigma_m(self) -> float:
+        """Root of the trace of the covariance of x and y."""
+        return math.sqrt(self.cov_m2[0] + self.cov_m2[3])
+
+
+class TargetState(Revertible):
+    """What one robot keeps about one target between steps."""
+
+    def __init__(self, fleet: Fleet, robot: str, target: str, incarnation: int, common: str = "") -> None:
+        self._fleet, self._robot, self._incarnation = fleet.fleet, robot, incarnation
+        self._common, self._tank_m = common, fleet.tank.size_m
+        self.name = target
+        self.ball = fleet.target[target]
+        self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
+        self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
+        self._moves = dynamics(self.ball)
+        self._validity_ns = round(fleet.estimation.validity_s * 1e9)
+
+        self.prior: Prior | None = None  # measured since the last iteration
+        self.bearing: Bearing | None = None  # in its stead, of a target that is pursued
+        self.measured: Prior | None = None  # the newest measurement
+        self.measurements = 0
+        self.update: Update | None = None
+        self.acquired_t: int | None = None  # iteration of the first own view
+        self.knows: Knows = "blind"
+        self.since_t = 0  # iteration from which on it is so
+        self._held = HELD  # iterations for which it was so, at least
+        self._news: Knows = "blind"  # what was told of it last
+        self._seen_ns: int | None = None  # when anybody was last known to measure it
+        self.last_state: State | None = None
+
+    def measure(self, prior: Prior) -> None:
+        """A sweep gave a position."""
+        self.prior = self.measured = prior
+        self.measurements += 1
+
+    @property
+    def believed_m(self) -> Vector | None:
+        """Where it is believed to be, world frame."""
+        believed = self.estimator.posterior
+        return believed.x_m if believed else None
+
+    def catch_up(self, now_ns: int) -> None:
+        """Take over the iteration index of neighbours that are ahead."""
+        self.estimator.adopt(self.mailbox.swarm_t(now_ns, self._validity_ns))
+
+    def estimate(self, now_ns: int) -> TargetEstimate | None:
+        """The posterior, for who swims by it; asked in each step, or it does not notice who sees the target."""
+        if self.estimator.valid or self.mailbox.usable(now_ns, self._validity_ns):
+            self._seen_ns = now_ns
+        believed = self.estimator.posterior
+        if believed is None or self._seen_ns is None:
+            return None
+        old = bool(believed.t_ns) and now_ns - believed.t_ns > OLD_NS  # of a track that ends there
+        cov_m2 = grown(believed, self._moves, now_ns) if old else believed.cov_m2
+        return TargetEstimate(believed.x_m, believed.v_m_s, cov_m2, self._seen_ns)
+
+    def iterate(self, now_ns: int) -> bool:
+        """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it
+        has been so for HELD iterations, and the last news was another one."""
+        if self.prior is None and self.bearing is not None and isinstance(self.estimator, Evidence):
+            self.update = self.estimator.tick(self.bearing, self.mailbox, now_ns)
+        else:
+            self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
+        self.prior = self.bearing = None
+        knew, self.knows = self.knows, "blind"
+        if self.estimator.valid:
+            self.knows = "sees"
+        elif self.estimator.posterior is not None:
+            self.knows = "told"
+        if self.estimator.valid and self.acquired_t is None:
+            self.acquired_t = self.update.t
+        if self.knows != knew:
+            self.since_t, self._held = self.update.t, 0
+        self._held += 1
+        if self._held < HELD or self.knows == self._news:
+            return False
+        self._news = self.knows
+        return True
+
+    def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
+        """What the protocol has for a neighbour; without news it is still the heartbeat."""
+        word = self.estimator.say(neighbour, now_ns)
+        if word.x_m is None or not inside(word.x_m, self._tank_m):  # nobody would believe it
+            word = word._replace(x_m=None, cov_m2=None)
+        return Estimate(
+            fleet=self._fleet,
+            src=self._robot,
+            dst=neighbour,
+            incarnation=self._incarnation,
+            seq=seq,
+            sent_ns=now_ns,
+            target=self.name,
+            t=self.estimator.t,
+            valid=self.estimator.valid,
+            common=self._common,
+            **word._replace(cov_m2=sayable(word.cov_m2, self._tank_m))._asdict(),
+        )
+
+
+def grown(believed: Posterior, moves: Dynamics, now_ns: int) -> Symmetric:
+    """How well it is known where it is now, by what is believed of an earlier moment: nothing of its course."""
+    if not believed.t_ns or moves.turn_s == math.inf:
+        return believed.cov_m2
+    by = growth(moves, max(now_ns - believed.t_ns, 0) * 1e-9)
+    speed_m_s = moves.first_speed_m_s
+    return plus(believed.cov_m2, times(by.place_m2 + (by.reach_s * speed_m_s) ** 2, moves.axes))
+
+
+def sayable(covariance_m2: Symmetric | None, tank_m: Vector) -> Symmetric | None:
+    """A covariance as it can be told: nobody is less sure than that the target is in the tank."""
+    if covariance_m2 is None:
+        return None
+    excess = trace(covariance_m2) / widest_m2(tank_m)
+    return covariance_m2 if excess <= 1.0 else times(1.0 / excess, covariance_m2)

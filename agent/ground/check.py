@@ -1,0 +1,140 @@
+"""`aucamp check`: all that can be known of a fleet's start without starting anything."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from agent.core.config import ConfigError, Fleet
+from agent.core.toml_files import read_toml
+from agent.ground.addresses import address_finding, is_here, links, loopback_findings
+from agent.ground.certificates import certificate_findings, watchers_here
+from agent.ground.devices import device_findings
+from agent.ground.files import (
+    calibration_finding,
+    disk_finding,
+    enhancement_findings,
+    files_finding,
+    key_findings,
+    target_findings,
+    twin_findings,
+)
+from agent.ground.finding import Finding
+from agent.robot.fleet_reader import load_fleet, load_robot, read_fleet
+from agent.robot.fleet_rules import broken_rules, two_worlds
+
+OPEN = "open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
+MARKS = ("MEASURE", "SURVEY")  # that `aucamp init` leaves in the comments of a file of real robots
+
+
+class Checked(NamedTuple):
+    """All findings, in the order in which they were made."""
+
+    findings: tuple[Finding, ...]
+    robots: int = 0  # of how many the devices and files were looked at: those of this computer
+
+    @property
+    def well(self) -> bool:
+        return not any(finding.level == "wrong" for finding in self.findings)
+
+    @property
+    def verdict(self) -> str:
+        """One line at the end."""
+        counts = Counter(finding.level for finding in self.findings)
+        warnings = f"; {counts['warning']} warning{'s' if counts['warning'] > 1 else ''}" if counts["warning"] else ""
+        if not self.well:
+            things = "one thing is" if counts["wrong"] == 1 else f"{counts['wrong']} things are"
+            return f"not ready: {things} wrong{warnings}"
+        return f"{'ready to start' if self.robots else 'nothing is wrong with the file'}{warnings}"
+
+    def as_json(self) -> dict[str, Any]:
+        """For programs."""
+        about = {"well": self.well, "verdict": self.verdict, "robots": self.robots}
+        return {**about, "findings": [finding._asdict() for finding in self.findings]}
+
+
+def check(path: Path, robot: str | None, folder: Path) -> Checked:
+    """Look at a fleet file and at this computer; of one robot alone if it is named. `folder`: where it would record.
+
+    A mistake in the file is a finding. Raises ConfigError where there is no such file or robot.
+    """
+    if not path.is_file():
+        read_toml(path)  # says so
+    mistakes = tuple(mistakes_in(path))
+    if mistakes:
+        return Checked(mistakes)
+    fleet = load_fleet(path)
+    if robot is not None:
+        load_robot(fleet, robot, path)
+    here = [robot] if robot is not None else [name for name, one in fleet.robot.items() if is_here(one.listen)]
+    found = [*fleet_findings(fleet, path)]
+    for name in fleet.robot if robot is None else [robot]:
+        found.append(address_finding(fleet, name, path, asked=robot is not None))
+        found += robot_findings(fleet, name, path) if name in here else ()
+    for name in watchers_here(fleet, path) if robot is None else ():
+        found += certificate_findings(fleet, name, path)
+    return Checked((*found, *computer_findings(here, folder)), len(here))
+
+
+def mistakes_in(path: Path) -> Iterator[Finding]:
+    """All rules that the file breaks, where it can be read at all; a person would rather not hear of one at a time."""
+    try:
+        fleet = read_fleet(path)
+    except ConfigError as error:
+        yield Finding("wrong", "file", str(error))
+        return
+    for key, remedy in broken_rules(fleet):
+        yield Finding("wrong", "file", f"{path}: key '{key}': {remedy}")
+
+
+def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
+    """What concerns all robots."""
+    robots, targets = ", ".join(fleet.robot), ", ".join(fleet.target)
+    yield Finding("ok", "file", f"{path}: fleet '{fleet.fleet}' of {robots}; they look for {targets}")
+    marks = [mark for mark in MARKS if mark in path.read_text(encoding="utf-8")]
+    if marks:
+        text = f"{path}: still marked {' and '.join(marks)}; put in what is true of your tank, and take the marks out"
+        yield Finding("warning", "file", text)
+    if (why := two_worlds(fleet)) is not None:
+        yield Finding("wrong", "fleet", why)
+    yield from links(fleet)
+    yield from loopback_findings(fleet)
+    yield from twin_findings(fleet, path)
+    yield from target_findings(fleet)
+    yield from enhancement_findings(fleet)
+    if fleet.access.keys is None:
+        yield Finding("ok", "fleet", "signs nothing: [access] names no keys")
+    if not fleet.secured:
+        yield Finding("ok", "fleet", OPEN)
+
+
+def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """What a robot of this computer needs here."""
+    yield calibration_finding(fleet, name, path)
+    yield from running_findings(fleet, name, path)
+
+
+def running_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """What it needs to be here for as long as it runs."""
+    yield from key_findings(fleet, name, path)
+    yield from certificate_findings(fleet, name, path)
+    yield from device_findings(fleet, name)
+
+
+def computer_findings(here: Sequence[str], folder: Path) -> Iterator[Finding]:
+    """What the computer has for the robots that are here."""
+    if here:
+        yield disk_finding(folder)
+        yield files_finding()
+    else:
+        text = "no robot listens at an address of this computer: devices and files were not looked at"
+        yield Finding("warning", "fleet", f"{text}; check on the robots' computers, or correct listen")
+
+
+def before_dive(fleet: Fleet, name: str, path: Path, folder: Path) -> str | None:
+    """What will go wrong in a dive of this robot though its agent starts, in one line; None: nothing is known to.
+    `folder`: where it records."""
+    found = (*running_findings(fleet, name, path), *computer_findings([name], folder))
+    return "; ".join(finding.text for finding in found if finding.level != "ok") or None

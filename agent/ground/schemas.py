@@ -1,0 +1,109 @@
+"""What is on the network, for programs that are not ours: a JSON Schema of each message, and the table of topics.
+
+All of it is made from the structs and from the table of topics that the robots themselves use.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from agent.core import claim, keyframe, messages, topics, words
+from agent.core.codec import encoding
+from agent.core.messages import SCHEMA, Message
+from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.core.topics import TOPICS
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+AS_MSGPACK = (
+    "A message is one msgpack map with these keys. A string with contentEncoding base64 is msgpack's bin there, "
+    "the bytes themselves: write them in base64 before you check a message against this schema."
+)
+INDEX = "topics.json"
+TOKENS = {
+    topics.ALIVE: "an agent of this robot runs; the token goes with its session",
+    topics.TWICE: "the witness is linked to two agents of this robot's name",
+}
+QUERIES = {
+    topics.ORDER: (Order, "what somebody at a console wants of a robot; the reply is an Answer, of the same key")
+}
+
+
+def schema(kind: type[Message]) -> dict[str, Any]:
+    """The JSON Schema of one message, with all that is in it."""
+    (reference,), parts = msgspec.json.schema_components((kind,))
+    for name, part in parts.items():
+        if part["type"] == "array":  # a struct that travels without the names of its fields
+            for field, item in zip(_struct(name).__struct_fields__, part["prefixItems"], strict=True):
+                item["title"] = field
+        elif "schema" in part["properties"]:
+            part["properties"]["schema"]["const"] = SCHEMA
+            part["required"].insert(0, "schema")  # it has a default for us who write it; who reads it insists
+    top = parts.pop(reference["$ref"].rpartition("/")[2])
+    return {"$schema": DIALECT, **top, "$comment": AS_MSGPACK, **({"$defs": parts} if parts else {})}
+
+
+def _struct(name: str) -> Any:
+    """A part of a message, by its name."""
+    return next(getattr(home, name) for home in (messages, claim, keyframe, words) if hasattr(home, name))
+
+
+def index() -> dict[str, Any]:
+    """Which message is on which key, and the liveliness tokens."""
+    return {
+        "schema": SCHEMA,
+        "topics": [
+            {
+                "name": row.name,
+                "key": row.key,
+                "encoding": encoding(row.message),
+                "message": row.message.__name__,
+                "json_schema": file_name(row.message),
+                "hz": row.hz or None,
+                "reliability": row.qos.reliability,
+                "priority": row.qos.priority,
+                "max_bytes": row.limit,
+            }
+            for row in TOPICS
+        ],
+        "liveliness": [{"key": key, "description": about} for key, about in TOKENS.items()],
+        "queries": [
+            {
+                "key": key,
+                "encoding": encoding(kind),
+                "message": kind.__name__,
+                "json_schema": file_name(kind),
+                "reply": Answer.__name__,
+                "max_bytes": MAX_ORDER,
+                "description": about,
+            }
+            for key, (kind, about) in QUERIES.items()
+        ],
+    }
+
+
+def kinds() -> tuple[type[Message], ...]:
+    """Every kind of message that there is a schema of."""
+    return (*(row.message for row in TOPICS), *(kind for kind, _ in QUERIES.values()))
+
+
+def file_name(kind: type[Message]) -> str:
+    return f"{kind.__name__}.json"
+
+
+def texts() -> dict[str, str]:
+    """All files: name -> content."""
+    files = {INDEX: index(), **{file_name(kind): schema(kind) for kind in kinds()}}
+    return {name: json.dumps(content, indent=2) + "\n" for name, content in files.items()}
+
+
+def write(folder: Path) -> list[Path]:
+    """Write all of them into a folder that is there; returns their paths."""
+    written = []
+    for name, text in texts().items():
+        (folder / name).write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    return written

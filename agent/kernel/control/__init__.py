@@ -1,1 +1,0 @@
-"""What the robot does next: where the lens goes, where the gimbal points."""

@@ -1,1 +1,0 @@
-"""Agreement on where the target is: one face, one file per protocol."""

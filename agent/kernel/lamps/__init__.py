@@ -1,1 +1,0 @@
-"""Lamps in a robot's step: how its own burns, whose light it asks for, and which sweeps count by it."""

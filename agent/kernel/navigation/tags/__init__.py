@@ -1,1 +1,0 @@
-"""From landmarks in a frame to the pose of the robot that saw them."""

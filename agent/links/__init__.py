@@ -1,1 +1,0 @@
-"""What a robot's links bring, before a step takes it."""

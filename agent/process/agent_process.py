@@ -1,0 +1,278 @@
+"""One agent process: a robot's devices, links and recording, opened around the loop of runtime.py.
+
+On the way out the motors go off first, then the last state is shown, then links close, then the recording ends.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple
+
+from agent.clock.clock import Clock
+from agent.clock.part_names import SERIAL, part_name
+from agent.core.config import ConfigError, Fleet, Robot
+from agent.core.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
+from agent.core.ranging.calibration import Calibration, load_calibration
+from agent.core.step_io import Sighting, TargetBox
+from agent.perception.detection.detectors import BoxDetector, Detector, colours_too_alike, load_detectors
+from agent.perception.enhancement.enhance import default
+from agent.perception.enhancement.on_demand import OnDemandEnhancer
+from agent.perception.landmarks.watch import LandmarkWatch
+from agent.perception.preview import Preview
+from agent.perception.recorded_depth import sweep_depth
+from agent.perception.tracking.box import Box
+from agent.perception.vision import Vision
+from agent.process.console_log import ConsoleLog
+from agent.process.fleet_certificates import credentials
+from agent.process.fleet_clock import fleet_clock
+from agent.process.robot_keys import RobotKeys, robot_keys
+from agent.process.runtime import Runtime, say_goodbye
+from agent.process.transport import Transport
+from agent.robot.core import Agent
+from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
+from hw.camera.camera import Frame
+from hw.camera.open import known_scheme, open_camera
+from hw.stm32.driver import Stm32
+from hw.stm32.motors import Motors
+from hw.stm32.port import open_port_path
+from hw.twin.devices.twin_folder import twin_dir
+from replay.black_box_writer import BlackBoxWriter, black_box_log
+from replay.files.auto_recover import recovering, torn_files
+from replay.files.clock_rate import RateNotes
+from replay.files.environment import environment
+
+OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
+
+
+class Setup(NamedTuple):
+    """What the files say of one robot, read and checked before anything is opened."""
+
+    fleet: Fleet
+    name: str
+    robot: Robot
+    calibration: Calibration
+    detectors: Mapping[str, Detector]
+    keys: RobotKeys
+    certificates: Path | None  # folder of those of a secured fleet
+    clock: Clock
+
+
+def run(
+    fleet_path: Path,
+    name: str,
+    out: Path | None,
+    arm: bool,
+    stop: Event,
+    lossless: bool = False,
+    views: bool = True,
+    behaviour: str | None = None,
+    doubts: Callable[[Fleet], str | None] = lambda fleet: None,
+) -> None:
+    """One agent process, from its fleet file until `stop` is set. Raises ConfigError or CameraError before anything
+    moves.
+
+    With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
+    `lossless` records frames bit by bit, `views` adds channels for viewers to the recording. `behaviour`: what the
+    robot does in place of what the file says, as the file would say it. `doubts`: what will go wrong though it starts.
+    """
+    setup = load_setup(fleet_path, name, behaviour)
+    if (why := doubts(setup.fleet)) is not None:
+        tell(f"{name}: before the dive: {why}\n")
+    if stop.is_set():
+        return
+    with ExitStack() as stack:
+        stack.enter_context(recovering(torn_files((out or Path()) / f"{name}.mcap")))
+        process = AgentProcess(setup, stack, stop)
+        process.open_links(out or Path(), lossless, views)
+        process.open_eyes()
+        process.open_module(arm)
+        motors = "motors start when the control module agrees" if arm else "motors stay off (--arm starts them)"
+        tell(f"{name}: {motors}; recording {process.log.path}; Ctrl-C ends it\n")
+        process.runtime(arm).run(stop)
+    failed = process.log.failed
+    tell(f"{name}: stopped; {f'not recorded to the end: {failed}' if failed else f'recorded {process.log.path}'}\n")
+
+
+def load_setup(fleet_path: Path, name: str, behaviour: str | None = None) -> Setup:
+    """Read all files. Raises ConfigError or CameraError, one line, for what a person has to mend first."""
+    fleet = load_fleet(fleet_path)
+    robot = load_robot(fleet, name, fleet_path)
+    fleet = fleet if behaviour is None else with_behaviour(fleet, name, behaviour)
+    known_scheme(robot.camera)
+    clock = fleet_clock(fleet)
+    calibration = own_calibration(fleet, name, fleet_path)
+    keys, certificates = robot_keys(fleet, name, fleet_path), credentials(fleet, name, fleet_path)
+    detectors = load_detectors(fleet, calibration.camera)
+    for line in colours_too_alike(fleet):
+        tell(f"{name}: {line}\n")
+    if not fleet.secured:
+        tell(f"{name}: {OPEN}\n")
+    return Setup(fleet, name, robot, calibration, detectors, keys, certificates, clock)
+
+
+class AgentProcess:
+    """The parts of one agent, each opened by a method of its own, in this order; `stack` closes them, last first."""
+
+    def __init__(self, setup: Setup, stack: ExitStack, stop: Event) -> None:
+        self._setup, self._stack, self._stop = setup, stack, stop
+        self._size = setup.fleet.camera.width_px, setup.fleet.camera.height_px
+        self._sockets = twin_dir(setup.fleet)
+        self._clock = setup.clock
+        self._incarnation = self._clock.now_ns()
+        self._agent = Agent(setup.fleet, setup.name, setup.calibration, self._incarnation)
+
+    def open_links(self, out: Path, lossless: bool, views: bool) -> None:
+        """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
+        fleet, name, calibration = self._setup.fleet, self._setup.name, self._setup.calibration
+        with ExitStack() as links:
+            self._link = links.enter_context(Transport(fleet, name, self._clock.now_ns, self._setup.certificates))
+            facts = run_facts(fleet, name, self._incarnation)
+            self.log = self._stack.enter_context(
+                black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
+            )
+            self._stack.push(links.pop_all())
+        self._box = BlackBoxWriter(self.log, name, self._clock.now_ns, lossless, RateNotes(self._clock))
+        self._network = self._stack.enter_context(ConsoleLog(self._link, tell))
+        self._stack.push(self._say_goodbye)
+
+    def _say_goodbye(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        mode: Mode = "stopped" if kind is None or issubclass(kind, (KeyboardInterrupt, SystemExit)) else "failed"
+        say_goodbye(self._agent, self._network, self._clock, mode)
+
+    def open_eyes(self) -> None:
+        """The camera's thread, and previews of what it sees."""
+        fleet, name = self._setup.fleet, self._setup.name
+        enhancer = self._open_enhancer() if fleet.camera.enhance else None
+        boxes = any(target.detector == "box" for target in fleet.target.values())
+        self._preview = Preview(name, self._size, fleet.link.preview_hz, enhancer, keep=boxes)
+        swims, known = fleet.navigation, self._setup.calibration
+        self._landmarks = LandmarkWatch(known.camera, known.focus, swims.follow_hz) if swims else None
+        self._eyes = Vision(
+            lambda: open_camera(self._setup.robot.camera, self._sockets, self._size, self._clock),
+            fleet,
+            self._setup.calibration.camera,
+            self._setup.detectors,
+            self._clock,
+            name,
+            on_frame=self._on_frame,
+            enhancer=enhancer,
+            landmarks=self._landmarks,
+        )
+        self._eyes.start()
+        self._stack.callback(self._eyes.close)
+
+    def open_module(self, arm: bool) -> None:
+        """The control module. Last, so that its motors are off before anything else ends."""
+        port = open_port_path(self._setup.robot.serial, self._sockets)
+        self._module = self._stack.enter_context(
+            Stm32(port, self._clock, tap=self._box.serial, part=part_name(self._setup.name, SERIAL))
+        )
+        if arm:
+            self._module.arm()
+
+    def runtime(self, arm: bool) -> Runtime:
+        """The loop over all of this."""
+        keys, motors = self._setup.keys, Motors(self._module, arm)
+
+        def faults() -> tuple[str, ...]:
+            found = {
+                "not recording": self.log.fault,
+                "no camera": self._eyes.fault,
+                "frames frozen": self._eyes.frozen,
+                "motors off": motors.fault(),
+                "keys": keys.fault(),
+            }
+            return (*(f"{kind}: {what}" for kind, what in found.items() if what), *self._link.faults())
+
+        return Runtime(
+            self._setup.name,
+            self._agent,
+            self._eyes,
+            self._module,
+            self._network,
+            self._box.step,
+            self._clock,
+            faults=faults,
+            motors=motors,
+            sign=keys.sign,
+            keys=keys.changed,
+            landmarks=self._landmarks.drain if self._landmarks else lambda: ((), ()),
+            draw=self._draw,
+            preview_hz=self._preview.set_rate,
+        )
+
+    def _draw(self, drawn: TargetBox) -> str | None:
+        """Have vision look for what is in a box of a frame that was shown. Returns why not."""
+        image, detector = self._preview.frame(drawn.frame), self._setup.detectors[drawn.target]
+        if image is None or not isinstance(detector, BoxDetector):
+            return f"frame {drawn.frame} was not shown, or too long ago; draw it in a newer picture"
+        detector.expect(image, Box(*drawn.box))
+        return None
+
+    def _open_enhancer(self) -> OnDemandEnhancer:
+        way = default()
+        if way.why:
+            self._log("warning", f"enhancement: {way.why}")
+        enhancer = OnDemandEnhancer(way)
+        self._stack.callback(self._log_shown_raw, enhancer)
+        return enhancer
+
+    def _log_shown_raw(self, enhancer: OnDemandEnhancer) -> None:
+        """How many frames could not be enhanced in time."""
+        text = f"enhancement: {enhancer.raw} of {enhancer.frames} frames to be enhanced had no colours in time"
+        self._log("info", text)
+
+    def _on_frame(self, frame: Frame, sightings: Sequence[Sighting]) -> None:
+        """Vision's thread: record, and show to whoever looks."""
+        self._box.frame(frame.image, frame.roi, *sightings)
+        if (
+            not self._stop.is_set()
+            and (image := self._preview.of(frame, sightings[0], self._clock.now_ns())) is not None
+        ):
+            self._network.show(image)
+
+    def _log(self, level: Level, text: str) -> None:
+        line = LogLine(robot=self._setup.name, sent_ns=self._clock.now_ns(), level=level, text=text[:MAX_TEXT])
+        self._network.show(line)
+
+
+def tell(text: str) -> None:
+    """Say it to the person who started it, at once."""
+    sys.stderr.write(text)
+    sys.stderr.flush()
+
+
+def own_calibration(fleet: Fleet, name: str, fleet_path: Path) -> Calibration:
+    """The calibration of a robot's own camera. Raises ConfigError if there is none, or if it is of another camera."""
+    path = fleet_path.parent / fleet.robot[name].calibration
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file; make it with: aucamp calibrate run {fleet_path} --robot {name}")
+    calibration = load_calibration(path)
+    if calibration.robot != name:
+        raise ConfigError(f"{path}: key 'robot': made for '{calibration.robot}', not '{name}'; take that robot's own")
+    made = calibration.camera.width_px, calibration.camera.height_px
+    asked = fleet.camera.width_px, fleet.camera.height_px
+    if made != asked:
+        raise ConfigError(
+            f"{path}: made for pictures of {made[0]}x{made[1]}, [camera] of {fleet_path} has {asked[0]}x{asked[1]}; "
+            f"calibrate again, or correct width_px and height_px"
+        )
+    return calibration
+
+
+def run_facts(fleet: Fleet, name: str, incarnation: int) -> dict[str, str]:
+    """What a reader of the recording needs to know about the run."""
+    return {
+        "kind": "black box",
+        "fleet": fleet.fleet,
+        "robot": name,
+        "protocol": fleet.estimation.protocol,
+        "seed": str(fleet.twin.seed),
+        "schema": str(SCHEMA),
+        "incarnation": str(incarnation),  # Unix time of the start, ns
+        **environment(),
+    }

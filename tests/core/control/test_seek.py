@@ -1,0 +1,61 @@
+"""A gimbal that was turned away on purpose comes back at once, and what was learnt of the target is kept."""
+
+import pytest
+
+from agent.core.attitude import Attitude
+from agent.core.control.seek import LOST_NS, Seek
+from agent.core.ranging.camera_model import look_at
+from agent.core.step_io import Sighting
+from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
+
+LEVEL, START_NS, STEP_NS = Attitude(0.3, 0.0, 0.0), 10**18, 50_000_000
+TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is
+
+
+@pytest.fixture
+def seek():
+    of = fleet()
+    seek = Seek(of, of.robot["r1"], CALIBRATION)
+    seek.act(START_NS, "ball", LEVEL, TOLD_M, True)
+    return seek
+
+
+def act(seek, now_ns, told_m=TOLD_M):
+    return seek.act(now_ns, "ball", LEVEL, told_m, True)
+
+
+def test_it_waits_before_it_believes_that_a_target_is_lost(seek) -> None:
+    goal_us, now_ns = seek.pointing.goal_us, seek.pointing.steady_from_ns
+    act(seek, now_ns + LOST_NS)
+    assert seek.pointing.goal_us == goal_us
+    act(seek, now_ns + LOST_NS + STEP_NS)
+    assert seek.pointing.goal_us != goal_us
+
+
+def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
+    now_ns = seek.pointing.steady_from_ns + STEP_NS
+    seek.add_sighting(
+        Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+    )
+    plan = act(seek, now_ns)
+    for index, lens in enumerate(plan.focus[1:], start=1):  # a peak at 300
+        clarity = 1.0 / (1.0 + ((lens - 300.0) / 60.0) ** 2)
+        now_ns += STEP_NS
+        seen = Sighting(
+            t_ns=now_ns, frame=1 + index, sweep=plan.sweep, index=index, focus=lens, target="ball", found=True,
+            centre_px=(320.0, 240.0), radius_px=40.0, clarity=clarity, area_px=2000.0,
+        )  # fmt: skip
+        seek.add_sighting(seen)
+    assert seek.finish(now_ns) is not None
+    seek.look(-60.0, 0.0, now_ns)
+    away_us, now_ns = seek.pointing.goal_us, now_ns + STEP_NS  # on its way still
+    act(seek, now_ns)
+    assert seek.pointing.goal_us != away_us
+    pan_deg, _ = look_at(TOLD_M, POSE, fleet().body, *LEVEL, fleet().tank.surface_m)
+    assert seek.gimbal_deg()[0] == pytest.approx(pan_deg, abs=0.2)
+    now_ns = seek.pointing.steady_from_ns + STEP_NS
+    seek.add_sighting(
+        Sighting(t_ns=now_ns, frame=99, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+    )
+    again = act(seek, now_ns)
+    assert len(again.focus) < len(plan.focus)  # it looks around the peak that it knows

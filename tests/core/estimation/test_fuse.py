@@ -1,0 +1,232 @@
+"""Vote and leaving out: against formulas in numpy, against least squares where all are honest, against liars."""
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.core.estimation import fuse as fusing
+from agent.core.estimation.fuse import AGREE, HIGH, LOW, TEMPER, Opinion, doubts, fuse
+from agent.core.matrix import inverse, upper
+
+RNG = np.random.default_rng(5)
+
+
+def opinion(name, x, cov) -> Opinion:
+    packed = upper(cov)
+    return Opinion(name, tuple(float(v) for v in x), packed, inverse(packed))
+
+
+def crowd(n, rng, spread=1.0):
+    """Honest opinions about (0.7, 0.5, 0.1) with covariances of a few mm along random rays."""
+    truth, found = np.array([0.7, 0.5, 0.1]), []
+    for k in range(n):
+        root = np.linalg.qr(rng.standard_normal((3, 3)))[0] * [0.012, 0.003, 0.003]
+        found.append(opinion(f"r{k:03d}", truth + spread * root @ rng.standard_normal(3), root @ root.T))
+    return found
+
+
+def full(a):
+    xx, xy, xz, yy, yz, zz = a
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def mean(opinions):
+    """Weighted least squares: (x, P)."""
+    P = np.linalg.inv(sum(np.linalg.inv(full(o.cov_m2)) for o in opinions))
+    return P @ sum(np.linalg.solve(full(o.cov_m2), o.x_m) for o in opinions), P
+
+
+def chi2(opinions):
+    x, _ = mean(opinions)
+    return sum((o.x_m - x) @ np.linalg.solve(full(o.cov_m2), o.x_m - x) for o in opinions)
+
+
+def apart2(a, b):
+    gap = np.subtract(a.x_m, b.x_m)
+    return gap @ np.linalg.solve(full(a.cov_m2) + full(b.cov_m2), gap)
+
+
+def textbook(opinions, size=1):
+    """The rule in matrices: (x, P, factor of each). Chi^2 falls by d^2 when `size` of the group go."""
+    near = [[k for k, b in enumerate(opinions) if k == j or apart2(a, b) < AGREE] for j, a in enumerate(opinions)]
+    inside = [sum(apart2(opinions[j], opinions[k]) for j, k in combinations(group, 2)) for group in near]
+    best = min(range(len(near)), key=lambda j: (-len(near[j]), inside[j], j))
+    group = [opinions[k] for k in near[best]]
+    x, P = mean(group)
+    factors = {o.origin: float(o in group) for o in opinions}
+    if len(group) < 3:
+        return x, P, factors
+    ways = [[o for o in group if o not in out] for out in combinations(group, size)]
+    d2 = np.array([chi2(group) - chi2(kept) for kept in ways])
+    b = np.clip((np.sqrt(d2.max() / size) - LOW) / (HIGH - LOW), 0.0, 1.0)
+    p = np.exp(-TEMPER * (d2.max() - d2) / 2)
+    weights = [1.0 - b, *(b * p / p.sum())]
+    places = [(x, P), *(mean(kept) for kept in ways)]
+    x = sum(w * place for w, (place, _) in zip(weights, places, strict=True))
+    spread = [cov + np.outer(place - x, place - x) for place, cov in places]
+    for w, kept in zip(weights[1:], ways, strict=True):
+        for o in group:
+            factors[o.origin] -= w * (o not in kept)
+    return x, sum(w * cov for w, cov in zip(weights, spread, strict=True)), factors
+
+
+def swayed(rng, n):
+    """Honest opinions but for one or two that stand 0 to 8 sigma off and claim to know anything from little to all."""
+    found = crowd(n, rng)
+    for k in range(min(n, int(rng.integers(0, 3)))):
+        root = np.linalg.cholesky(full(found[k].cov_m2))
+        off = root @ rng.standard_normal(3) * rng.uniform(0.0, 4.0)
+        found[k] = opinion(found[k].origin, found[k].x_m + off, 10 ** rng.uniform(-3, 1) * root @ root.T)
+    return found
+
+
+# --- the rule -------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 10**9), st.integers(1, 10))
+@settings(max_examples=200, deadline=None)
+def test_it_is_the_rule_of_the_textbook(seed, n) -> None:
+    opinions = swayed(np.random.default_rng(seed), n)
+    fused, (x, P, factors) = fuse(opinions), textbook(opinions)
+    assert fused.x_m == pytest.approx(x, abs=1e-9)
+    assert full(fused.cov_m2) == pytest.approx(P, rel=1e-6, abs=1e-9)
+    assert fused.factors == pytest.approx(factors, abs=1e-6)
+    assert math.fsum(fused.shares.values()) == pytest.approx(1.0)
+
+
+@given(st.integers(0, 10**9), st.integers(7, 10))
+@settings(max_examples=60, deadline=None)
+def test_two_are_left_out_where_two_may_lie(seed, n) -> None:
+    opinions = swayed(np.random.default_rng(seed), n)
+    fused, (x, P, factors) = fuse(opinions, liars=2), textbook(opinions, size=2)
+    if len([f for f in factors.values() if f > 0.0]) < fusing.PAIRS[0]:
+        return  # the vote left too few to look for two
+    assert fused.x_m == pytest.approx(x, abs=1e-9)
+    assert full(fused.cov_m2) == pytest.approx(P, rel=1e-6, abs=1e-9)
+    assert fused.factors == pytest.approx(factors, abs=1e-6)
+
+
+def test_the_draws_of_these_tests_reach_every_part_of_the_rule() -> None:
+    """Nobody stands out; somebody may; somebody does; the vote leaves one out; the vote is tied."""
+    strengths, left_out = [], 0
+    for seed in range(300):
+        opinions = swayed(np.random.default_rng(seed), 3 + seed % 6)
+        fused = fuse(opinions)
+        left_out += 0.0 in fused.factors.values()
+        strengths.append(doubts([o for o in opinions if fused.factors[o.origin] > 0.0]).strength)
+    assert strengths.count(0.0) > 50
+    assert strengths.count(1.0) > 5
+    assert sum(0.0 < s < 1.0 for s in strengths) > 50
+    assert left_out > 20
+
+
+def test_close_opinions_give_the_weighted_least_squares_mean() -> None:
+    near = crowd(6, RNG, spread=0.3)  # nobody stands out
+    precision = sum(full(o.precision) for o in near)
+    mean = np.linalg.solve(precision, sum(full(o.precision) @ o.x_m for o in near))
+    fused = fuse(near)
+    assert fused.verdict == "ok"
+    assert fused.x_m == pytest.approx(mean, abs=1e-12)
+    assert full(fused.cov_m2) == pytest.approx(np.linalg.inv(precision), rel=1e-9)
+    assert math.fsum(fused.shares.values()) == pytest.approx(1.0)
+
+
+def test_the_common_error_is_added_and_cannot_be_averaged_away() -> None:
+    common = (1e-6, 0.0, 0.0, 1e-6, 0.0, 4e-6)
+    opinions = crowd(4, RNG)
+    assert np.subtract(fuse(opinions, common).cov_m2, fuse(opinions).cov_m2) == pytest.approx(common)
+
+
+@pytest.mark.parametrize("n", [3, 5, 80])
+def test_one_liar_is_left_out_however_sure_it_is(n) -> None:
+    opinions = crowd(n, np.random.default_rng(1), spread=0.5)
+    liar = opinion("r001", np.add(opinions[1].x_m, (0.3, 0.0, 0.0)), 1e-6 * np.eye(3))
+    fused = fuse([opinions[0], liar, *opinions[2:]])
+    honest = fuse([opinions[0], *opinions[2:]])
+    assert fused.verdict == "outlier"
+    assert fused.factors["r001"] == 0.0
+    assert fused.x_m == pytest.approx(honest.x_m, abs=1e-12)
+
+
+def test_two_that_disagree_are_ambiguous_and_one_alone_is_single() -> None:
+    a = opinion("a", (0.5, 0.5, 0.1), 1e-5 * np.eye(3))
+    b = opinion("b", (0.8, 0.5, 0.1), 1e-5 * np.eye(3))
+    assert fuse([a, b]).verdict == "ambiguous"
+    assert fuse([a]).verdict == "single"
+    assert fuse([]) is None
+
+
+def test_two_against_two_is_no_majority() -> None:
+    pair = [opinion(n, (x, 0.5, 0.1), 1e-5 * np.eye(3)) for n, x in zip("abcd", (0.5, 0.501, 0.8, 0.801), strict=True)]
+    fused = fuse(pair)
+    assert fused.verdict == "ambiguous"
+    assert fused.votes == {"a": 2, "b": 2, "c": 2, "d": 2}
+
+
+@given(st.integers(0, 10**6), st.integers(2, 8))
+@settings(max_examples=60, deadline=None)
+def test_it_turns_with_the_world_and_does_not_care_for_names(seed, n) -> None:
+    rng = np.random.default_rng(seed)
+    opinions = swayed(rng, n)
+    turn, shift = np.linalg.qr(rng.standard_normal((3, 3)))[0], rng.standard_normal(3)
+    moved = [opinion(o.origin, turn @ o.x_m + shift, turn @ full(o.cov_m2) @ turn.T) for o in opinions]
+    fused = fuse(opinions)
+    if fused.verdict == "ambiguous":
+        return  # groups of one have no distance inside: names settle it
+    assert fuse(moved).x_m == pytest.approx(turn @ fused.x_m + shift, abs=1e-9)
+    renamed = sorted(o._replace(origin=f"r{99 - k}") for k, o in enumerate(opinions))
+    assert fuse(renamed).x_m == pytest.approx(fused.x_m, abs=1e-9)
+
+
+# --- what it is for -------------------------------------------------------------------------------------------
+
+
+def test_who_stands_apart_takes_itself_out_however_sure_it_is() -> None:
+    """6 sigma of the others: near enough to each for the vote, sure enough to be the mean of all."""
+    opinions = crowd(5, np.random.default_rng(3), spread=0.2)
+    honest = fuse(opinions[1:])
+    root = np.linalg.cholesky(full(honest.cov_m2))
+    boast = opinion("r000", np.add(honest.x_m, 6.0 * root[:, 0]), 1e-9 * np.eye(3))
+    fused = fuse([boast, *opinions[1:]])
+    assert fused.verdict == "ok"
+    assert math.dist(mean([boast, *opinions[1:]])[0], honest.x_m) > 4.0 * math.dist(fused.x_m, honest.x_m)
+    assert fused.factors["r000"] < 0.2
+    assert min(fused.factors[o.origin] for o in opinions[1:]) > 0.8
+    assert fused.sway_m["r000"] == pytest.approx(math.dist(fused.x_m, honest.x_m), abs=1e-12)
+
+
+def test_two_equally_suspect_are_met_half_way_and_the_covariance_says_so() -> None:
+    """One of three robots is blind along x; which of the other two is right, nobody can say."""
+    lie, honest = (opinion(n, (x, 0.5, 0.1), 1e-6 * np.eye(3)) for n, x in (("a", 0.7), ("b", 0.705)))
+    witness = opinion("c", (0.7025, 0.5, 0.1), np.diag([1.0, 1e-6, 1e-6]))
+    fused = fuse([lie, honest, witness])
+    assert fused.x_m[0] == pytest.approx(0.7025, abs=1e-5)
+    assert math.sqrt(fused.cov_m2[0]) > 0.0015
+    assert fused.factors["a"] == pytest.approx(fused.factors["b"], abs=1e-3)
+
+
+def test_of_equal_groups_the_closest_wins_and_not_the_surest() -> None:
+    """Two honest ones, a liar that each of two groups of three could hold, and a boast beside it."""
+    close = [opinion(n, (0.7 + dx, 0.5, 0.1), 1e-5 * np.eye(3)) for n, dx in (("a", 0.0), ("b", 0.001), ("c", 0.002))]
+    far = [opinion(n, (0.9 + dx, 0.5, 0.1), 1e-7 * np.eye(3)) for n, dx in (("d", 0.0), ("e", 0.001), ("f", 0.0015))]
+    fused = fuse([*close, *far])
+    assert fused.verdict == "ambiguous"
+    assert fused.x_m[0] == pytest.approx(0.701, abs=1e-9)
+
+
+def test_the_cost_of_many_stays_linear() -> None:
+    """More than VOTERS: no pairs, whether one may lie or two."""
+    opinions = crowd(4 * fusing.VOTERS, np.random.default_rng(4), spread=0.5)
+    assert fuse(opinions, liars=2) == fuse(opinions)
+    assert len(doubts(opinions, liars=2).ways) in (0, len(opinions))
+
+
+def test_large_swarms_vote_with_the_median_and_find_the_same() -> None:
+    opinions = crowd(fusing.VOTERS + 10, np.random.default_rng(2), spread=0.5)
+    few, many = fuse(opinions[: fusing.VOTERS]), fuse(opinions)
+    assert many.verdict == "ok"
+    assert math.dist(few.x_m, many.x_m) < 0.002

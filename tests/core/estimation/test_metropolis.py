@@ -1,0 +1,105 @@
+"""`metropolis` against its closed form, and the three repairs."""
+
+from random import Random
+
+import numpy as np
+import pytest
+
+from agent.core.estimation.interface import Prior
+from agent.core.estimation.mailbox import Mailbox
+from agent.core.estimation.metropolis import Metropolis
+from agent.experiments.localization.graphs import graph, metropolis_weights
+from agent.experiments.localization.lockstep import Swarm
+from tests.sample_messages import estimate
+
+COV = (4e-4, 0.0, 0.0, 4e-4, 0.0, 4e-4)
+SECOND_NS = 1_000_000_000
+
+
+def prior(x: float) -> Prior:
+    return Prior((x, 0.0, 0.0), COV, 0)
+
+
+@pytest.mark.parametrize(("topology", "robots"), [("full", 3), ("line", 4), ("ring", 4)])
+def test_noise_gain_is_the_closed_form(topology, robots) -> None:
+    """e^T = (1/T) sum_k W^k n^(T-1-k): one unit impulse in, the gain of every robot out."""
+    links, total = graph(topology, robots), 6
+    W = metropolis_weights(links)
+    for source in range(robots):
+        for when in range(total):
+            swarm = Swarm("metropolis", links, 0.0, Random(0))
+            for t in range(total):
+                swarm.iterate([prior(float(i == source and t == when)) for i in range(robots)])
+            gain = np.linalg.matrix_power(W, total - 1 - when)[:, source] / total
+            assert [r.posterior.x_m[0] for r in swarm.robots] == pytest.approx(gain, abs=1e-12)
+
+
+def alone(t: int = 0) -> tuple[Metropolis, Mailbox]:
+    robot = Metropolis("r1", SECOND_NS, degree=2)
+    robot.adopt(t)
+    return robot, Mailbox("tank", "r1", "ball", ("r2", "r3"))
+
+
+def test_a_lone_observer_averages() -> None:
+    robot, box = alone()
+    for x in (1.0, 2.0, 6.0):
+        update = robot.tick(prior(x), box, SECOND_NS)
+    assert update.rule == "alone"
+    assert robot.posterior.x_m[0] == pytest.approx(3.0)
+
+
+def test_the_first_sample_of_a_late_and_lone_robot_keeps_its_covariance() -> None:
+    robot, box = alone(t=20)
+    robot.tick(prior(1.0), box, SECOND_NS)
+    assert (robot.posterior.x_m[0], robot.posterior.cov_m2) == (1.0, COV)
+
+
+@pytest.mark.parametrize(("degree", "weight"), [(2, 1 / 3), (5, 1 / 6), (None, 1 / 3)])
+def test_weights_follow_the_larger_degree_and_the_rest_stays_with_the_robot(degree, weight) -> None:
+    robot, box = alone()
+    robot.tick(prior(0.0), box, 0)
+    letter = estimate(t=1, valid=True, x_m=(1.0, 0.0, 0.0), cov_m2=COV, degree=degree)
+    box.put("r2", letter, 0)
+    update = robot.tick(prior(0.0), box, 0)
+    assert update.alpha == 0.5
+    assert robot.posterior.x_m[0] == pytest.approx(0.5 * weight)
+    assert update.explain.weights == pytest.approx({"r2": 0.5 * weight, "r1": 0.5 * (1 - weight)})
+
+
+def test_the_blind_take_what_they_are_told_without_shrinking_it() -> None:
+    swarm = Swarm("metropolis", graph("line", 3), 0.0, Random(0))
+    for _ in range(6):
+        swarm.iterate([prior(3.0), None, None])
+    assert swarm.robots[1].posterior.x_m[0] == pytest.approx(3.0)
+    assert swarm.robots[2].posterior is None, "only those who see speak for themselves"
+
+
+def lied_to(clip: bool, iterations: int = 40) -> tuple[Metropolis, list[float]]:
+    """A robot with a neighbour that is honest for half of the time, then a metre off, and how far it is itself."""
+    robot, box, far = Metropolis("r1", 10 * SECOND_NS, 1, clip), Mailbox("tank", "r1", "ball", ("r2",)), []
+    for t in range(iterations):
+        place = (float(t >= iterations // 2), 0.0, 0.0)
+        box.put("r2", estimate(seq=t, t=t, valid=True, x_m=place, cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0), degree=1), t)
+        robot.tick(prior(0.0), box, t)
+        far.append(robot.posterior.x_m[0])
+    return robot, far
+
+
+def test_a_lie_moves_it_by_three_sigma_of_the_own_samples_an_iteration_however_far_it_is() -> None:
+    _, free = lied_to(clip=False)
+    _, clipped = lied_to(clip=True)
+    assert free[-1] > 0.5
+    assert clipped[:20] == free[:20] == [0.0] * 20, "who agrees is not drawn in"
+    steps = np.diff(clipped)[19:]
+    sigma = np.sqrt(3 * 4e-4 / np.arange(21, 41))  # whatever covariance the neighbour claims
+    kept = 1 - 1 / np.arange(21, 41)
+    expected = [kept[k] * (0.5 * 3.0 * sigma[k]) - clipped[19 + k] / (21 + k) for k in range(20)]
+    assert steps == pytest.approx(expected, abs=1e-12)
+    assert clipped[-1] < free[-1]
+
+
+def test_a_robot_that_never_saw_the_target_takes_what_it_is_told_with_the_clip_too() -> None:
+    robot, box = Metropolis("r1", SECOND_NS, 1, clip=True), Mailbox("tank", "r1", "ball", ("r2",))
+    box.put("r2", estimate(t=1, valid=True, x_m=(1.0, 0.0, 0.0), cov_m2=COV, degree=1), 0)
+    robot.tick(None, box, 0)
+    assert robot.posterior.x_m == (1.0, 0.0, 0.0)

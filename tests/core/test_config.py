@@ -1,0 +1,173 @@
+"""Every mistake in a fleet file is one line that names the file, the key and the remedy."""
+
+from pathlib import Path
+
+import pytest
+
+import agent
+from agent.core.config import ConfigError
+from agent.core.toml_files import dump
+from agent.robot.fleet_reader import load_fleet
+
+BALL = 'detector = "ball"\nradius_m = 0.07'
+TANK = (Path(agent.__file__).parent / "fleets" / "tank.toml").read_text()
+
+
+def load(tmp_path, text: str):
+    path = tmp_path / "fleet.toml"
+    path.write_text(text)
+    return load_fleet(path)
+
+
+def test_shipped_file_loads_and_survives_a_round_trip(tmp_path) -> None:
+    fleet = load(tmp_path, TANK)
+    assert list(fleet.robot) == ["r1", "r2", "r3", "r4", "r5"]
+    assert load(tmp_path, dump(fleet)) == fleet
+
+
+def test_a_fleet_may_look_for_several_things(tmp_path) -> None:
+    fleet = load(tmp_path, (Path(agent.__file__).parent / "fleets" / "two_balls.toml").read_text())
+    assert {name: target.colour for name, target in fleet.target.items()} == {"ball": "red", "buoy": "green"}
+    assert load(tmp_path, dump(fleet)) == fleet
+
+
+def test_files_of_a_target_lie_beside_the_fleet_file(tmp_path) -> None:
+    fleet = load(tmp_path, TANK.replace(BALL, 'detector = "box"\npicture = "a/x.png"\nbox = [1, 2, 30, 40]'))
+    target = fleet.target["ball"]
+    assert target.picture == str(tmp_path / "a" / "x.png") and target.models is None and target.radius_m is None
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    assert load(elsewhere, dump(fleet)) == fleet
+
+
+MISTAKES = {
+    "unknown key": (("radius_m = 0.07", "radius_m = 0.07\nshape = 'round'"), "'target.ball'", "shape", "remove"),
+    "wrong type": (("radius_m = 0.07", "radius_m = 'big'"), "'target.ball.radius_m'", "float", "correct"),
+    "missing key": (("radius_m = 0.07", ""), "'target.ball'", "radius_m", "add"),
+    "out of range": (("radius_m = 0.07", "radius_m = -1.0"), "'target.ball.radius_m'", "> 0", "correct"),
+    "no choice": (
+        ("radius_m = 0.07", "radius_m = 0.07\ncolour = 'blue'"),
+        "'blue'",
+        "one of green, orange, red, yellow",
+    ),
+    "not a number": (("x_m = 0.30", "x_m = nan"), "'robot.r1.pose.x_m'", "finite", "correct"),
+    "infinite": (("size_m = [1.5,", "size_m = [inf,"), "'tank.size_m[0]'", "finite", "correct"),
+    "outside the tank": (("x_m = 1.25", "x_m = 125.0"), "'robot.r2.pose.x_m'", "outside the tank", "0 to 1.5"),
+    "water over the rim": (("surface_m = 0.5", "surface_m = 5.0"), "'tank.surface_m'", "rim", "0.8"),
+    "millimetres": (("radius_m = 0.07", "radius_m = 70.0"), "'target.ball.radius_m'", "does not fit"),
+    "beyond the gimbal": (("pan_deg = -60.0", "pan_deg = -160.0"), "'robot.r2.look.pan_deg'", "-90 to 90"),
+    "limits swapped": (("[estimation]", "[body]\ntilt_limit_deg = [30, -60]\n[estimation]"), "body.tilt", "first"),
+    "messages too seldom": (("[estimation]", "[link]\nsend_hz = 1\n[estimation]"), "validity_s", "1.00 s", "longer"),
+    "faster than steps": (("[estimation]", "[link]\nsend_hz = 50\n[estimation]"), "'link.send_hz'", "<= 20"),
+    "previews like a film": (("[estimation]", "[link]\npreview_hz = 25\n[estimation]"), "'link.preview_hz'", "<= 5"),
+    "keys nowhere": (
+        ("[estimation]", "[access]\nkeys = ''\n[estimation]"),
+        "'access.keys'",
+        "write its name, or remove",
+    ),
+    "another's twin": (('camera = "twin:r2"', 'camera = "twin:r1"'), "'robot.r2.camera'", "write twin:r2"),
+    "one board for two": (
+        ('serial = "twin:r1"', 'serial = "/dev/ttyACM0"', 'serial = "twin:r2"', 'serial = "/dev/ttyACM0"'),
+        "'robot.r2.serial'",
+        "also that of 'r1'",
+        "own control module",
+    ),
+    "bad name of a robot": (("[robot.r5]", "[robot.R5]"), "'robot.R5'", "small letters", "correct"),
+    "unknown neighbour": (
+        ('neighbours = ["r2", "r3", "r4", "r5"]', 'neighbours = ["r9"]'),
+        "r1.neighbours",
+        "r9",
+        "add",
+    ),
+    "one-sided": (('neighbours = ["r1", "r2", "r3", "r4"]', 'neighbours = ["r1"]'), "r5", "neighbours", "add"),
+    "itself": (('["r2", "r3", "r4", "r5"]', '["r1"]'), "r1.neighbours", "itself", "remove"),
+    "twice": (('["r2", "r3", "r4", "r5"]', '["r2", "r2", "r3", "r4", "r5"]'), "r1.neighbours", "twice", "remove"),
+    "same port": (("127.0.0.1:17402", "127.0.0.1:17401"), "r2.listen", "r1", "own port"),
+    "high port": (("127.0.0.1:17402", "127.0.0.1:40000"), "r2.listen", "40000", "32767"),
+    "every address": (("127.0.0.1:17402", "0.0.0.0:17402"), "r2.listen", "neighbours dial it", "own"),
+    "no endpoint": (("tcp/127.0.0.1:17402", "localhost"), "r2.listen", "localhost", "tcp/HOST:PORT"),
+    "below the floor": (('serial = "twin:r1"', 'serial = "twin:r1"\ndepth_m = 0.9'), "r1.depth_m", "floor", "0.5"),
+    "two of one colour": (
+        ("[estimation]", "[target.fish]\nradius_m = 0.1\n[estimation]"),
+        "key 'target.fish.colour'",
+        "'ball' is red too",
+        "own colour",
+    ),
+    "a box without a picture": (
+        (BALL, 'detector = "box"\nbox = [1, 2, 30, 40]'),
+        "target.ball",
+        "`picture` is missing",
+        "add",
+    ),
+    "a ball with models": (
+        ("radius_m = 0.07", 'radius_m = 0.07\nmodels = "nano"'),
+        "ball.models",
+        "only a box",
+        "remove",
+    ),
+    "a sample without its box": (
+        (BALL, 'detector = "ball"\nradius_m = 0.07\npicture = "x.png"'),
+        "target.ball",
+        "add the other one",
+    ),
+    "a sample beside a name": (
+        (BALL, 'detector = "ball"\nradius_m = 0.07\npicture = "x.png"\nbox = [1, 2, 30, 40]\ncolour = "red"'),
+        "target.ball.colour",
+        "remove `colour`",
+    ),
+    "a box of one colour": (
+        (BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 30, 40]\ncolour = "red"'),
+        "target.ball.colour",
+        "only a ball has one",
+    ),
+    "a fish that never turns": (
+        ("radius_m = 0.07", "radius_m = 0.07\nspeed_m_s = 0.2"),
+        "target.ball",
+        "`turn_s`",
+        "add",
+    ),
+    "a fish that flies": (("radius_m = 0.07", "radius_m = 0.07\nspeed_m_s = 20.0\nturn_s = 2.0"), "speed_m_s", "<= 1"),
+    "no box": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 0, 40]'), "target.ball.box", "[x, y, width"),
+    "three numbers": ((BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 3]'), "box", "length 4"),
+    "size of a box": (
+        (BALL, 'detector = "box"\npicture = "x.png"\nbox = [1, 2, 3, 4]\n[ranging]\ncues = "size"\n'),
+        "ranging.cues",
+        "'ball' is not known",
+        "'focus'",
+    ),
+    "no target": (('[target.ball]\ndetector = "ball"\nradius_m = 0.07', "[target]"), "key 'target'", "add a table"),
+    "bad name": (('fleet = "tank"', 'fleet = "Tank 3"'), "'fleet'", "small letters", "correct"),
+    "not TOML": (('fleet = "tank"', "fleet = tank"), "fleet.toml", "not valid TOML", "line 4"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistake(tmp_path, mistake: str) -> None:
+    changes, *expected = MISTAKES[mistake]
+    text = TANK
+    for old, new in zip(changes[::2], changes[1::2], strict=True):
+        assert old in text
+        text = text.replace(old, new, 1)
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(tmp_path / "fleet.toml"))
+    for part in expected:
+        assert part in message, message
+
+
+def test_robots_of_two_computers_may_name_the_same_port(tmp_path) -> None:
+    text = TANK.replace("tcp/127.0.0.1:17402", "tcp/192.168.7.12:17402")
+    for name in ("r1", "r2"):
+        text = text.replace(f'"twin:{name}"', '"/dev/ttyACM0"', 1)
+    fleet = load(tmp_path, text)
+    assert fleet.robot["r1"].serial == fleet.robot["r2"].serial
+
+
+def test_what_is_no_toml_file(tmp_path) -> None:
+    picture = tmp_path / "picture.toml"
+    picture.write_bytes(bytes(range(256)))
+    for path in (tmp_path / "none.toml", tmp_path, picture):
+        with pytest.raises(ConfigError, match=str(path)):
+            load_fleet(path)

@@ -1,0 +1,207 @@
+"""`aucamp check`: each thing that would keep a robot from starting is one line, and nothing is started."""
+
+import json
+import os
+import pty
+import signal
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from agent.__main__ import app
+from agent.core.ranging.calibration import Calibration
+from agent.core.toml_files import dump
+from agent.ground import devices, files
+from agent.ground.check import Checked, check
+from agent.ground.init import write_fleet
+from agent.ground.make import make_keys
+from agent.process import stop_signal
+from agent.process.fleet_files import shipped_fleet, with_pictures
+from agent.process.ports import free_ports
+from agent.robot.fleet_reader import load_fleet
+from tests.known_lens import TWIN, TWIN_CAMERA
+
+
+def lines(checked: Checked, level: str) -> list[str]:
+    return [f"{finding.about}: {finding.text}" for finding in checked.findings if finding.level == level]
+
+
+@pytest.fixture
+def real(tmp_path: Path) -> Path:
+    """A robot with devices of this computer: a pty that stands for its serial port, photographs for its camera."""
+    path = tmp_path / "real.toml"
+    write_fleet(path, 2, twin=False)
+    known = Calibration(robot="r1", made="2026-01-01", source="a test", focus=TWIN, camera=TWIN_CAMERA)
+    (tmp_path / "calibration").mkdir()
+    (tmp_path / "calibration" / "r1.toml").write_text(dump(known))
+    text = path.read_text().replace("MEASURE", "").replace("SURVEY", "").replace("192.168.7.11", "127.0.0.1")
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    """A serial port that is there and may be opened."""
+    ours, theirs = pty.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def changed(path: Path, **changes: str) -> Path:
+    """The file with the value of a key in the first table that has it put in the place of another."""
+    text = path.read_text()
+    for key, value in changes.items():
+        before = next(line for line in text.splitlines() if line.startswith(f"{key} = "))
+        text = text.replace(before, f"{key} = {value}", 1)
+    path.write_text(text)
+    return path
+
+
+def test_a_new_fleet_of_the_twin_is_ready_for_a_demo(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    write_fleet(path, 3, twin=True)
+    done = CliRunner().invoke(app, ["check", str(path)])
+    assert done.exit_code == 0, done.output
+    told = done.output.splitlines()
+    assert told[0].startswith("ok       file: ") and told[-1].startswith("ready to start; ")
+    assert sum("aucamp calibrate run" in line and "(a demo makes its own)" in line for line in told) == 3
+    as_json = json.loads(CliRunner().invoke(app, ["check", str(path), "--json"]).output)
+    assert as_json["well"] and as_json["robots"] == 3
+    assert {finding["level"] for finding in as_json["findings"]} == {"ok", "warning"}
+    assert not (tmp_path / "calibration").exists()
+
+
+def test_a_robot_whose_devices_are_there_is_ready(real: Path, port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(devices, "camera", lambda fleet, name: seen.append(name) or "a camera")
+    checked = check(changed(real, serial=f'"{port}"'), "r1", real.parent)
+    assert not lines(checked, "wrong"), checked
+    assert seen == ["r1"] and any(f"{port} is there" in line for line in lines(checked, "ok"))
+    everywhere = check(real, None, real.parent)
+    assert everywhere.robots == 1 and seen == ["r1", "r1"]
+    assert any(f"aucamp check {real} --robot r2" in line for line in lines(everywhere, "ok"))
+
+
+def test_all_that_is_wrong_is_said_at_once(real: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["check", str(changed(real, serial='"/dev/ttyNONE"')), "--robot", "r1"])
+    assert done.exit_code == 1
+    assert "wrong    r1: /dev/ttyNONE: no such serial port" in done.output
+    assert "wrong    r1: /dev/video0: cannot be opened" in done.output or Path("/dev/video0").exists()
+    assert done.output.splitlines()[-1].startswith("not ready: ")
+    (tmp_path / "calibration" / "r1.toml").unlink()
+    assert any("aucamp calibrate run" in line for line in lines(check(real, "r1", tmp_path), "wrong"))
+    elsewhere = lines(check(real, "r2", tmp_path), "wrong")
+    assert "tcp/192.168.7.12:17401 is no address of this computer" in elsewhere[0]
+
+
+def test_every_rule_that_a_file_breaks_is_said_and_a_file_that_is_not_there_is_bad_input(real: Path) -> None:
+    path = changed(changed(real, radius_m="3.0"), neighbours='["r9"]')
+    checked = check(path, None, real.parent)
+    assert len(lines(checked, "wrong")) == 3 == len(checked.findings)
+    path.write_text("fleet = ")
+    assert "not valid TOML" in lines(check(path, None, real.parent), "wrong")[0]
+    for bad in (["check", str(real.parent / "none.toml")], ["check", str(shipped_fleet()), "--robot", "r9"]):
+        done = CliRunner().invoke(app, bad)
+        assert type(done.exception).__name__ == "ConfigError", done.output
+
+
+def test_marks_of_init_are_told_of_and_a_fleet_of_elsewhere_is_not_called_ready(tmp_path: Path) -> None:
+    path = tmp_path / "pool.toml"
+    write_fleet(path, 2, twin=False)
+    checked = check(path, None, tmp_path)
+    assert checked.verdict == "nothing is wrong with the file; 2 warnings" and checked.well
+    assert any("MEASURE and SURVEY" in line for line in lines(checked, "warning"))
+
+
+def test_a_port_in_use_and_an_unknown_host(real: Path, tmp_path: Path) -> None:
+    (number,) = free_ports(1)
+    real.write_text(real.read_text().replace("127.0.0.1:17401", f"127.0.0.1:{number}"))
+    with socket.create_server(("127.0.0.1", number)):
+        assert any("in use" in line for line in lines(check(real, "r1", tmp_path), "warning"))
+    assert f"r1: tcp/127.0.0.1:{number} is this computer's, and free" in lines(check(real, "r1", tmp_path), "ok")
+    real.write_text(real.read_text().replace("127.0.0.1", "no..host"))  # no name server needs to be asked
+    assert any("no such host" in line for line in lines(check(real, "r1", tmp_path), "wrong"))
+
+
+def test_a_port_that_may_not_be_opened_names_the_group(port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(devices, "group", lambda _: "dialout")
+    found = devices.tried("r1", lambda: devices.serial_port(Path(port)))
+    assert found.level == "wrong" and "sudo usermod -aG dialout $USER" in found.text
+
+
+def test_keys_that_are_missing_or_readable_for_others(real: Path, tmp_path: Path) -> None:
+    real.write_text(real.read_text() + '[access]\nkeys = "keys"\n')
+    assert any("r1.sign: no such file" in line for line in lines(check(real, "r1", tmp_path), "wrong"))
+    make_keys(["r1"], tmp_path / "keys")
+    checked = check(real, "r1", tmp_path)
+    assert any("no public key of r2" in line for line in lines(checked, "warning"))
+    assert any("keys in " in line for line in lines(checked, "ok"))
+    make_keys(["r2"], tmp_path / "keys")
+    assert any("holds private keys of r2" in line for line in lines(check(real, "r1", tmp_path), "warning"))
+    (tmp_path / "keys" / "r1.sign").chmod(0o644)
+    assert any("chmod 600" in line for line in lines(check(real, "r1", tmp_path), "wrong"))
+
+
+def test_two_groups_without_a_link_between_them_are_told_of(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    text = shipped_fleet("line_of_five").read_text()
+    path.write_text(text.replace('["r1", "r3"]', '["r1"]').replace('["r2", "r4"]', '["r4"]'))
+    assert "fleet: no word comes from r1 to r3, r4, r5; give somebody a neighbour there" in lines(
+        check(path, None, tmp_path), "warning"
+    )
+
+
+def test_pictures_scenes_extras_and_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(shipped_fleet("box_target").read_text() + "\n[camera]\nenhance = true\n")
+    monkeypatch.setattr(files, "find_spec", lambda name: None)
+    checked = check(path, "r1", tmp_path)
+    assert any("no picture for target 'stone'" in line for line in lines(checked, "wrong"))
+    assert any("pip install -e '.[enhance]'" in line for line in lines(checked, "warning"))
+    fleet = with_pictures(load_fleet(shipped_fleet("box_target")), tmp_path)
+    path.write_text(dump(fleet))
+    assert load_fleet(path).target["stone"].picture == str(tmp_path / "stone.jpg")
+    assert not lines(check(path, "r1", tmp_path), "wrong")
+    path.write_text(dump(fleet).replace('"flat_stone"', '"tank"'))
+    assert any(
+        "nothing in scene 'tank' is called stone" in line for line in lines(check(path, "r1", tmp_path), "wrong")
+    )
+    path.write_text(dump(fleet).replace('"flat_stone"', '"nowhere"').replace('serial = "twin:r1"', 'serial = "/dev/x"'))
+    wrong = lines(check(path, "r1", tmp_path), "wrong")
+    assert any("no such scene" in line for line in wrong) and any("real device" in line for line in wrong)
+
+
+def test_a_disk_that_is_full_or_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = {"now": 10**11}
+    monkeypatch.setattr(files.shutil, "disk_usage", lambda _: (10**12, 0, free["now"]))
+    assert files.disk_finding(tmp_path).level == "ok"
+    free["now"] = 2 * 10**9
+    assert files.disk_finding(tmp_path).level == "warning"
+    free["now"] = 10**8
+    assert files.disk_finding(tmp_path).level == "wrong"
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert "you may not write here" in files.disk_finding(tmp_path).text
+
+
+def test_an_agent_says_in_one_line_what_will_go_wrong_and_starts(real: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_signal, "_asked", [signal.SIGTERM])  # it came while the command was starting
+    monkeypatch.setattr(devices, "camera", lambda fleet, name: "a camera")
+    monkeypatch.setattr(files, "OPEN_FILES", 1 << 40)
+    changed(real, serial='"/dev/ttyNONE"')
+    done = CliRunner().invoke(app, ["agent", str(real), "--robot", "r1", "--out", str(real.parent)])
+    assert done.exit_code == 0, done.output
+    (told,) = (line for line in done.stderr.splitlines() if line.startswith("r1: before the dive: "))
+    assert "/dev/ttyNONE: no such serial port" in told and "run: ulimit -n" in told
+
+
+def test_an_address_that_every_computer_has_is_told_of(real: Path, tmp_path: Path) -> None:
+    (told,) = (line for line in lines(check(real, None, tmp_path), "warning") if "is every computer's own" in line)
+    assert told.startswith("r1: tcp/127.0.0.1:17401 ")
+    real.write_text(real.read_text().replace("192.168.7.12", "127.0.0.2"))
+    at_home = check(real, None, tmp_path)
+    assert at_home.robots == 2 and not any("every computer's own" in line for line in lines(at_home, "warning"))

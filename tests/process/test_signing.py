@@ -1,0 +1,150 @@
+"""What a robot signs can be verified by whoever gets it, and it signs nothing but its own word of this life."""
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from msgspec.structs import replace
+
+from agent.core.codec import decode, encode
+from agent.core.messages import Epoch, Estimate
+from agent.core.signed import entry_bytes, proposal_bytes, sample_bytes, verify
+from agent.process.key_files import public_bytes
+from agent.process.signing import signing, unsigned
+from tests.process.said import FOREIGN, START, entry, proposal, said, sample
+from tests.sample_messages import estimate
+
+KEY = Ed25519PrivateKey.generate()
+PUBLIC = public_bytes(KEY.public_key())
+
+
+class CountingKey:
+    """A private key that counts how often it is used."""
+
+    def __init__(self) -> None:
+        self.used = 0
+
+    def sign(self, content: bytes) -> bytes:
+        self.used += 1
+        return KEY.sign(content)
+
+
+def arrived(sent: Estimate) -> Estimate:
+    return decode(encode(sent), Estimate)
+
+
+def test_what_it_signs_verifies_at_the_other_end() -> None:
+    got = arrived(signing("r1", KEY)(said(entry(), sample(), proposal())))
+    gossip = got.gossip
+    (one,), (two,), (three,) = gossip.entries, gossip.samples, gossip.proposals
+    assert verify(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, gossip.epoch, one))
+    assert verify(PUBLIC, two.signature, sample_bytes(got.fleet, got.target, gossip.epoch, two))
+    assert verify(PUBLIC, three.signature, proposal_bytes(got.fleet, got.target, three))
+
+
+def test_numbers_without_a_point_verify_too() -> None:
+    """A zero that the algebra wrote as an integer arrives as 0.0, which has other bytes."""
+    whole = {"information": (1, 0, 0, 1, 0, 1), "vector": (0, 0, 0)}
+    got = arrived(signing("r1", KEY)(said(entry(**whole, systematic_m2=(0,) * 6), sample(**whole))))
+    (one,), (two,) = got.gossip.entries, got.gossip.samples
+    assert verify(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, got.gossip.epoch, one))
+    assert verify(PUBLIC, two.signature, sample_bytes(got.fleet, got.target, got.gossip.epoch, two))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"fleet": "other"},
+        {"target": "buoy"},
+        {"epoch": Epoch(counter=4)},
+        {"entry": {"count": 6}},
+        {"entry": {"origin": "r2"}},
+        {"entry": {"incarnation": START + 1}},
+        {"entry": {"vector": (1.0, 2.0, -3.4)}},
+        {"entry": {"systematic_m2": (0.0,) * 6}},
+    ],
+    ids=str,
+)
+def test_nothing_of_an_entry_can_be_shown_elsewhere_or_changed(changed: dict) -> None:
+    got = signing("r1", KEY)(said(entry()))
+    (one,) = got.gossip.entries
+    where = {"fleet": got.fleet, "target": got.target, "epoch": got.gossip.epoch, **changed}
+    shown = replace(one, **where.pop("entry", {}))
+    assert not verify(PUBLIC, one.signature, entry_bytes(entry=shown, **where))
+
+
+def test_the_age_of_a_sample_is_the_relays_to_write() -> None:
+    got = signing("r1", KEY)(said(sample()))
+    older = replace(got.gossip.samples[0], age_ns=10**9)
+    assert verify(PUBLIC, older.signature, sample_bytes(got.fleet, got.target, got.gossip.epoch, older))
+
+
+def test_the_word_of_others_passes_as_it_came() -> None:
+    word = (
+        entry("r2", signature=FOREIGN),
+        entry("r3"),  # of a fleet where r3 has no key: not ours to vouch for
+        sample("r2", signature=FOREIGN),
+        sample("r3"),
+        proposal("r2", signature=FOREIGN),
+        proposal("r3"),
+    )
+    assert signing("r1", KEY)(said(*word)) == said(*word)
+
+
+def test_its_own_word_of_an_earlier_life_passes_as_it_came() -> None:
+    """Signed, it came back from others. Unsigned, somebody made it up: to sign that would make it true."""
+    earlier = (
+        entry(incarnation=START - 10, signature=FOREIGN),
+        entry(incarnation=START - 20),
+        sample(incarnation=START - 10),
+        proposal(since_ns=START - 10),
+    )
+    assert signing("r1", KEY)(said(*earlier)) == said(*earlier)
+
+
+def test_a_new_incarnation_of_the_entry_is_signed_as_the_first() -> None:
+    got = signing("r1", KEY)(said(entry(), entry(incarnation=START + 10**10)))
+    assert all(
+        verify(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, got.gossip.epoch, one))
+        for one in got.gossip.entries
+    )
+
+
+def test_nothing_but_signatures_is_changed() -> None:
+    before = said(entry(), sample(), proposal(), x_m=(0.1, 0.2, 0.3), seq=9)
+    after = signing("r1", KEY)(before)
+    assert before.gossip.entries[0].signature == b"", "what is recorded stays as it was"
+    bare = replace(
+        after.gossip,
+        entries=tuple(replace(e, signature=b"") for e in after.gossip.entries),
+        samples=tuple(replace(s, signature=b"") for s in after.gossip.samples),
+        proposals=tuple(replace(p, signature=b"") for p in after.gossip.proposals),
+    )
+    assert replace(after, gossip=bare) == before
+
+
+def test_a_protocol_without_gossip_has_nothing_to_sign() -> None:
+    plain = estimate("r1", "r2")
+    assert signing("r1", KEY)(plain) is plain and unsigned(plain) is plain
+
+
+def test_the_same_word_to_many_neighbours_and_again_is_signed_once() -> None:
+    key = CountingKey()
+    sign = signing("r1", key)
+    for seq in range(10):
+        for dst in ("r2", "r3", "r4"):
+            sign(said(entry(), sample(), sample(number=8), proposal(), dst=dst, seq=seq))
+    assert key.used == 4
+    sign(said(entry(count=6)))
+    assert key.used == 5
+    sign(said(entry(count=6), target="buoy"))
+    assert key.used == 6
+
+
+def test_what_is_remembered_has_a_limit() -> None:
+    key = CountingKey()
+    sign = signing("r1", key)
+    for count in range(1, 3000):
+        sign(said(entry(count=count)))
+    sign(said(entry(count=2999)))
+    assert key.used == 2999
+    sign(said(entry(count=1)))
+    assert key.used == 3000

@@ -1,0 +1,248 @@
+"""Orders are judged, carried out once, and answered, whatever else happens in their step."""
+
+import pytest
+from msgspec import UNSET
+from msgspec.structs import replace
+
+from agent.core.codec import encode
+from agent.core.config import Access, Fleet
+from agent.core.net import SURFACE_AFTER
+from agent.core.orders_words import MAX_ORDER
+from agent.core.step_io import Ordered
+from agent.robot import memory
+from agent.robot.core import Agent
+from agent.robot.desk import STALE_NS
+from agent.robot.doing import Doing
+from agent.robot.verbs import LookAt, Stop
+from tests.robot.ordering import FLEET, START_NS, Ordering
+
+
+@pytest.fixture
+def robot() -> Ordering:
+    """One that has run for a while."""
+    robot = Ordering()
+    robot.run(2.0)
+    return robot
+
+
+def test_a_step_without_orders_has_nothing_new_in_it(robot) -> None:
+    assert not any(word in robot.steps[-1][2] for word in (b"answers", b"motors", b"preview_hz", b"box"))
+    assert b"orders" not in robot.steps[-1][1]
+    assert b"ordered" not in encode(robot.agent.current.last_state)
+
+
+def test_every_order_is_answered_in_its_step_and_in_turn(robot) -> None:
+    orders = robot.order("hold", {"depth_m": 0.2}), robot.order("fly"), robot.order("look", {"pan_deg": 10.0})
+    answers = robot.step(*orders).answers
+    assert [(answer.id, answer.ok) for answer in answers] == [(1, True), (2, False), (3, True)]
+    assert [answer.order for answer in answers] == ["hold depth_m=0.2", "", "look pan_deg=10 tilt_deg=0"]
+    assert all(answer.robot == "r1" and answer.console == "ann" for answer in answers)
+    assert answers[0].sent_ns == robot.now_ns and answers[0].arrived_ns == orders[0].arrived_ns
+    assert "no verb 'fly'" in answers[1].why
+
+
+@pytest.mark.parametrize(
+    ("verb", "args", "why"),
+    [
+        ("hold", {"depth_m": 9.0}, "depth_m: 9 is not within 0.08 to 0.5"),
+        ("hold", {"depth_m": "deep"}, "depth_m: expected `float | null`, got `str`"),
+        ("look", {}, "required, and missing: pan_deg"),
+        ("look", {"pan_deg": 0.0, "roll_deg": 0.0}, "there is no such argument: roll_deg"),
+        ("look", {"pan_deg": 91.0}, "pan_deg: 91 is not within -90 to 90"),
+        ("lamp", {"light": 1.0}, "it has no lamp"),
+        ("goto", {"x_m": 0.5, "y_m": 0.5}, "it is moored"),
+        ("survey", {}, "its behaviour in the fleet file is no survey"),
+        ("set", {"name": "gain", "value": 1.0}, "invalid enum value"),
+        ("set", {"name": "send_hz", "value": 0.5}, "value: 0.5 is not within 2 to 20"),
+        ("set", {"name": "speed_m_s", "value": 0.1}, "it is moored"),
+        ("set", {"name": "sweeps", "value": 2.0}, "1 is on, 0 is off"),
+        ("target_box", {"frame": 1, "x": 0.0, "y": 0.0, "width": 20.0, "height": 20.0}, "no target of the fleet file"),
+        ("stop", {"now": 1}, "there is no such argument: now"),
+    ],
+)
+def test_what_a_robot_cannot_do_is_refused_with_why(robot, verb: str, args: dict, why: str) -> None:
+    before = robot.agent.desk.wishes
+    answer = robot.give(verb, args)
+    assert not answer.ok and why in answer.why
+    assert robot.agent.desk.wishes == before and robot.outputs.motors is UNSET
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", b"\x93\x01\x02\x03", bytes(MAX_ORDER + 1)])
+def test_what_cannot_be_read_is_answered_too(robot, payload: bytes) -> None:
+    (answer,) = robot.step(Ordered(arrived_ns=robot.now_ns, console="ann", payload=payload)).answers
+    assert not answer.ok and answer.why and answer.id == 0 and answer.order == ""
+
+
+def test_a_thousand_times_the_same_order_is_carried_out_once(robot, monkeypatch) -> None:
+    done: list[object] = []
+    carry_out = Doing.carry_out
+    monkeypatch.setattr(Doing, "carry_out", lambda self, what: done.append(what) or carry_out(self, what))
+    orders = [robot.order("hold", {"depth_m": 0.2}), robot.order("stop"), robot.order("arm", seen=(START_NS, 0))]
+    first = robot.step(*orders)
+    assert first.motors == "off" and [answer.ok for answer in first.answers] == [True, True, False]
+    robot.give("hold", {"depth_m": 0.3})
+    for _ in range(1000):
+        again = robot.step(*orders)
+        assert again.answers == first.answers and again.motors is UNSET
+        assert again.set_point.depth_m == 0.3
+    assert len(done) == 3
+
+
+def test_an_order_by_an_old_state_is_refused_but_a_stop_never_is(robot) -> None:
+    late = (START_NS, robot.now_ns - STALE_NS)
+    other = (START_NS - 1, robot.now_ns)
+    future = (START_NS, robot.now_ns + 10**9)
+    for seen, why in ((late, "3.1 s ago"), (other, "started again"), (future, "look at the newest"), (None, "which")):
+        answer = robot.give("look", {"pan_deg": 0.0}, seen=seen)
+        assert not answer.ok and why in answer.why
+        for verb, motors in (("stop", "off"), ("disarm", "off"), ("surface", "surface")):
+            assert robot.give(verb, seen=seen).ok
+            assert robot.outputs.motors == motors
+    assert robot.give("clock", seen=None).ok
+
+
+def test_no_arm_that_was_on_its_way_undoes_a_stop(robot) -> None:
+    before = (START_NS, robot.now_ns)
+    for halt, motors in (("stop", "off"), ("surface", "surface")):
+        assert robot.give(halt, console="bob").ok
+        answer = robot.give("arm", seen=before)
+        assert not answer.ok and "since" in answer.why and robot.outputs.motors is UNSET
+        same_step = robot.step(robot.order("arm"), robot.order(halt), robot.order("arm"))
+        assert [answer.ok for answer in same_step.answers] == [True, True, False]
+        assert same_step.motors == motors
+        robot.step()
+        assert robot.give("arm").ok and robot.outputs.motors == "arm"
+        before = (START_NS, robot.now_ns)
+    assert robot.step(robot.order("surface"), robot.order("stop")).motors == "off"
+
+
+def test_what_is_forgotten_is_not_done_again(robot) -> None:
+    first = robot.order("hold", {"depth_m": 0.2}, number=1)
+    robot.step(first)
+    for number in range(2, memory.ORDERS + 2):
+        assert robot.give("look", {"pan_deg": 0.0}, number=number).ok
+    assert not (answer := robot.step(robot.order("hold", {"depth_m": 0.4}, number=1)).answers[0]).ok
+    assert "later ones" in answer.why
+    assert robot.give("stop", number=0).ok and robot.outputs.motors == "off"
+    assert robot.give("look", {"pan_deg": 0.0}, console="bob", number=1).ok  # another console counts for itself
+
+
+def test_one_id_for_two_orders_is_a_mistake_and_a_stop_goes_through(robot) -> None:
+    assert robot.give("look", {"pan_deg": 0.0}, number=7).ok
+    answer = robot.give("look", {"pan_deg": 5.0}, number=7)
+    assert not answer.ok and "had this id" in answer.why
+    assert robot.give("stop", number=7).ok and robot.outputs.motors == "off"
+
+
+def test_consoles_that_name_themselves_at_will_fill_no_memory(robot) -> None:
+    for i in range(3 * memory.CONSOLES):
+        robot.give("look", {"pan_deg": 0.0}, console=f"c{i}")
+    assert len(robot.agent.desk._memory._by_console) == memory.CONSOLES
+
+
+def listening(*endpoints: str, consoles: tuple[str, ...] = ()) -> Fleet:
+    robots = {
+        name: replace(robot, listen=listen)
+        for (name, robot), listen in zip(FLEET.robot.items(), endpoints, strict=True)
+    }
+    return replace(FLEET, robot=robots, access=Access(consoles=consoles))
+
+
+HERE = ("tcp/127.0.0.1:17401", "tcp/localhost:17402", "tcp/[::1]:17403")
+THERE = ("tcp/127.0.0.1:17401", "tcp/192.168.7.12:17401", "tcp/127.0.0.1:17403")
+NEARLY = ("tcp/127.0.0.1:17401", "tcp/127.0.0.1.example.org:17401", "tcp/localhost.example.org:17403")
+SECURED = tuple(f"tls/192.168.7.1{i}:17401" for i in range(3))
+
+
+@pytest.mark.parametrize(
+    ("fleet", "console", "why"),
+    [
+        (listening(*HERE), "anybody", ""),
+        (listening(*HERE, consoles=("ann",)), "anybody", "[access] consoles names ann"),
+        (listening(*THERE), "ann", "secure the fleet"),
+        (listening(*NEARLY), "ann", "secure the fleet"),
+        (listening(*THERE, consoles=("ann",)), "ann", "secure the fleet"),
+        (listening(*SECURED, consoles=("ann",)), "ann", ""),
+        (listening(*SECURED, consoles=("ann",)), "bob", "[access] consoles names ann"),
+        (listening(*SECURED), "ann", "names nobody"),
+        (listening(*HERE), "Ann!", "the name of a console"),
+    ],
+)
+def test_who_may_order(fleet: Fleet, console: str, why: str) -> None:
+    robot = Ordering(fleet)
+    for verb in ("look", "stop"):
+        answer = robot.give(verb, {"pan_deg": 0.0} if verb == "look" else {}, console=console)
+        assert answer.ok is not bool(why) and why in answer.why
+    assert robot.outputs.motors == ("off" if not why else UNSET)
+
+
+# --- the net ----------------------------------------------------------------------------------------------------
+
+
+def breaks(monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
+    """A kernel with a fault: one kind of order breaks it."""
+    carry_out = Doing.carry_out
+
+    def broken(self, what) -> None:
+        carry_out(self, what)
+        if isinstance(what, kind):
+            raise KeyError("r9")
+
+    monkeypatch.setattr(Doing, "carry_out", broken)
+
+
+def test_an_order_that_breaks_a_step_is_left_out_and_the_others_count(robot, monkeypatch) -> None:
+    breaks(monkeypatch, LookAt)
+    orders = robot.order("hold", {"depth_m": 0.2}), robot.order("look", {"pan_deg": 10.0}), robot.order("stop")
+    outputs = robot.step(*orders)
+    assert [answer.ok for answer in outputs.answers] == [True, False, True]
+    assert "broke" in outputs.answers[1].why
+    assert outputs.motors == "off" and outputs.set_point.depth_m == 0.2
+    assert robot.agent.desk.wishes.gaze_deg is None
+    assert not robot.agent.net.holds
+    assert "KeyError" in robot.agent.net.fault(robot.now_ns) and "by a message of ann" in robot.agent.net.fault(
+        robot.now_ns
+    )
+    assert not robot.step(orders[1]).answers[0].ok  # and is not taken in again
+
+
+def test_a_stop_outlives_a_kernel_that_is_broken(robot, monkeypatch) -> None:
+    def broken(self, now_ns: int) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Agent, "_iterate", broken)
+    outputs = robot.step(robot.order("hold", {"depth_m": 0.2}), robot.order("stop", console="bob"))
+    assert robot.agent.net.holds
+    assert outputs.motors == "off" and [answer.ok for answer in outputs.answers] == [False, True]
+    for _ in range(SURFACE_AFTER):
+        robot.step()
+    assert robot.give("surface").ok and robot.outputs.motors == "surface"
+    monkeypatch.undo()
+    early = (START_NS, robot.now_ns - 10 * 50_000_000)
+    robot.run(0.2)
+    assert not robot.give("arm", seen=early).ok  # it remembers that there was one
+    assert robot.give("arm").ok
+
+
+def test_a_stop_that_breaks_the_step_is_one_still(robot, monkeypatch) -> None:
+    """The fault is in what comes with it."""
+    log = robot.agent.status.log
+    note = log.note
+
+    def broken(level, text, now_ns) -> None:
+        if "orders: stop" in text and not robot.agent.net.holds and not calls:
+            calls.append(text)
+            raise KeyError(text)
+        note(level, text, now_ns)
+
+    calls: list[str] = []
+    monkeypatch.setattr(log, "note", broken, raising=False)
+    outputs = robot.step(robot.order("stop"))
+    assert calls and outputs.motors == "off" and outputs.answers[0].ok
+
+
+def test_a_stop_goes_through_where_carrying_it_out_breaks(robot, monkeypatch) -> None:
+    breaks(monkeypatch, Stop)
+    outputs = robot.step(robot.order("stop"), robot.order("hold", {"depth_m": 0.2}))
+    assert outputs.motors == "off" and [answer.ok for answer in outputs.answers] == [True, True]
+    assert robot.agent.net.fault(robot.now_ns) is not None

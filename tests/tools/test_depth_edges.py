@@ -1,0 +1,135 @@
+"""Blocks astride an edge in depth: refused, and split into the parts that hold one depth."""
+
+import numpy as np
+import pytest
+
+from agent.perception.depth_edges import cuts, middle, off_plane, with_edges
+from agent.perception.depth_peaks import GridPeaks, Reason
+from agent.perception.depth_shown import enclosed, shown
+from agent.perception.depth_sweep import clarity_of, measure, sweep
+from hw.camera.files import open_stack
+from tests.bench.pictures.bench_edges import jumps
+from tests.bench.pictures.edges.scenes import FRAMES, render
+from tests.bench.pictures.edges.score import score
+from tests.places import DATA
+from tests.tools.planes import quiet
+
+BLOCK = 40
+SMOOTH = DATA / "real_water" / "stacks" / "cou_6"
+
+
+@pytest.fixture(scope="module")
+def edge():
+    """A slanted edge four peak widths deep, texture on both sides: its sweep, scores without parts and with them."""
+    stack = render("pink", "leaves", "slanted", 10.0, 7, "disc", 1.0)
+    x, known = np.arange(float(FRAMES)), np.ones(stack.truth.shape, bool)
+    taken = clarity_of(stack.images, x, BLOCK, 0.0, split=True)
+    maps = [measure(sweep, BLOCK, None) for sweep in (taken._replace(finer=None), taken)]
+    return taken, *(score(found, stack.truth, jumps(stack.truth, 1.0), known, FRAMES - 1.0) for found in maps)
+
+
+def test_blocks_with_two_depths_give_way_to_their_parts(edge):
+    taken, before, after = edge
+    found = measure(taken, BLOCK, None)
+    assert before.across == after.across >= 6
+    assert before.across_whole >= 0.4 * before.across  # nothing in a block's own curve tells it
+    assert after.across_whole == 0
+    assert after.across_told > 0.2 * after.across and after.across_parts_wrong <= 0.1 * after.across_parts
+    assert (found.blocks.reason == Reason.TWO_DEPTHS).sum() >= after.across - 1
+
+
+def test_blocks_without_an_edge_keep_their_depth(edge):
+    _, before, after = edge
+    assert after.plain_told > 0.8 * before.plain_told  # most of the rest lie beside the edge, which their parts see
+    assert after.plain_wrong == 0
+
+
+def test_other_ways_to_take_the_peak_keep_the_same_squares(edge):
+    matched, parabola = (measure(edge[0], BLOCK, None, method) for method in ("matched", "parabola"))
+    assert np.array_equal(parabola.used_parts(), matched.used_parts()) and matched.used_parts().any()
+    assert not np.array_equal(parabola.parts.lens_position, matched.parts.lens_position, equal_nan=True)
+
+
+def squares(depth):
+    """Clear peaks at these lens positions, two wide, known to a tenth."""
+    ones = np.ones(depth.shape)
+    return GridPeaks(depth, 0.1 * ones, 2.0 * ones, ones, np.zeros(depth.shape, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("depth", "two"),
+    [
+        (lambda x, y: 0.0 * x + 12.0, False),
+        (lambda x, y: 0.02 * x - 0.01 * y + 12.0, False),
+        (lambda x, y: np.where(x < 31, 12.0, 16.0), True),
+        (lambda x, y: np.where(x + y < 55, 12.0, 14.5), True),
+    ],
+)
+def test_a_step_is_told_from_a_slope(depth, two):
+    """One block of 40 px, its parts and cells with the mean depth of what they cover."""
+    y, x = np.mgrid[:40, :40].astype(float)
+    pixels = depth(x, y)
+    block, parts, cells = (squares(pixels.reshape(n, 40 // n, n, 40 // n).mean(axis=(1, 3))) for n in (1, 4, 8))
+    blocks, parts = with_edges(block, parts, cells, 1.0)
+    assert blocks.reason[0, 0] == (Reason.TWO_DEPTHS if two else Reason.ACCEPTED)
+    wrong = [np.ptp(pixels[10 * r : 10 * r + 10, 10 * c : 10 * c + 10]) > 1 for r, c in np.argwhere(parts.accepted)]
+    assert not any(wrong) and parts.accepted.any()
+
+
+def test_a_plain_part_is_filled_in_between_others_and_never_beyond_them():
+    depth = np.full((7, 8), 12.0)
+    depth[2:4, 2] = np.nan  # a plain spot
+    depth[6, 2] = np.nan  # one that the picture's border cuts
+    depth[:, 5:] = np.nan  # a plain rim
+    expected = np.ones((7, 8), bool)
+    expected[:, 4:] = False  # what shows the depth at the rim shows it itself
+    found = enclosed(depth, np.full((7, 8), 12.0), np.full((7, 8), 0.5))
+    assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("there", "said"), [(12.0, True), (12.8, True), (16.0, False), (None, False)])
+def test_a_part_too_weak_for_a_peak_speaks_for_its_block_if_it_has_its_peak(there, said):
+    """One block; one half of it has weak curves, sharp at `there`, or what a blurred neighbour spills over it."""
+    x = np.arange(30.0)
+    curves = np.tile(1000.0 / (1 + ((x - 12.0) / 2) ** 2)[:, None, None], (1, 4, 4))
+    spilt = 1 - 1 / (1 + ((x - 12.0) / 4) ** 2)
+    weakly = 100 * (spilt if there is None else 1 / (1 + ((x - there) / 2) ** 2))
+    curves[:, :, :2] = weakly[:, None, None]
+    blocks, parts = squares(np.full((1, 1), 12.0)), squares(np.full((4, 4), 12.0))
+    weak = np.zeros((4, 4), bool)
+    weak[:, :2] = True
+    parts = parts.refused(weak, Reason.NO_TEXTURE)
+    assert shown(x, curves, blocks, parts, 1.0)[0, 0] == said
+
+
+def test_a_plane_through_what_is_known():
+    rng = np.random.default_rng(0)
+    row, col = np.mgrid[:4, :4]
+    plane = (3.0 + 0.5 * row - 0.2 * col).reshape(1, 1, 16)
+    plane[0, 0, [2, 9, 11]] = np.nan
+    assert np.abs(off_plane(plane)).max() < 1e-5
+    values = rng.normal(size=(5, 7, 16))
+    values[rng.random(values.shape) < 0.4] = np.nan
+    values[0, 0] = np.nan
+    for found, row in zip(middle(values).ravel(), values.reshape(-1, 16), strict=True):
+        known = row[np.isfinite(row)]
+        assert found == np.median(known) if known.size else np.isnan(found)
+
+
+def test_blocks_are_cut_into_cells_of_five_pixels_and_more():
+    assert [cuts(block) for block in (8, 12, 19, 20, 32, 40, 50, 100)] == [1, 1, 1, 4, 4, 8, 8, 16]
+
+
+@pytest.mark.skipif(not SMOOTH.is_dir(), reason=f"the smooth stack is not here: set AUCAMP_DATA (looked in {SMOOTH})")
+def test_a_smooth_surface_is_split_but_not_refused():
+    """As steep as a peak's width in a part: blocks hold many depths, and all of them are told."""
+    found = measure(sweep(open_stack(SMOOTH), BLOCK, quiet), BLOCK, None)
+    with np.load(SMOOTH / "truth.npz") as truth:
+        depth, mask = truth["depth"], truth["mask"]
+    side, said = BLOCK // found.along, found.lens_position_on_parts()
+    rows, cols = said.shape
+    cut = [field[: rows * side, : cols * side].reshape(rows, side, cols, side) for field in (depth, mask)]
+    inside = cut[1].all(axis=(1, 3))
+    error = (said - cut[0].mean(axis=(1, 3)))[inside & np.isfinite(said) & found.used_parts()]
+    assert np.isfinite(said[inside]).mean() > 0.97
+    assert np.median(np.abs(error)) < 0.1 and np.quantile(np.abs(error), 0.95) < 0.5  # steps

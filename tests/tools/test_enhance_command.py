@@ -1,0 +1,214 @@
+"""`aucamp enhance`, with the classic way: what it reads, writes and refuses does not depend on the network."""
+
+import hashlib
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from agent.__main__ import main
+from agent.core.config import ConfigError
+from agent.perception.enhancement.enhance import WEIGHTS
+from agent.tools import enhance as enhance_source
+from agent.tools import evaluate as enhance_evaluate
+from agent.tools.sources import pictures
+
+PICTURE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
+
+
+def enhance(source, out, **more):
+    options = {"side_by_side": False, "variant": "classic", "weights": None, "frames": None, **more}
+    return enhance_source.run(str(source), out, console=Console(quiet=True), **options)
+
+
+def write(path, image=PICTURE):
+    assert cv2.imwrite(str(path), image)
+    return path
+
+
+def test_an_image_beside_its_enhanced_self(tmp_path):
+    source = write(tmp_path / "a.png")
+    assert enhance(source, tmp_path / "out", side_by_side=True) == 0
+    both = cv2.imread(str(tmp_path / "out" / "a.png"))
+    assert both.shape == (40, 120, 3)
+    assert np.array_equal(both[:, :60], PICTURE)
+    assert not np.array_equal(both[:, 60:], PICTURE)
+
+
+def test_a_corrupt_image_of_a_folder_is_named_and_the_others_are_done(tmp_path, capsys):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write(folder / "a.png"), write(folder / "c.jpg")
+    (folder / "b.png").write_bytes(b"no picture")
+    code = enhance_source.run(str(folder), tmp_path / "out", False, "classic", None, None, Console(width=300))
+    assert code == 1
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["a.png", "c.png"]
+    assert "b.png: not an image" in capsys.readouterr().out
+
+
+def test_two_images_of_one_stem_keep_apart(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write(folder / "a.png"), write(folder / "a.jpg")
+    enhance(folder, tmp_path / "out")
+    assert len(list((tmp_path / "out").iterdir())) == 2
+
+
+@pytest.mark.parametrize("image", [
+    np.full((1, 1, 3), 90, np.uint8),
+    PICTURE[:, :, 0],
+    PICTURE[:, :, 0].astype(np.uint16) * 257,
+    PICTURE.astype(np.uint16) * 20,
+])  # fmt: skip
+def test_tiny_grey_and_16_bit_images(tmp_path, image):
+    assert enhance(write(tmp_path / "a.png", image), tmp_path / "out") == 0
+    out = cv2.imread(str(tmp_path / "out" / "a.png"), cv2.IMREAD_UNCHANGED)
+    assert out.dtype == np.uint8 and out.shape == (*image.shape[:2], 3)
+
+
+def test_16_bits_are_scaled_by_their_largest_value(tmp_path):
+    read = next(pictures(str(write(tmp_path / "a.png", PICTURE.astype(np.uint16) * 20)), None).each).image
+    assert read.max() == 255
+    assert np.abs(read.astype(float) - PICTURE * (255 / PICTURE.max())).max() <= 0.51
+
+
+@pytest.mark.parametrize(("arguments", "line"), [
+    (["empty"], "no pictures in this folder"),
+    (["nowhere.png"], "no such file or folder"),
+    (["text.png"], "text.png: not an image"),
+    (["text.avi"], "text.avi: not a video"),
+    (["usb:1"], "no such kind of camera"),
+    (["stack:empty"], "positions.csv"),
+    (["a.png", "--out", "text.png"], "text.png: is there already, and is no folder; give --out a new folder"),
+    (["a.png", "--out", "/proc/enhanced"], "--out /proc/enhanced"),
+    (["a.png", "--variant", "best"], "'--variant': 'best' is not one of 'plain', 'folded', 'fast'"),
+    (["a.png", "--variant", "classic", "--evaluate", "empty", "empty"], "either a SOURCE or --evaluate"),
+    (["--evaluate", "nowhere", "empty"], "nowhere: no such folder"),
+    (["--evaluate", "empty", "empty"], "no pictures in this folder"),
+    (["--evaluate", "empty", "empty", "--size", "5x5"], "--size 5x5: write WIDTHxHEIGHT"),
+])  # fmt: skip
+def test_mistakes_are_one_line_and_exit_2(arguments, line, tmp_path, monkeypatch, capsys):
+    (tmp_path / "empty").mkdir()
+    write(tmp_path / "a.png")
+    for name in ("text.png", "text.avi"):
+        (tmp_path / name).write_bytes(b"text")
+    classic = [] if "--variant" in arguments else ["--variant", "classic"]
+    assert command([*arguments, *classic], tmp_path, monkeypatch) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("aucamp: ") and line in said[-1]
+
+
+@pytest.mark.parametrize(("spoil", "line"), [
+    (lambda path: path.write_bytes(path.read_bytes()[:-1] + b"x"), "own.safetensors: does not match"),
+    (lambda path: path.with_name("own.safetensors.sha256").unlink(), "own.safetensors.sha256: no such file"),
+    (lambda path: path.unlink(), "own.safetensors: no such file"),
+    (lambda path: stamp(path, b"no tensors"), "own.safetensors: not the weights of this network"),
+])  # fmt: skip
+def test_weights_that_cannot_be_used(spoil, line, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("agent.perception.enhancement.lu2net", reason="the network needs torch")
+    path = tmp_path / "own.safetensors"
+    stamp(path, (WEIGHTS / "own.safetensors").read_bytes())
+    spoil(path)
+    write(tmp_path / "a.png")
+    assert command(["a.png", "--weights", str(path)], tmp_path, monkeypatch) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("aucamp: ") and line in said[-1]
+
+
+def stamp(path, data):
+    path.write_bytes(data)
+    path.with_name(path.name + ".sha256").write_text(f"{hashlib.sha256(data).hexdigest()}  {path.name}\n")
+
+
+def command(arguments, folder, monkeypatch):
+    """Exit code of `aucamp enhance`."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["aucamp", "enhance", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+def test_nothing_is_overwritten(tmp_path):
+    source = write(tmp_path / "a.png")
+    for given in (source, tmp_path):
+        with pytest.raises(ConfigError, match="not empty, and nothing is overwritten; give --out a new folder"):
+            enhance(given, tmp_path)
+    assert np.array_equal(cv2.imread(str(source)), PICTURE)
+    (tmp_path / "empty").mkdir()
+    assert enhance(source, tmp_path / "empty") == 0
+
+
+def test_a_video_keeps_its_frames_and_a_camera_gives_as_many_as_asked(tmp_path):
+    path = tmp_path / "dive.avi"
+    sink = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (60, 40))
+    for _ in range(5):
+        sink.write(PICTURE)
+    sink.release()
+    assert enhance(path, tmp_path / "film") == 0
+    done = cv2.VideoCapture(str(tmp_path / "film" / "dive.mp4"))
+    assert (int(done.get(cv2.CAP_PROP_FRAME_COUNT)), done.get(cv2.CAP_PROP_FPS)) == (5, 10.0)
+    assert enhance(f"video:{path}", tmp_path / "frames", frames=3) == 0
+    assert len(list((tmp_path / "frames").iterdir())) == 3
+
+
+def test_a_video_that_was_cut_off_is_named_and_what_there_is_is_done(tmp_path, capsys):
+    path = tmp_path / "dive.avi"
+    sink = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (60, 40))
+    for _ in range(40):
+        sink.write(PICTURE)
+    sink.release()
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    assert enhance_source.run(str(path), tmp_path / "film", False, "classic", None, None, Console(width=300)) == 1
+    assert "of 40 frames; it was cut off" in capsys.readouterr().out
+    assert 10 < int(cv2.VideoCapture(str(tmp_path / "film" / "dive.mp4")).get(cv2.CAP_PROP_FRAME_COUNT)) < 30
+
+
+def test_a_stack_is_a_camera(tmp_path):
+    stack = tmp_path / "stack"
+    stack.mkdir()
+    for k in range(3):
+        write(stack / f"{k}.png")
+    (stack / "positions.csv").write_text("file,focus_position\n0.png,0\n1.png,1\n2.png,2\n")
+    assert enhance(f"stack:{stack}", tmp_path / "frames", frames=2) == 0
+    assert sorted(file.name for file in (tmp_path / "frames").iterdir()) == ["000000.png", "000001.png"]
+
+
+def test_evaluation_knows_a_perfect_picture_and_names_a_broken_one(tmp_path):
+    for name in ("raw", "reference"):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name / "a.png"), write(tmp_path / name / "b.png")
+    (tmp_path / "raw" / "b.png").write_bytes(b"")
+    figures, code = enhance_evaluate.run(
+        tmp_path / "raw", tmp_path / "reference", "classic", None, "64x64", Console(quiet=True)
+    )
+    assert code == 1 and list(figures) == ["a"]
+    assert figures["a"]["identity"].psnr_db == float("inf") and figures["a"]["classic"].psnr_db < 40
+    assert set(figures["a"]) == {"identity", "grey-world", "CLAHE", "classic"}
+
+
+def test_evaluation_names_what_has_no_partner_or_another_size(tmp_path, capsys):
+    for name, others in (("raw", "bc"), ("reference", "d")):
+        (tmp_path / name).mkdir()
+        for stem in "a" + others:
+            write(tmp_path / name / f"{stem}.png")
+    write(tmp_path / "raw" / "e.png"), write(tmp_path / "reference" / "e.png", PICTURE[:20])
+    figures, code = enhance_evaluate.run(
+        tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(width=400)
+    )
+    said = capsys.readouterr().out
+    assert code == 1 and list(figures) == ["a"]
+    assert "raw: without a partner in the other folder: b.png, c.png" in said
+    assert "reference: without a partner in the other folder: d.png" in said
+    assert "e.png: 60x40, but its reference 60x20 pixels" in said
+
+
+def test_evaluation_without_pairs(tmp_path):
+    for name in ("raw", "reference"):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name / f"{name}.png")
+    with pytest.raises(ConfigError, match="no two pictures of the same name"):
+        enhance_evaluate.run(tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(quiet=True))

@@ -1,0 +1,103 @@
+"""`aucamp track`: a line for each picture, pictures with the box, and mistakes in one line."""
+
+import sys
+
+import cv2
+import pytest
+
+from agent.__main__ import main
+from agent.core.config import ConfigError
+from agent.perception.tracking.box_trackers import model_files
+from agent.tools.follow_box import HEADER, Asked, parse_box, run
+from tests.perception.tracking.swimming import clip, overlap
+from tests.places import DATA
+
+NANO = DATA / "models" / "nanotrack_v2"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    boxes = []
+    for k, (image, box) in enumerate(clip(6)):
+        cv2.imwrite(str(pictures / f"{k:03}.png"), image)
+        boxes.append(box)
+    return pictures, boxes
+
+
+def text(box):
+    return ",".join(map(str, box))
+
+
+def test_a_folder(folder, tmp_path):
+    pictures, boxes = folder
+    lines = []
+    assert run(str(pictures), Asked(text(boxes[0]), out=tmp_path / "out"), lines.append)
+    assert lines[0] == HEADER and len(lines) == 7
+    for line, box in zip(lines[1:], boxes, strict=True):
+        name, t_s, x, y, w, h, score, state = line.split(",")
+        assert t_s == "" and state == "followed" and float(score) > 0.5
+        assert overlap(tuple(map(float, (x, y, w, h))), box) > 0.6, name
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k:06}.png" for k in range(6)]
+
+
+def test_a_video_in_and_out(tmp_path):
+    film, frames = tmp_path / "film.avi", list(clip(4))
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (480, 360))
+    for image, _ in frames:
+        writer.write(image)
+    writer.release()
+    lines = []
+    assert run(str(film), Asked(text(frames[0][1]), out=tmp_path / "out.avi"), lines.append)
+    assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2", "3"]
+    assert cv2.VideoCapture(str(tmp_path / "out.avi")).get(cv2.CAP_PROP_FRAME_COUNT) == 4
+
+
+@pytest.mark.parametrize("box", ["1,2,3", "a,b,c,d", "1,2,nan,4", ""])
+def test_a_box_is_four_numbers(box):
+    with pytest.raises(ConfigError, match="four numbers"):
+        parse_box(box)
+
+
+MISTAKES = [
+    (["nowhere", "--box", "1,1,50,50"], "no such file or folder"),
+    (["twin:r1", "--box", "1,1,50,50"], "--frames"),
+    (["empty", "--box", "1,1,50,50"], "no pictures"),
+    (["pictures", "--box", "1,1,9999,50"], "480x360"),
+    (
+        ["pictures", "--box", "1,1,50,50", "--out", "pictures"],
+        "not empty, and nothing is overwritten; give --out a new",
+    ),
+    (["pictures", "--box", "1,1,50,50", "--out", "mine.avi"], "mine.avi: is there already, and nothing is overwritten"),
+    (["pictures", "--box", "1,1,50,50", "--out", "mine.txt"], "give --out a folder, or a video that ends in .mp4 or"),
+    (["pictures", "--box", "0,0,0,0", "--out", "new"], "draw it inside the 480x360 picture"),
+    (["pictures", "--box", "-5,0,50,50", "--out", "new"], "draw it inside the 480x360 picture"),
+    (["pictures", "--box", "1,1,50,50", "--backbone", "x.onnx"], "both"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "expected"), MISTAKES)
+def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "mine.avi").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["aucamp", "track", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    (line,) = said.err.strip().splitlines()
+    assert ended.value.code == 2 and line.startswith("aucamp: ") and expected in line and said.out == ""
+    assert not (tmp_path / "new").exists() and (tmp_path / "mine.avi").read_text() == "mine"
+
+
+@pytest.mark.parametrize("models", [
+    pytest.param((None, None), id="filter"),
+    pytest.param(model_files(NANO), id="nano", marks=pytest.mark.skipif(not NANO.is_dir(), reason="no NanoTrack here")),
+])  # fmt: skip
+@pytest.mark.parametrize("box", ["0,0,480,360", "4,4,472,352", "0,0,480,40", "0,0,8,8"])
+def test_a_box_may_be_as_large_as_the_picture_or_at_its_border(folder, models, box):
+    lines = []
+    assert run(str(folder[0]), Asked(box, *models, 3), lines.append) in (True, False)
+    drawn = ",".join(f"{float(side):.1f}" for side in box.split(","))
+    assert len(lines) == 4 and lines[1] == f"000.png,,{drawn},1.00,followed"

@@ -1,0 +1,166 @@
+"""The whole procedure against a painted board behind a thin lens whose parameters are known."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from agent.core.config import Body, ConfigError, Fleet, Pose, Robot, Target
+from agent.core.ranging.focus import h
+from agent.tools.fit import CalibrationRefused
+from agent.tools.procedure import COLUMNS, ROWS, SETTINGS, calibrate, find_corners, setting
+from hw.camera.camera import FocusRange, Frame, Roi
+from tests.perception.painted import (
+    CAMERA,
+    PER_DIOPTRE,
+    POLE,
+    PX_PER_POSITION,
+    defocus,
+    expose,
+    grain,
+    rays,
+    sharp_position,
+)
+
+TEXEL_M = 0.0004
+PAN, TILT = (0.8, 1.01), (-0.5, 0.99)  # zero (deg) and gain of the servos
+
+
+def board_texture():
+    squares = np.indices((ROWS + 1, COLUMNS + 1)).sum(axis=0) % 2
+    light = np.kron(np.where(squares, 0.75, 0.12), np.ones((50, 50)))
+    return (light * (1 + 0.35 * grain(light.shape, 1))).astype(np.float32)
+
+
+class BenchCamera:
+    """A board at a place, a gimbal with backlash, a lens; renders a part of the frame at a time."""
+
+    size = (640, 480)
+
+    def __init__(self):
+        self.texture, self.m = board_texture(), rays(CAMERA)
+        self.board_m, self.angles_deg, self.position, self.seq = None, (0.0, 0.0), 0, 0
+        self.moves = []
+
+    def place(self, board_m, us):
+        body = Body()
+        nominal = [(u - body.servo_centre_us) / body.servo_us_per_deg for u in us]
+        before = self.moves[-1][1] if self.moves else us
+        play = [0.4 if a < b else 0.0 for a, b in zip(us, before, strict=True)]  # coming down, the gear lags
+        self.angles_deg = (PAN[0] + PAN[1] * nominal[0] + play[0], TILT[0] + TILT[1] * nominal[1] + play[1])
+        self.board_m = board_m
+        self.moves.append((board_m, us))
+
+    def focus_range(self):
+        return FocusRange(0, 1023, 1)
+
+    def set_focus(self, position):
+        self.position = position
+        return position
+
+    def read(self, roi=None, settle_s=0.0, timeout_s=1.0):
+        roi = roi or Roi(0, 0, 640, 480)
+        self.seq += 1
+        m = self.m[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
+        pan, tilt = (math.radians(a) for a in self.angles_deg)
+        ahead, left, up = m[..., 2], -m[..., 0], -m[..., 1]
+        flat, up = math.cos(tilt) * ahead - math.sin(tilt) * up, math.sin(tilt) * ahead + math.cos(tilt) * up
+        x, y = math.cos(pan) * flat - math.sin(pan) * left, math.sin(pan) * flat + math.cos(pan) * left
+        bx, by, bz = self.board_m
+        u = (by - y * bx / x) / TEXEL_M + self.texture.shape[1] / 2 - 0.5
+        v = (bz - up * bx / x) / TEXEL_M + self.texture.shape[0] / 2 - 0.5
+        light = cv2.remap(self.texture, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderValue=0.3)
+        depth_m = math.hypot(bx, by, bz)
+        light = defocus(light, min(14.0, PX_PER_POSITION * abs(self.position - sharp_position(depth_m))))
+        return Frame(self.seq, self.seq, np.repeat(expose(light, self.seq)[..., None], 3, axis=-1), roi)
+
+    def close(self):
+        pass
+
+
+def sigmas(fit):
+    """Of the ten numbers of CameraFit.covariance."""
+    covariance = np.zeros((10, 10))
+    covariance[np.triu_indices(10)] = fit.covariance
+    return np.sqrt(np.diag(covariance))
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    robot = Robot(
+        listen="tcp/127.0.0.1:17401", serial="x", camera="twin:r1", pose=Pose(x_m=0, y_m=0, yaw_deg=0), calibration="x"
+    )
+    return Fleet(fleet="tank", target={"ball": Target(radius_m=0.07)}, robot={"r1": robot})
+
+
+@pytest.fixture(scope="module")
+def measured(fleet):
+    camera, steps = BenchCamera(), []
+    calibration = calibrate(fleet, "r1", camera, camera.place, lambda done, total: steps.append((done, total)))
+    return camera, calibration, steps
+
+
+def test_range_is_right_to_a_few_millimetres(measured):
+    fit = measured[1].focus
+    for u_m in (0.3, 0.45, 0.7):
+        assert h(fit, sharp_position(u_m)) == pytest.approx(u_m, abs=0.008 * u_m)
+    assert fit.b_m == pytest.approx(PER_DIOPTRE * 1.333, rel=0.05)
+    assert fit.rho0 == pytest.approx(POLE, abs=12)
+    assert fit.r2 > 0.999
+    assert abs(fit.sag) < 3 * fit.sag_sigma < 6  # the painted lens weighs nothing
+
+
+def test_camera_and_servos_are_right(measured):
+    fit = measured[1].camera
+    assert fit.f_px == pytest.approx(CAMERA.f_px, rel=1e-3)
+    # A board in a picture without bend hardly tells a turn of the gimbal from an axis off the middle: it has to say so,
+    # and where the picture's middle looks is known all the same.
+    aside = np.degrees(np.array([fit.cx_px - 319.5, fit.cy_px - 239.5]) / fit.f_px)
+    zeros = np.array([fit.pan_zero_deg, fit.tilt_zero_deg])
+    assert zeros + aside == pytest.approx((PAN[0], TILT[0]), abs=0.02)
+    assert (np.abs(zeros - (PAN[0], TILT[0])) < 3 * sigmas(fit)[6:8]).all()
+    assert (fit.pan_gain, fit.tilt_gain) == pytest.approx((PAN[1], TILT[1]), abs=1e-3)
+    assert fit.noise_px < 0.5 and fit.noise_deg < 0.1
+
+
+def test_every_setting_is_reached_from_shorter_pulses(measured):
+    moves = [us for board, us in measured[0].moves if board is not None]
+    for before, after in zip(moves[::2], moves[1::2], strict=True):
+        assert before[0] < after[0] and before[1] < after[1]
+
+
+def test_progress_counts_up_to_its_total(measured):
+    steps = measured[2]
+    assert steps == [(done, SETTINGS) for done in range(SETTINGS + 1)]
+
+
+def test_each_setting_has_a_name():
+    words = [setting(done) for done in range(SETTINGS + 1)]
+    assert len(set(words)) == SETTINGS + 1 and words[2] == "distance 3 of 16" and words[-1] == "done"
+    assert words[16] == "view 1 of 14 of the board" and words[-2] == "view up or down 6 of 6"
+
+
+def test_nothing_to_see_is_refused_with_its_reason(fleet):
+    camera = BenchCamera()
+    camera.texture = np.full_like(camera.texture, 0.3)
+    with pytest.raises(CalibrationRefused, match="0 distances have a peak"):
+        calibrate(fleet, "r1", camera, camera.place, lambda *_: None)
+
+
+def test_a_camera_without_focus_is_refused(fleet):
+    camera = BenchCamera()
+    camera.focus_range = lambda: None
+    with pytest.raises(ConfigError, match="focus cannot be set"):
+        calibrate(fleet, "r1", camera, camera.place, lambda *_: None)
+
+
+def test_corners_run_from_the_upper_left_row_by_row():
+    camera = BenchCamera()
+    camera.place((0.7, 0.0, 0.0), (1500, 1500))
+    camera.set_focus(round(sharp_position(0.7)))
+    image = camera.read().image[:, :, 0]
+    for grey in (image, np.ascontiguousarray(image[::-1, ::-1])):
+        corners = np.array(find_corners(grey)).reshape(ROWS, COLUMNS, 2)
+        assert (np.diff(corners[:, :, 0], axis=1) > 0).all() and (np.diff(corners[:, :, 1], axis=0) > 0).all()
+    assert find_corners(np.full((480, 640), 90, np.uint8)) == []
