@@ -8,7 +8,7 @@ from typing import Any
 
 from agent.core import topics
 from agent.core.codec import encoding
-from agent.core.orders_words import MAX_ORDER
+from agent.core.messages import MAX_ORDER
 from agent.ground.schemas import QUERIES, TOKENS, kinds, schema, write
 
 PAGE = Path(__file__).with_name("messages.md")

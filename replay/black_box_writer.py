@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.codec import encode
-from agent.core.config import Fleet
-from agent.core.ranging.calibration import Calibration
+from agent.core.config import Fleet, dump
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Sighting
-from agent.core.toml_files import dump
 from replay.files import channels
 from replay.files.channels import entry_on
 from replay.files.clock_rate import RateNotes

@@ -18,9 +18,8 @@ from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.core import topics
 from agent.core.codec import Refusal, decode
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import SCHEMA
-from agent.core.toml_files import dump
 from agent.core.topics import Topic
 from replay.files.auto_recover import recovering, torn_files
 from replay.files.backlog import Backlog, Entry

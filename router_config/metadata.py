@@ -9,8 +9,7 @@ import hashlib
 import importlib.metadata
 import json
 
-from agent.core.config import Fleet
-from agent.core.fleet_digest import common
+from agent.core.config import Fleet, common
 from router_config.access import access_control
 
 OPEN = "none"  # the rules of an open fleet

@@ -1,6 +1,6 @@
 """A robot unlike others, as `aucamp calibrate body` would have found it."""
 
-from agent.core.ranging.calibration import BodyFit
+from agent.core.ranging.camera_model import BodyFit
 
 LIGHT = BodyFit(
     mass_kg=4.0,

@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from agent.core.messages import Estimate
-from agent.core.presence import Presence
+from agent.core.messages import Estimate, Presence
 from agent.core.step_io import Telemetry
 
 

@@ -11,9 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from agent.__main__ import app, command_line
-from agent.core.config import ConfigError
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
+from agent.core.ranging.camera_model import Calibration
 from agent.demo.fleet import demo_fleet
 from agent.process import stop_signal
 from agent.process.failure import Failed

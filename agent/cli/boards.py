@@ -6,15 +6,15 @@ import typer
 
 from agent.process.options import FleetFile, RobotName, complain
 
-app = typer.Typer(no_args_is_help=True, help="Orders to a robot's control module, whose agent does not run.")
+board_app = typer.Typer(no_args_is_help=True, help="Orders to a robot's control module, whose agent does not run.")
 
 
-@app.callback()
+@board_app.callback()
 def board() -> None:
     """A group, though it has one command."""
 
 
-@app.command("reboot", epilog="Example: aucamp board reboot fleet.toml --robot r1")
+@board_app.command("reboot", epilog="Example: aucamp board reboot fleet.toml --robot r1")
 def board_reboot(fleet: FleetFile, robot: RobotName) -> None:
     """Begin anew: what latched it (watchdog, emergency stop at the bench) is over, what was set and not saved is lost.
 

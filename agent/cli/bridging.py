@@ -15,7 +15,7 @@ from agent.robot.fleet_reader import load_fleet
 
 SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
 
-app = typer.Typer(no_args_is_help=True, help="A running fleet for programs that speak another language.")
+bridge_app = typer.Typer(no_args_is_help=True, help="A running fleet for programs that speak another language.")
 
 
 def as_place(text: str) -> tuple[float, float]:
@@ -46,7 +46,7 @@ def extra(name: str, package: str) -> Iterator[None]:
         raise ConfigError(f"this bridge needs the extra `{name}`; in your clone: pip install -e '.[{name}]'") from None
 
 
-@app.command(epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
+@bridge_app.command(epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
 def mavlink(
     fleet: FleetFile,
     console: Annotated[
@@ -72,7 +72,7 @@ def mavlink(
         run(robots, fleet, console, port, Origin(*place), stop, typer.echo)
 
 
-@app.command(epilog="Example: aucamp bridge ros2 fleet.toml")
+@bridge_app.command(epilog="Example: aucamp bridge ros2 fleet.toml")
 def ros2(
     fleet: FleetFile,
     name: Looker = None,
@@ -90,7 +90,7 @@ def ros2(
         run(robots, fleet, name, port, Ros2(robots, domain), stop, typer.echo)
 
 
-@app.command(epilog="Example: aucamp bridge keelson fleet.toml")
+@bridge_app.command(epilog="Example: aucamp bridge keelson fleet.toml")
 def keelson(
     fleet: FleetFile,
     name: Looker = None,

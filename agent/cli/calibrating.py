@@ -9,10 +9,10 @@ import typer
 
 from agent.process.options import FleetFile, RobotName, terminal
 
-app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
+calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
 
 
-@app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
+@calibrate_app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
 def calibrate_run(
     fleet: FleetFile,
     robot: RobotName,
@@ -24,7 +24,7 @@ def calibrate_run(
     run(fleet, robot, out, terminal())
 
 
-@app.command("focus", epilog="Example: aucamp calibrate focus table.csv --out calibration/r1.toml")
+@calibrate_app.command("focus", epilog="Example: aucamp calibrate focus table.csv --out calibration/r1.toml")
 def calibrate_focus(
     table: Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with the columns u_mm and code.")],
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[focus] is to be written.")] = None,
@@ -35,7 +35,7 @@ def calibrate_focus(
     run(table, out, terminal())
 
 
-@app.command("camera", epilog="Example: aucamp calibrate camera photographs/ --out calibration/r1.toml")
+@calibrate_app.command("camera", epilog="Example: aucamp calibrate camera photographs/ --out calibration/r1.toml")
 def calibrate_camera(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Photographs of a chessboard, taken in water.")],
     columns: Annotated[int, typer.Option(min=3, help="Inner corners of the board along its longer side.")] = 14,
@@ -44,23 +44,23 @@ def calibrate_camera(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] is to be written.")] = None,
 ) -> None:
     """Focal length and centre from photographs of a board."""
-    from agent.tools.camera import run
+    from agent.tools.camera import calibrate_camera as run
 
     run(folder, columns, rows, square_mm, out, terminal())
 
 
-@app.command("gamma", epilog="Example: aucamp calibrate gamma blurred/ --out calibration/r1.toml")
+@calibrate_app.command("gamma", epilog="Example: aucamp calibrate gamma blurred/ --out calibration/r1.toml")
 def calibrate_gamma(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Pictures of AprilTags, out of focus.")],
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] gets the gamma.")] = None,
 ) -> None:
     """How the camera codes light, from how lopsided it shows blurred edges."""
-    from agent.tools.gamma import run
+    from agent.tools.gamma import calibrate_gamma as run
 
     run(folder, out, terminal())
 
 
-@app.command("body", epilog="Example: aucamp calibrate body runs/trial/r1.mcap --out calibration/r1.toml")
+@calibrate_app.command("body", epilog="Example: aucamp calibrate body runs/trial/r1.mcap --out calibration/r1.toml")
 def calibrate_body(
     recording: Annotated[Path, typer.Argument(metavar="FILE", help="Black box of a robot with behaviour 'trial'.")],
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[body] is to be written.")] = None,
@@ -71,7 +71,7 @@ def calibrate_body(
     run(recording, out, terminal())
 
 
-@app.command(
+@calibrate_app.command(
     "landmarks", epilog="Example: aucamp calibrate landmarks film.mp4 fleet.toml --calibration r1.toml --known 0"
 )
 def calibrate_landmarks(

@@ -11,10 +11,10 @@ from agent.core.config import ConfigError
 from agent.process.options import complain, terminal
 from agent.process.run_folder import new_file, run_folder
 
-app = typer.Typer()
+export_app = typer.Typer()
 
 
-@app.command(
+@export_app.command(
     "export",
     epilog="Example: aucamp export runs/20260101T120000Z --csv --out tables",
 )

@@ -13,7 +13,7 @@ from agent.core.config import ConfigError
 from agent.process.options import complain, terminal
 from agent.process.run_folder import run_folder
 
-app = typer.Typer()
+reconstruct_app = typer.Typer()
 
 KINDS = ("ply", "glb", "colmap", "transforms.json", "splat", "mcap")
 # typer takes a list of an Enum, not of a Literal
@@ -22,7 +22,9 @@ Device = StrEnum("Device", [(name, name) for name in ("auto", "cpu", "cuda", "mp
 Export = StrEnum("Export", [(kind, kind) for kind in KINDS])  # type: ignore[misc]
 
 
-@app.command("reconstruct", epilog="Example: aucamp reconstruct runs/20260101T120000Z --out scene --export glb")
+@reconstruct_app.command(
+    "reconstruct", epilog="Example: aucamp reconstruct runs/20260101T120000Z --out scene --export glb"
+)
 def reconstruct_command(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into: new, or empty.")],
     runs: Annotated[

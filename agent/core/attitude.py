@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from agent.core.savepoint import Revertible
 from agent.core.step_io import Telemetry
+from agent.core.step_transaction import Revertible
 
 KEEP_NS = 6_000_000_000  # longer than a full sweep: the sharpest frame may be its first
 FRESH_NS = 500_000_000  # 25 missed frames: the module is silent

@@ -2,12 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
+import tomli_w
 from msgspec import Meta
 
-from agent.core.settings import Lighting
+# @@ settings
+# The table [lighting] of fleet.toml: water and lamps as somebody measured them, and how lamps are lent.
+
+Coefficient = Annotated[float, Meta(gt=0, le=20)]
+Bands = tuple[Coefficient, Coefficient, Coefficient]  # blue, green, red
+
+
+class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all configuration: immutable, and a key that nobody knows is an error."""
+
+
+class WaterOptics(Struct, frozen=True, kw_only=True):
+    """Beam attenuation is the sum of both. Measured by an instrument: pictures do not tell one from the other."""
+
+    absorption_per_m: Bands
+    scattering_per_m: Bands
+
+
+class Beam(Struct, frozen=True, kw_only=True):
+    """A lamp of the fleet; all are alike. Flat to 0.8 of the half angle, nothing beyond 1.2 of it."""
+
+    intensity_w_sr: Annotated[float, Meta(gt=0)] = 1.2  # on its axis, in each colour, at full power
+    half_deg: Annotated[float, Meta(ge=5, le=60)] = 25.0  # in water
+    beside_m: Annotated[float, Meta(ge=0.01, le=1)] = 0.12  # to the left of the optical centre, level with it
+
+
+class Lighting(Struct, frozen=True, kw_only=True):
+    """Robots that light for each other. None of it in the fleet file: no lamp burns, every decision as without."""
+
+    water: WaterOptics
+    beam: Beam = Beam()
+    guard_s: Annotated[float, Meta(gt=0, le=5)] = 0.3  # a sweep waits so long for answers of those asked for light
+    gain: Annotated[float, Meta(ge=0)] = 0.10  # of the information that borrowed light must bring, else the own lamp
+    follow: bool = False  # lamps are agreed on for who follows what swims, too; else each burns beside its own camera
+
+
+# @@ config
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
@@ -22,10 +62,6 @@ WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 
 class ConfigError(ValueError):
     """A file that a user wrote cannot be used; the message is one line that says what to change."""
-
-
-class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of all configuration: immutable, and a key that nobody knows is an error."""
 
 
 class Tank(Struct, frozen=True, kw_only=True):
@@ -279,3 +315,169 @@ class Fleet(Struct, frozen=True, kw_only=True):
     def secured(self) -> bool:
         """Whether all links are TLS, between certificates that the fleet's own authority gave."""
         return bool(self.robot) and all(robot.listen.startswith("tls/") for robot in self.robot.values())
+
+
+# @@ toml_errors
+# What is wrong in a TOML file, in words: the key as the file spells it, and what may stand there instead.
+
+ANY = "*"  # for msgspec's [...], which stands for the name of a table of which there may be several, such as robot.r1
+NAME_RULE = "a name is a small letter and up to 15 small letters, digits or _"
+
+
+def explain(error: msgspec.ValidationError, data: dict[str, Any], kind: Any) -> str:
+    """One sentence about the first mistake in `data`, which could not be converted to the struct `kind`."""
+    what, _, where = str(error).partition(" - at `")
+    path = where.rstrip("`").replace("[...]", f".{ANY}").split(".")[1:]
+    if where.startswith("key`"):  # the name of a table is itself the mistake
+        path.append(ANY)
+    key = ".".join(_named(path, data, kind, str(error))) or "top level"
+    return f"key '{key}': {_remedy(what, path, kind)}"
+
+
+def _named(path: list[str], data: dict[str, Any], kind: Any, error: str) -> list[str]:
+    """The path with the name of the table in question: the one that makes the same mistake without the others."""
+    if ANY not in path:
+        return path
+    at = path.index(ANY)
+    above: Any = data
+    for chunk in path[:at]:
+        above = above[chunk]
+    for name, value in above.items():
+        alone: Any = {name: value}
+        for chunk in reversed(path[:at]):
+            alone = {chunk: alone}
+        try:
+            msgspec.convert({**data, **alone}, kind)
+        except msgspec.ValidationError as same:
+            if str(same) == error:
+                return [*path[:at], name, *path[at + 1 :]]
+    return path
+
+
+def _remedy(what: str, path: list[str], kind: Any) -> str:
+    if what.startswith("Object contains unknown field"):
+        return f"unknown key {what.rsplit(' ', 1)[-1]}; remove it or correct its spelling"
+    if what.startswith("Object missing required field"):
+        return f"required key {what.rsplit(' ', 1)[-1]} is missing; add it"
+    if what.startswith("Invalid enum value"):
+        return f"{what.rsplit(' ', 1)[-1]} is no choice; write one of {', '.join(_choices(path, kind))}"
+    if "matching regex" in what:
+        return f"{NAME_RULE}; correct the name"
+    return what[0].lower() + what[1:] + "; correct the value"
+
+
+def _choices(path: list[str], kind: Any) -> list[str]:
+    """The values of the Literal at `path` below the struct `kind`."""
+    there: Any = msgspec.inspect.type_info(kind)
+    for chunk in path:
+        if isinstance(there, msgspec.inspect.StructType):
+            there = next(field.type for field in there.fields if field.encode_name == chunk)
+        elif isinstance(there, msgspec.inspect.DictType):
+            there = there.value_type
+    either = there.types if isinstance(there, msgspec.inspect.UnionType) else (there,)  # a Literal that may be left out
+    return [str(value) for one in either for value in getattr(one, "values", ())]
+
+
+# @@ toml_files
+# TOML files and frozen structs: text into one, one into text.
+
+T = TypeVar("T")
+
+
+def dump(struct: msgspec.Struct) -> str:
+    """The TOML text from which the same struct is read again."""
+
+    def drop_none(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: drop_none(v) for k, v in value.items() if v is not None}
+        return value
+
+    return tomli_w.dumps(drop_none(msgspec.to_builtins(struct)))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; every failure is a ConfigError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text file; give the path of a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
+    """Check parsed TOML against a struct; the message names file, key and remedy."""
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path}: {explain(error, data, kind)}") from None
+
+
+# @@ fleet_digest
+# What all fleet files of a fleet have to share, in sixteen characters that travel with every message.
+#
+# Robots whose files differ here would add up what does not belong together, or wait for each other in vain. What a
+# robot has for itself is left out: its place, depth, look, devices, camera and body, where its files lie, how often
+# it speaks.
+
+
+def common(fleet: Fleet) -> str:
+    """Digest of what the robots of a fleet have to agree on: 16 hexadecimal digits of SHA-256.
+
+    The order of tables, of robots, of neighbours and of landmarks does not count, nor does 1 for 1.0.
+    """
+    shared = {
+        "fleet": fleet.fleet,
+        "tank": msgspec.to_builtins(fleet.tank),
+        "refractive_index": fleet.water.refractive_index,  # how murky the water is, is the twin's business
+        "estimation": msgspec.to_builtins(fleet.estimation),
+        "target": {name: _target(target) for name, target in fleet.target.items()},
+        "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
+    }
+    if fleet.landmarks is not None:
+        shared["landmarks"] = _landmarks(fleet.landmarks)
+    if fleet.coverage is not None:
+        shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
+    if fleet.lighting is not None:  # who has which lamp, and when it is lent
+        shared["lighting"] = _lighting(fleet.lighting)
+        shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
+    text = msgspec.json.encode(_plain(shared), order="sorted")
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _target(target: Target) -> dict[str, Any]:
+    """What it is. Pictures, the boxes in them and models are files, and each robot may have its own."""
+    swims = {} if target.speed_m_s is None else {"speed_m_s": target.speed_m_s, "turn_s": target.turn_s}
+    if target.detector == "box":
+        return {"detector": target.detector, **swims}
+    size: dict[str, Any] = {"length_m": target.length_m}
+    if target.detector == "ball":
+        size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
+    return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
+
+
+def _lighting(lighting: Lighting) -> dict[str, Any]:
+    """What is off by default says nothing, so that fleets from before it was there still agree."""
+    told: dict[str, Any] = msgspec.to_builtins(lighting)
+    return told if lighting.follow else {name: value for name, value in told.items() if name != "follow"}
+
+
+def _landmarks(landmarks: Landmarks) -> dict[str, Any]:
+    """One map for all: places that two robots reckoned from different maps do not belong together."""
+    tags = sorted(landmarks.tag, key=lambda tag: tag.id)
+    return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(tags)}
+
+
+def _plain(value: Any) -> Any:
+    """The same with every number as a float: who makes a fleet without a file may write 1 for 1.0."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    if isinstance(value, bool) or not isinstance(value, int):
+        return value
+    return float(value)

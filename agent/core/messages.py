@@ -11,6 +11,7 @@ What a field means stands here and nowhere else: `means` puts it into the JSON S
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -32,7 +33,7 @@ Mode = Literal["running", "degraded", "stopped", "failed"]
 
 NUMBER = "which edition of these schemas; a robot believes its own alone"
 SENT = "when it was said: ns since the Unix epoch, by the clock of whoever said it"
-SIGNED = "Ed25519 by the origin, 64 bytes, of what agent/core/signed.py makes of it; empty: none"
+SIGNED = "Ed25519 by the origin, 64 bytes, of what agent/core/trust.py makes of it; empty: none"
 
 
 def means(text: str) -> Meta:
@@ -296,3 +297,84 @@ def _finite(value: Any) -> bool:
     if isinstance(value, dict):
         return all(map(_finite, value.values()))
     return True
+
+
+# @@ presence
+# What a robot that swims says of itself, so that its neighbours keep clear of it. Times as in messages.py.
+
+
+class Presence(Message, frozen=True, kw_only=True):
+    """Where a robot that swims is and where it goes, to one neighbour, so that they keep clear of each other. One that
+    is lost says where it may be, by a wide `cov`; one that has not found itself yet says nothing."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    fleet: Annotated[Id, means("name of the fleet")]
+    src: Annotated[Id, means("the robot that says it")]
+    dst: Annotated[Id, means("the neighbour that it is said to")]
+    incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
+    seq: Annotated[Count, means("counts the rounds in which the sender says where it is")]
+    sent_ns: Annotated[Count, means(SENT)]
+    t_ns: Annotated[Count, means("of place and velocity: ns, by the clock of whoever said it")]
+    x_m: Annotated[float, means("m, world frame, of the body's centre")]
+    y_m: Annotated[float, means("m, world frame")]
+    yaw_rad: Annotated[float, means("rad, anticlockwise from x")]
+    depth_m: Annotated[float, means("m below the surface")]
+    cov: Annotated[
+        Symmetric,
+        means(
+            "covariance of x, y and yaw, m and rad, by its own sensors alone and with what is wrong in all of its "
+            "fixes alike: xx xy xp yy yp pp"
+        ),
+    ]
+    v_x_m_s: Annotated[float, means("m/s, world frame")]
+    v_y_m_s: Annotated[float, means("m/s, world frame")]
+    rate_rad_s: Annotated[float, means("rad/s, of yaw, anticlockwise")]
+    goal_x_m: Annotated[float, means("m, world frame: where it is told to be now")]
+    goal_y_m: Annotated[float, means("m, world frame")]
+    goal_yaw_rad: Annotated[float, means("rad: how it is told to look now")]
+    behaviour: Annotated[str, Meta(max_length=16), means("what it does now: the kind in the fleet file")]
+    target: Annotated[Id | UnsetType, means("what it follows or searches for; left out: neither")] = UNSET
+    glance_until_ns: Annotated[
+        Count, means("its camera is at landmarks until then, by its clock, and others look at the target; 0: it is not")
+    ] = 0
+
+
+# @@ orders_words
+# What is said between a console and a robot: an order, and the robot's answer to it.
+#
+# An order is a query, so that whoever asks hears an answer or that there was none; who asks stands in its key, where
+# rules of access see it. Observers cannot see queries: the same answer is published as well.
+
+MAX_ORDER = 4096  # bytes; larger ones are turned away unread
+MAX_WORDS = 200  # characters of an order in words
+
+Arg = bool | int | float | str
+
+
+class Order(Message, frozen=True, kw_only=True):
+    """What somebody at a console wants of a robot. All values are absolute: heard twice is as heard once."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    id: Annotated[Count, means("counts the orders of this console, from the ns of its start on")]
+    verb: Annotated[str, Meta(max_length=16), means("what to do: docs/orders.md")]
+    args: Annotated[Mapping[str, Arg], Meta(max_length=16), means("how, by the names in docs/orders.md")] = {}
+    seen: Annotated[
+        tuple[Count, Count] | None,
+        means("incarnation and sent_ns of the robot's State that was looked at; null: for what may come late"),
+    ] = None
+
+
+class Answer(Message, frozen=True, kw_only=True):
+    """What became of an order, to whoever looks. The reply to the query is the same."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    robot: Annotated[Id, means("the robot that says it")]
+    console: Annotated[str, Meta(max_length=16), means("who ordered, by the key of the order")]
+    id: Annotated[Count, means("of the order; 0: it could not be read")]
+    order: Annotated[str, Meta(max_length=MAX_WORDS), means("what was ordered, in words; empty: it could not be read")]
+    ok: Annotated[bool, means("whether it is done, or under way")]
+    why: Annotated[str, Meta(max_length=MAX_WORDS), means("why not, and what to do; or what is to be known beside")] = (
+        ""
+    )
+    arrived_ns: Annotated[Count, means("when the order arrived: ns since the Unix epoch, by the robot's clock")]
+    sent_ns: Annotated[Count, means(SENT)]

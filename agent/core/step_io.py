@@ -10,12 +10,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-from agent.core.claim import Claim
-from agent.core.keyframe import Keyframe
-from agent.core.messages import Count, Estimate, Id, LogLine, Message, State, Vector
-from agent.core.orders_words import Answer
-from agent.core.presence import Presence
-from agent.core.words import Light
+from agent.core.capability_messages import Claim, Keyframe, Light
+from agent.core.messages import Answer, Count, Estimate, Id, LogLine, Message, Presence, State, Vector
 
 Slope = tuple[float, float]
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal, NamedTuple
 
-from agent.core.claim import Claim
-from agent.core.keyframe import Keyframe
-from agent.core.messages import MAX_JPEG, MAX_PAYLOAD, Estimate, Image, LogLine, Message, State
-from agent.core.orders_words import Answer
-from agent.core.presence import Presence
-from agent.core.words import Light
+from agent.core.capability_messages import Claim, Keyframe, Light
+from agent.core.messages import MAX_JPEG, MAX_PAYLOAD, Answer, Estimate, Image, LogLine, Message, Presence, State
 
 
 class QoS(NamedTuple):

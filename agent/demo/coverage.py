@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
 
 

@@ -20,11 +20,10 @@ from rich.console import Console
 from rich.live import Live
 
 from agent.clock import machine
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim
 from agent.core.codec import Refusal, decode
-from agent.core.config import Fleet, Protocol
+from agent.core.config import Fleet, Protocol, dump
 from agent.core.messages import State
-from agent.core.toml_files import dump
 from agent.core.topics import CLAIM, STATE
 from agent.demo.coverage import SurveyWatch
 from agent.demo.coverage_table import survey_table

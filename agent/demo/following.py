@@ -58,10 +58,10 @@ def followed_s(of_target: Mapping[str, History]) -> float:
 def scored(run: Path, fleet: Fleet, target: str) -> dict[str, Any]:
     """The row of summary.json of a target that swims, from the folder of its run. Raises ConfigError without black
     boxes."""
-    return score(creature_track(run, open_boxes(black_boxes(run)), target), fleet, target)
+    return score_following(creature_track(run, open_boxes(black_boxes(run)), target), fleet, target)
 
 
-def score(track: CreatureTrack | None, fleet: Fleet, target: str) -> dict[str, Any]:
+def score_following(track: CreatureTrack | None, fleet: Fleet, target: str) -> dict[str, Any]:
     """The same of a track; None: nobody knows the truth. Lengths in mm, times in seconds of the dive."""
     known_ns = track.known_ns if track is not None else None
     row: dict[str, Any] = {
@@ -101,7 +101,7 @@ def score(track: CreatureTrack | None, fleet: Fleet, target: str) -> dict[str, A
     return row
 
 
-def reasons(row: Mapping[str, Any]) -> list[str]:
+def reasons_following(row: Mapping[str, Any]) -> list[str]:
     """Why following failed; empty where it is as good as it has to be."""
     if row["followed_s"] < LEAST_S:
         never = [name for name, about in row["agents"].items() if about["known_s"] is None]

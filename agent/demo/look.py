@@ -9,7 +9,7 @@ from agent.ground.page.server import PORT, websockets_or_why
 from agent.process.launch import Crew, wait_for
 from agent.process.ports import free_ports, is_free
 
-READY_S = 60.0  # of the wall
+PAGE_READY_S = 60.0  # of the wall
 ME = "me"  # as whom orders are given where the fleet file names nobody: on one computer everybody may
 
 
@@ -21,6 +21,6 @@ def open_page(fleet: Fleet, path: Path, processes: Crew) -> str:
     console = next(iter(fleet.access.consoles), ME)
     log = path.parent / "logs" / "page.log"
     processes.start("page", "page", str(path), "--as", console, "--port", str(port), "--out", str(path.parent))
-    wait_for("the page", lambda: "http://" in log.read_text(encoding="utf-8"), processes, READY_S)
+    wait_for("the page", lambda: "http://" in log.read_text(encoding="utf-8"), processes, PAGE_READY_S)
     address = next(word for word in log.read_text(encoding="utf-8").split() if word.startswith("http://"))
     return f"\nlook at it, and give orders, in a browser on this machine:\n  {address}\n"

@@ -44,7 +44,7 @@ def summarize(
     for target, of_target in histories.items():
         if followed is not None and target in followed:
             targets[target] = followed[target]
-            found = following.reasons(followed[target])
+            found = following.reasons_following(followed[target])
             why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in found]
             continue
         truth_m: Vector = tuple(truth["target_m"][target])

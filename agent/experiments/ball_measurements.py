@@ -21,10 +21,18 @@ from agent.clock.clock import StandingClock
 from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
 from agent.core.control.sweep import Measurement, Sweep
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration, at_lens_position
-from agent.core.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, pixel, servos_us, to_camera
-from agent.core.ranging.cues import NoRange, distance
-from agent.core.ranging.fix import locate
+from agent.core.ranging.camera_model import (
+    Calibration,
+    Eye,
+    at_lens_position,
+    camera_pose,
+    gimbal_deg,
+    look_at,
+    pixel,
+    servos_us,
+    to_camera,
+)
+from agent.core.ranging.fix import NoRange, distance, locate
 from agent.core.step_io import Sighting
 from agent.experiments.choices import DEFAULT_SENSOR
 from agent.experiments.measured_level import level_of

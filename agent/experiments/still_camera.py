@@ -25,7 +25,7 @@ FRAME_NS = 1_000_000_000 // 30
 START_NS = 1_000_000_000
 
 
-class View(msgspec.Struct, frozen=True):
+class TankView(msgspec.Struct, frozen=True):
     """Where a camera stands and looks: world frame, yaw from x to y, tilt positive up."""
 
     position_m: Vector
@@ -45,7 +45,7 @@ class StillCamera:
         self.lens = draw_lens(sensor, generator(seed, robot, "lens"))
         self.size = (self.lens.width, self.lens.height)
         self.solids = scene.solid
-        self.view = View((0.1, 0.6, 0.25), 0.0)
+        self.view = TankView((0.1, 0.6, 0.25), 0.0)
         self.board_m: float | None = None  # z-depth of a board square to the camera, in the middle of its view
         self._vcm = Vcm(self.lens, generator(seed, robot, "vcm"))
         self._painter = Painter(scene, fleet.tank, fleet.water.refractive_index, self.lens, seed, robot)

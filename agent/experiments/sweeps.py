@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.ranging.focus import Array
-from agent.experiments.still_camera import StillCamera, View
+from agent.experiments.still_camera import StillCamera, TankView
 from agent.perception.clarity.breathing import measure_growth
 from agent.perception.clarity.clarity import grid
 from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
@@ -25,17 +25,17 @@ QUALITY = 0.998  # of a block's peak: leaves out most blocks astride an edge in 
 WATER_INDEX = 1.333
 
 VIEWS = (
-    View((0.30, 0.25, 0.12), 34.0, -8.0),  # the ball half a metre away, the corner behind it
-    View((0.62, 0.28, 0.10), 62.0, -4.0),  # the ball close
-    View((0.20, 0.85, 0.25), 8.0, -18.0),  # the stone, and the floor from near to far
-    View((0.75, 0.85, 0.20), 20.0, -10.0),  # the wall, at an angle
+    TankView((0.30, 0.25, 0.12), 34.0, -8.0),  # the ball half a metre away, the corner behind it
+    TankView((0.62, 0.28, 0.10), 62.0, -4.0),  # the ball close
+    TankView((0.20, 0.85, 0.25), 8.0, -18.0),  # the stone, and the floor from near to far
+    TankView((0.75, 0.85, 0.20), 20.0, -10.0),  # the wall, at an angle
 )
 
 
 class SweptView(NamedTuple):
     """One sweep over one view, and the truth for its blocks."""
 
-    view: View
+    view: TankView
     lens_positions: Array  # (n,)
     images: list[Image]
     growth: float  # of the picture over the sweep, relative
@@ -44,7 +44,7 @@ class SweptView(NamedTuple):
     pixels_m: NDArray[np.float32]  # (height, width) z-depth of every pixel
 
 
-def sweep_view(camera: StillCamera, view: View, growth: float) -> SweptView:
+def sweep_view(camera: StillCamera, view: TankView, growth: float) -> SweptView:
     """Sweep once; `growth` as measured on the wall."""
     camera.view = view
     images, rho = sweep(camera), lens_positions(camera)
@@ -95,6 +95,6 @@ def breathing(camera: StillCamera) -> float:
     return growth
 
 
-def facing_wall(u_m: float, tilt_deg: float = 0.0) -> View:
+def facing_wall(u_m: float, tilt_deg: float = 0.0) -> TankView:
     """A view of the wall at the far end of the tank's x axis, `u_m` from it."""
-    return View((1.5 - u_m, 0.6, 0.25), 0.0, tilt_deg)
+    return TankView((1.5 - u_m, 0.6, 0.25), 0.0, tilt_deg)

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.core.config import ConfigError, Fleet
-from agent.core.toml_files import read_toml
+from agent.core.config import ConfigError, Fleet, read_toml
 from agent.ground.addresses import address_finding, is_here, links, loopback_findings
 from agent.ground.certificates import certificate_findings, watchers_here
 from agent.ground.devices import device_findings

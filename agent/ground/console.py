@@ -16,8 +16,7 @@ from agent.clock import machine
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode
 from agent.core.config import ConfigError, Fleet
-from agent.core.messages import State
-from agent.core.orders_words import Answer, Arg, Order
+from agent.core.messages import Answer, Arg, Order, State
 from agent.core.topics import STATE
 from agent.robot.rights import why_closed
 from agent.robot.verbs import CLOCK, URGENT, arguments, prepare_all

@@ -10,7 +10,7 @@ import msgspec
 
 from agent.core.codec import Refusal
 from agent.core.config import ConfigError, Fleet
-from agent.core.orders_words import Arg
+from agent.core.messages import Arg
 from agent.ground.console import OrderConsole, Outcome
 from agent.process.fleet_certificates import credentials
 from agent.robot.fleet_reader import load_robot

@@ -11,10 +11,9 @@ from typing import Any
 
 import msgspec
 
-from agent.core import claim, keyframe, messages, topics, words
+from agent.core import capability_messages, messages, topics
 from agent.core.codec import encoding
-from agent.core.messages import SCHEMA, Message
-from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.core.messages import MAX_ORDER, SCHEMA, Answer, Message, Order
 from agent.core.topics import TOPICS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -48,7 +47,11 @@ def schema(kind: type[Message]) -> dict[str, Any]:
 
 def _struct(name: str) -> Any:
     """A part of a message, by its name."""
-    return next(getattr(home, name) for home in (messages, claim, keyframe, words) if hasattr(home, name))
+    return next(
+        getattr(home, name)
+        for home in (messages, capability_messages, capability_messages, capability_messages)
+        if hasattr(home, name)
+    )
 
 
 def index() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import Array, NoPeak, fit_peak, h, phase_sigma, range_variance
 from agent.perception.clarity.breathing import GROWTH_POWER
 from agent.perception.clarity.clarity import tenengrad_grid

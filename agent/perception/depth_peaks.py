@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import Array, Method, h, phase_sigma
 from agent.perception.clarity.peaks import block_peaks
 from agent.perception.depth_box import MIN_RISE

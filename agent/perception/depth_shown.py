@@ -20,8 +20,8 @@ from agent.perception.depth_peaks import GridPeaks, each_part
 
 MOST = 0.75  # of the variance of a part's curve is its block's peak, or it does not speak for it
 REACH = 2  # parts to either side: as far as a plain spot is filled in from
-AROUND = np.array([(y, x) for y in range(-REACH, REACH + 1) for x in range(-REACH, REACH + 1) if (y, x) != (0, 0)])
-HALVES = (AROUND @ AROUND.T > 0).astype(np.float32)  # (half planes, AROUND): what lies on one side of a line
+NEIGHBOURS = np.array([(y, x) for y in range(-REACH, REACH + 1) for x in range(-REACH, REACH + 1) if (y, x) != (0, 0)])
+HALVES = (NEIGHBOURS @ NEIGHBOURS.T > 0).astype(np.float32)  # (half planes, AROUND): what lies on one side of a line
 
 
 def shown(lens_positions: Array, clarity: Array, blocks: GridPeaks, parts: GridPeaks, step: float) -> NDArray[np.bool_]:
@@ -58,6 +58,6 @@ def enclosed(depth: Array, block: Array, apart: Array) -> NDArray[np.bool_]:
     depth: of each part, NaN where it shows none; block: of the block it is in; apart: as far as both may differ.
     """
     (rows, cols), wide = depth.shape, np.pad(depth, REACH, mode="symmetric")
-    moved = (wide[REACH + y : REACH + y + rows, REACH + x : REACH + x + cols] for y, x in AROUND)
+    moved = (wide[REACH + y : REACH + y + rows, REACH + x : REACH + x + cols] for y, x in NEIGHBOURS)
     same = np.stack([np.abs(one - block) <= apart for one in moved], axis=-1)
     return np.asarray((same.astype(np.float32) @ HALVES > 0).all(axis=-1), np.bool_)

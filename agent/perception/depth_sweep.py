@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak
 from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
 from agent.perception.clarity.clarity import Sums, areas, grid, tenengrad_sums

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import MIN_POSITIONS
 from agent.perception.depth_sweep import MAX_GROWTH, clarity_of, measure
 from replay.viewers.whole_sweeps import SweepDepth, SweepFrame

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Sighting
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision

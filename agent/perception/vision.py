@@ -19,7 +19,7 @@ from agent.clock import machine
 from agent.clock.clock import Clock, Part
 from agent.clock.part_names import CAMERA, part_name
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import BlockPeaks, Sighting, SweepPlan
 from agent.perception.clarity.block_sweep import BlockSweep
 from agent.perception.clarity.region import UNSEEN, around, prepare, target_clarity

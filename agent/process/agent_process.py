@@ -16,7 +16,7 @@ from agent.clock.clock import Clock
 from agent.clock.part_names import SERIAL, part_name
 from agent.core.config import ConfigError, Fleet, Robot
 from agent.core.messages import MAX_TEXT, SCHEMA, Level, LogLine, Mode
-from agent.core.ranging.calibration import Calibration, load_calibration
+from agent.core.ranging.camera_model import Calibration, load_calibration
 from agent.core.step_io import Sighting, TargetBox
 from agent.perception.detection.detectors import BoxDetector, Detector, colours_too_alike, load_detectors
 from agent.perception.enhancement.enhance import default

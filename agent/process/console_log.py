@@ -10,14 +10,10 @@ from threading import Thread
 from types import TracebackType
 from typing import Protocol, Self
 
-from agent.core.claim import Claim
-from agent.core.keyframe import Keyframe
-from agent.core.messages import Estimate, Image, LogLine, State
-from agent.core.orders_words import Answer
-from agent.core.presence import Presence
+from agent.core.capability_messages import Claim, Keyframe, Light
+from agent.core.messages import Answer, Estimate, Image, LogLine, Presence, State
 from agent.core.status import fault_kind
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
-from agent.core.words import Light
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands

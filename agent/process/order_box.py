@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode, encoding
 from agent.core.config import Fleet
-from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.step_io import Ordered
 from agent.robot.rights import CONSOLE, why_closed
 from agent.robot.verbs import CLOCK

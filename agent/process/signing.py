@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec.structs import replace
 
 from agent.core.messages import Entry, Estimate, Proposal, Sample
-from agent.core.signed import entry_bytes, proposal_bytes, sample_bytes
+from agent.core.trust import entry_bytes, proposal_bytes, sample_bytes
 
 KEPT = 1024  # signatures: 48 samples of each of 20 targets, and room for entries and proposals
 

@@ -15,16 +15,12 @@ from typing import NamedTuple, Self
 
 from agent.clock import machine
 from agent.core import topics
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim, Keyframe, Light
 from agent.core.codec import encode
 from agent.core.config import Fleet
-from agent.core.keyframe import Keyframe
-from agent.core.messages import Estimate, Image, LogLine, Message, State
-from agent.core.orders_words import Answer
-from agent.core.presence import Presence
+from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
-from agent.core.words import Light
 from agent.process.inboxes import Inboxes, rows_of
 from agent.process.order_box import OrderBox
 from agent.process.strangers import Strangers

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.perception.depth_peaks import GridPeaks
 from agent.perception.depth_sweep import DepthMap
 from agent.reconstruction.camera import Floats

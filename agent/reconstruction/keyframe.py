@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.core.ranging.calibration import Calibration, at_lens_position
-from agent.core.ranging.focus import Array
-from agent.core.ranging.lens_sag import at_tilt
+from agent.core.ranging.camera_model import Calibration, at_lens_position
+from agent.core.ranging.focus import Array, at_tilt
 from agent.perception.clarity.breathing import measure_growth
 from agent.perception.depth_sweep import clarity_of, measure
 from agent.reconstruction.camera import Camera, shrunk

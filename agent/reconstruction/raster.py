@@ -16,7 +16,7 @@ from agent.reconstruction.extract import Mesh
 from agent.reconstruction.reach import cone, touched
 
 NEAREST_M = 0.02  # triangles nearer than that are behind the lens's own window
-PIECE = 256  # triangles that follow one another lie near each other, as those of two bricks do
+RASTER_PIECE = 256  # triangles that follow one another lie near each other, as those of two bricks do
 
 
 class Rendered(NamedTuple):
@@ -26,7 +26,7 @@ class Rendered(NamedTuple):
 
 def pieces_of(mesh: Mesh) -> Floats:
     """(m, 4) middle and radius of a ball around each PIECE triangles, for `rendered`."""
-    around = np.empty((-(-len(mesh.faces) // PIECE), 4))
+    around = np.empty((-(-len(mesh.faces) // RASTER_PIECE), 4))
     _pieces(mesh.vertices_m, mesh.faces, around)
     return around
 
@@ -55,7 +55,7 @@ def rendered(
 def _pieces(vertices: Floats, faces: NDArray[np.int32], around: Floats) -> None:
     for b in range(len(around)):
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for n in range(b * PIECE, min((b + 1) * PIECE, len(faces))):
+        for n in range(b * RASTER_PIECE, min((b + 1) * RASTER_PIECE, len(faces))):
             for corner in range(3):
                 for k in range(3):
                     at = vertices[faces[n, corner], k]
@@ -76,8 +76,8 @@ def _draw(
     height, width = depth.shape
     u, v, z = np.empty(3), np.empty(3), np.empty(3)
     for piece in pieces:
-        for n in range(piece * PIECE, min((piece + 1) * PIECE, len(faces))):
-            if not _corners(camera, rotation, position, vertices, faces[n], u, v, z):
+        for n in range(piece * RASTER_PIECE, min((piece + 1) * RASTER_PIECE, len(faces))):
+            if not _triangle_corners(camera, rotation, position, vertices, faces[n], u, v, z):
                 continue
             area = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
             if not abs(area) > 1e-9:
@@ -102,7 +102,7 @@ def _draw(
 
 
 @kernel
-def _corners(
+def _triangle_corners(
     camera: Camera, rotation: Floats, position: Floats, vertices: Floats, face: NDArray[np.int32],
     u: Floats, v: Floats, z: Floats,
 ) -> bool:  # fmt: skip

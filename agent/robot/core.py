@@ -15,24 +15,18 @@ from agent.capabilities.swim.pose_filter import Belief
 from agent.capabilities.swim.pursuit import Pursuit
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.core.attitude import AttitudeLog
-from agent.core.config import Fleet
-from agent.core.control.seek import Seek
+from agent.core.config import Fleet, common
 from agent.core.control.sweep import Measurement, Rejected
-from agent.core.control.target_scheduler import TargetScheduler
-from agent.core.estimation.choice import iteration_ns
-from agent.core.estimation.evidence_checks import inside
+from agent.core.control.target_search import Seek, TargetScheduler
+from agent.core.estimation.evidence_table import inside
 from agent.core.estimation.interface import Prior
-from agent.core.fleet_digest import common
+from agent.core.estimation.protocols import iteration_ns
 from agent.core.messages import SCHEMA, Estimate, Level
-from agent.core.net import Net
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import Eye
-from agent.core.ranging.cues import NoRange
-from agent.core.ranging.fix import Fix, locate
-from agent.core.ranging.own_pose import EXACT, OwnPose
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import Calibration, Eye
+from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
 from agent.core.status import Status, sweep_outcome
 from agent.core.step_io import Inputs, Outputs, SetPoint, SweepOutcome, SweepPlan
+from agent.core.step_transaction import Net, Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
 from agent.robot.desk import Desk

@@ -14,11 +14,11 @@ from agent.capabilities.light.lights import Lights
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet, Survey
-from agent.core.control.seek import Seek
-from agent.core.logbook import Logbook
-from agent.core.orders_words import MAX_ORDER, MAX_WORDS, Answer, Order
-from agent.core.savepoint import Revertible
+from agent.core.control.target_search import Seek
+from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
+from agent.core.status import Logbook
 from agent.core.step_io import Ordered, Outputs
+from agent.core.step_transaction import Revertible
 from agent.robot.doing import Doing
 from agent.robot.memory import Memory
 from agent.robot.rights import why_closed

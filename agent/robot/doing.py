@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from agent.capabilities.light.lamp import Lit
+from agent.capabilities.light.lamp import OrderedLight
 from agent.capabilities.light.lights import Lights
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.codec import Refusal
 from agent.core.config import Behaviour, Fleet, Goto, Hold, Survey
-from agent.core.net import SURFACE_M
-from agent.core.savepoint import Revertible
 from agent.core.step_io import Motors, TargetBox
+from agent.core.step_transaction import SURFACE_M, Revertible
 from agent.robot.swim_rules import wrong_way
 from agent.robot.verbs import Args, Arm, Burn, Clock, Disarm, DrawBox, HoldHere, LookAt, Resume, Set, Stop, Surface
 from agent.robot.wishes import AtOnce, Wishes, prevailing
@@ -73,7 +72,7 @@ class Doing(Revertible):
         body = self._fleet.body
         within("pan_deg", what.pan_deg, *body.pan_limit_deg)
         within("tilt_deg", what.tilt_deg, *body.tilt_limit_deg)
-        self._lights.own.ordered = Lit(what.light, what.pan_deg, what.tilt_deg)
+        self._lights.own.ordered = OrderedLight(what.light, what.pan_deg, what.tilt_deg)
 
     def _draw(self, what: DrawBox) -> None:
         boxed = [name for name, target in self._fleet.target.items() if target.detector == "box"]

@@ -8,9 +8,7 @@ from pathlib import Path
 import msgspec
 
 from agent.capabilities.swim.layout_files import landmarks_of
-from agent.core.config import Behaviour, ConfigError, Fleet, Robot, Struct, Target
-from agent.core.toml_errors import explain
-from agent.core.toml_files import convert, read_toml
+from agent.core.config import Behaviour, ConfigError, Fleet, Robot, Struct, Target, convert, explain, read_toml
 from agent.robot.fleet_rules import broken_rules
 
 

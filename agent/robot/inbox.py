@@ -11,12 +11,11 @@ from agent.capabilities.survey.conduct import Conduct
 from agent.capabilities.swim.neighbours import Neighbours
 from agent.core.codec import Refusal, decode
 from agent.core.config import Tank
-from agent.core.estimation.evidence_checks import inside, is_covariance
-from agent.core.messages import Estimate
-from agent.core.presence import Presence
-from agent.core.savepoint import Revertible
+from agent.core.estimation.evidence_table import inside, is_covariance
+from agent.core.messages import Estimate, Presence
 from agent.core.status import Status
 from agent.core.step_io import DroppedPayloads, Heard
+from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import LIGHT, NEAR
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.core.orders_words import Answer, Order
-from agent.core.savepoint import Revertible
+from agent.core.messages import Answer, Order
+from agent.core.step_transaction import Revertible
 from agent.robot.verbs import URGENT
 
 ORDERS = 64  # of each console

@@ -10,11 +10,10 @@ from msgspec.structs import replace
 from agent.capabilities.light.lights import Lights
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import AttitudeLog
-from agent.core.control.seek import Seek
+from agent.core.control.target_search import Seek
 from agent.core.messages import Mode, State
-from agent.core.net import Net
-from agent.core.savepoint import Revertible
 from agent.core.status import Status
+from agent.core.step_transaction import Net, Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
 from agent.robot.inbox import Inbox

@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from agent.core.codec import Refusal, prepare
 from agent.core.config import Follow, Goto, Name, Orbit, Search, Struct, Survey, Trial, Turn
-from agent.core.orders_words import MAX_WORDS, Arg
+from agent.core.messages import MAX_WORDS, Arg
 
 Setting = Literal["sweeps", "send_hz", "preview_hz", "speed_m_s"]
 Box = Annotated[float, Meta(ge=0, le=16384)]  # pixels

@@ -24,7 +24,7 @@ from agent.tools.landscapes import FAR, landscape, noise
 from agent.tools.things import MOST, draw_thing, put_into, with_things
 
 OWN = 0.25  # share of pairs of our own making
-OTHER_WATER, NO_WATER = 0.3, 0.15  # shares of the others; the rest are as they are
+OTHER_WATER, AUGMENT_NO_WATER = 0.3, 0.15  # shares of the others; the rest are as they are
 WITH_THINGS = 0.7
 TINT, EXPOSURE, CONTRAST = 0.12, 0.25, 0.15  # deviations of the logarithms of gain per colour, of light, of gamma
 SLIGHT = 0.3  # of these for a picture without water
@@ -54,7 +54,7 @@ def augmented(raw: Image, reference: Image, rng: np.random.Generator) -> tuple[I
     target = coded_bytes(clear) if things else reference
     if way < OTHER_WATER:
         return in_other_water(clear, rng), target
-    if way < OTHER_WATER + NO_WATER:
+    if way < OTHER_WATER + AUGMENT_NO_WATER:
         return as_taken(clear, SLIGHT, rng), target
     return as_taken(seen, 1.0, rng), target
 

@@ -13,10 +13,9 @@ import msgspec
 
 from agent.clock import machine
 from agent.clock.clock import SystemClock
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Vector
 from agent.core.step_io import SetPoint
-from agent.core.toml_files import dump
 from agent.process.launch import crew, wait_for
 from agent.process.run_folder import temporary_folder
 from agent.tools.procedure import SETTINGS, Place, setting

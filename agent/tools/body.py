@@ -11,7 +11,7 @@ from rich.table import Table
 from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import Event
 from agent.core.config import ConfigError
-from agent.core.ranging.calibration import BodyFit
+from agent.core.ranging.camera_model import BodyFit
 from agent.process.failure import Failed
 from agent.process.progress import Show, with_bar
 from agent.tools.body_fit import PASSES, PRIOR, Trial, fit_body

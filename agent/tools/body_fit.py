@@ -19,8 +19,8 @@ from agent.capabilities.swim.body_model import Hull, Wrench
 from agent.capabilities.swim.corrections import RATE_RAD_S, add_rate
 from agent.capabilities.swim.event_ring import Event
 from agent.capabilities.swim.pose_filter import BIAS, GAIN, Belief, Drift, begin, predict
-from agent.core.angle import wrap
-from agent.core.ranging.calibration import BodyFit
+from agent.core.linear_algebra import wrap
+from agent.core.ranging.camera_model import BodyFit
 from agent.tools.fit import CalibrationRefused
 
 Array = NDArray[np.float64]

@@ -9,8 +9,7 @@ from typing import Any
 
 import tomli_w
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import read_toml
+from agent.core.config import ConfigError, read_toml
 from agent.process.run_folder import free_name
 
 TABLES = ("focus", "camera")

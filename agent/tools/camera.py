@@ -36,7 +36,9 @@ class Intrinsics(NamedTuple):
     views: int
 
 
-def run(folder: Path, columns: int, rows: int, square_mm: float, out: Path | None, console: Console) -> Intrinsics:
+def calibrate_camera(
+    folder: Path, columns: int, rows: int, square_mm: float, out: Path | None, console: Console
+) -> Intrinsics:
     """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
     kept = check_file(out).get("camera", {}) if out is not None else {}
     fit = with_bar(console, "looking for the board", lambda show: intrinsics(folder, columns, rows, square_mm, show))

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.core.config import Body
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.tools.fit import HUBER, Array, CalibrationRefused, gauss_newton, scale, solve
 
 MIN_CORNERS = 40  # ten unknowns; half a board seen once

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from agent.core.config import ConfigError
-from agent.core.ranging.calibration import FocusFit, load_focus
-from agent.core.ranging.focus import NoPeak
-from agent.core.ranging.lens_sag import at_tilt
+from agent.core.ranging.camera_model import FocusFit, load_focus
+from agent.core.ranging.focus import NoPeak, at_tilt
 from agent.perception.depth_box import BoxRange, as_json, box_range
 from agent.perception.depth_edges import any_part
 from agent.perception.depth_sweep import DepthMap, OnStep, measure, sweep

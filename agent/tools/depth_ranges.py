@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import FARTHEST_M, Array, h
 from agent.perception.depth_sweep import DepthMap
 from agent.process.failure import Failed

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.matrix import upper
-from agent.core.ranging.calibration import FocusFit
+from agent.core.linear_algebra import upper
+from agent.core.ranging.camera_model import FocusFit
 from agent.process.failure import Failed
 
 Array = NDArray[np.float64]

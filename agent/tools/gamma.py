@@ -45,7 +45,7 @@ class Gamma(NamedTuple):
     blur_px: tuple[float, float]  # diameters, from .. to
 
 
-def run(folder: Path, out: Path | None, console: Console) -> Gamma:
+def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
     """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
     kept = check_file(out).get("camera") if out is not None else None
     if out is not None and kept is None:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from agent.core.config import ConfigError
-from agent.core.ranging.calibration import CameraFit, load_calibration
+from agent.core.ranging.camera_model import CameraFit, load_calibration
 from agent.perception.landmarks.tags import Found, all_tags
 from agent.process.plain_console import plain_console
 from agent.process.progress import with_bar

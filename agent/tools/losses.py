@@ -34,7 +34,7 @@ def loss(output: Tensor, target: Tensor) -> Tensor:
     """The sum of the five terms."""
     ours, theirs = to_lab(output), to_lab(target)
     distance = (output - target).abs().mean() + WARM * warm_loss(ours, theirs)
-    return distance + lab_loss(ours, theirs) + lch_loss(ours, theirs) + 1 - ssim(output, target)
+    return distance + lab_loss(ours, theirs) + lch_loss(ours, theirs) + 1 - tensor_ssim(output, target)
 
 
 def to_lab(rgb: Tensor) -> Tensor:
@@ -75,7 +75,7 @@ def warm_loss(ours: Tensor, theirs: Tensor) -> Tensor:
     return (share * apart).sum() / (share.sum() + LEAST_WARM * share.numel()) / 100
 
 
-def ssim(x: Tensor, y: Tensor) -> Tensor:
+def tensor_ssim(x: Tensor, y: Tensor) -> Tensor:
     """Mean structural similarity over colours and pixels, where the window fits."""
     mx, my, xx, yy, xy = _smooth(torch.cat([x, y, x * x, y * y, x * y], 1)).chunk(5, 1)
     sx, sy, sxy = xx - mx * mx, yy - my * my, xy - mx * my

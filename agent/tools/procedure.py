@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.core.ranging.camera_model import gimbal_deg, servos_us
-from agent.core.ranging.focus import Peak, fit_peak, lens_position, phase_sigma
-from agent.core.ranging.lens_sag import TiltedPeak, with_sag
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, gimbal_deg, servos_us
+from agent.core.ranging.focus import Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
 from agent.perception.clarity.gradient import gradient_energy, luminance
 from agent.process.progress import Progress
 from agent.tools.camera_fit import Corner, fit_camera

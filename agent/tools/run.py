@@ -7,9 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agent.core.config import ConfigError, Fleet
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, Fleet, dump
+from agent.core.ranging.camera_model import Calibration
 from agent.process.progress import Show, with_bar, with_spinner
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.bench import bench_by_hand, twin_bench

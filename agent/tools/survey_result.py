@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from rich.table import Table
 
-from agent.core.config import ConfigError, Fleet, Landmarks, Tag
-from agent.core.toml_files import read_toml
+from agent.core.config import ConfigError, Fleet, Landmarks, Tag, read_toml
 from agent.process.failure import Failed
 from agent.process.run_folder import free_name
 from agent.robot.landmark_rules import broken_landmark_rules

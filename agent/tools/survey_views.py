@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.core.codec import READABLE, decode
-from agent.core.ranging.calibration import Calibration, at_lens_position, load_calibration
+from agent.core.ranging.camera_model import Calibration, at_lens_position, load_calibration
 from agent.core.step_io import Inputs, SeenTag
 from agent.perception.landmarks.tags import find_tags
 from agent.process.progress import Progress

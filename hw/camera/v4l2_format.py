@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from agent.core.picture_head import stated_size
+from agent.core.codec import stated_size
 from hw.camera import v4l2_calls as v4l2
 from hw.camera.camera import CameraError, Image
 from hw.camera.v4l2_calls import FORMAT, STREAM_PARAMETERS, Device

@@ -16,8 +16,8 @@ import serial
 
 from agent.clock import machine
 from agent.clock.clock import Clock, Part, wait
-from agent.core.net import named
 from agent.core.step_io import SetPoint, Telemetry
+from agent.core.step_transaction import named
 from hw.firmware import parameters, wire
 from hw.stm32.fields import Greeting, Level, StatusText
 from hw.stm32.orders import Outcome

@@ -11,9 +11,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from agent.core.config import Colour, ConfigError, Fleet, Name, Positive, Struct, WaterKind
+from agent.core.config import Colour, ConfigError, Fleet, Name, Positive, Struct, WaterKind, convert, read_toml
 from agent.core.messages import Vector
-from agent.core.toml_files import convert, read_toml
 from hw.twin.faults import KINDS, AnyEvent
 
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package

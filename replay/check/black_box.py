@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from agent.core.codec import READABLE
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, convert
 from agent.core.messages import SCHEMA
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import convert
+from agent.core.ranging.camera_model import Calibration
 from agent.robot.core import Agent
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import damages

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from agent.core.config import ConfigError, Struct
-from agent.core.toml_files import convert
+from agent.core.config import ConfigError, Struct, convert
 
 
 class Absent:

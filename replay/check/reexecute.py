@@ -15,15 +15,11 @@ from typing import Any, Literal, NamedTuple
 from msgspec import UNSET
 
 from agent.clock import machine
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim, Keyframe, Light
 from agent.core.codec import READABLE, Refusal, decode, encode
-from agent.core.keyframe import Keyframe
-from agent.core.messages import SCHEMA, Estimate
-from agent.core.orders_words import Order
-from agent.core.presence import Presence
+from agent.core.messages import SCHEMA, Estimate, Order, Presence
 from agent.core.step_io import Heard, Inputs, Ordered
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
-from agent.core.words import Light
 from agent.robot.core import Agent
 from agent.robot.verbs import arguments, in_words
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
@@ -36,7 +32,7 @@ CPU_CLASS = ("machine", "cpu.features")  # entries of the header that decide how
 SHOWN = ("python", "commit", "dirty", *CPU_CLASS, "blas", "version.aucamp", "version.numpy", "version.msgspec")
 
 Verdict = Literal["identical", "within tolerance", "differs", "cannot check"]
-Progress = Callable[[int], None]  # called with the number of steps done since the last call
+StepsDone = Callable[[int], None]  # called with the number of steps done since the last call
 
 
 class FieldCount(NamedTuple):
@@ -97,7 +93,7 @@ class Reexecution(NamedTuple):
 def reexecute(
     box: BlackBox,
     ignored: Sequence[Ignored] = (),
-    progress: Progress = lambda steps: None,
+    progress: StepsDone = lambda steps: None,
     watch: Callable[[Step], None] = lambda step: None,
 ) -> Reexecution:
     """Replay one recording from its first step to its last sound one; `watch` is shown each step as it was recorded."""

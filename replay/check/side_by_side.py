@@ -13,7 +13,7 @@ from typing import NamedTuple
 from replay.check.black_box import BlackBox
 from replay.check.compare import Ignored
 from replay.check.links import Correspondence
-from replay.check.reexecute import Progress, Reexecution, reexecute
+from replay.check.reexecute import Reexecution, StepsDone, reexecute
 from replay.files.suspect import suspecting
 
 WORTH_STEPS = 1500  # of all recordings but the longest: less is done sooner than another process has started
@@ -29,7 +29,7 @@ class CheckedBox(NamedTuple):
     correspondence: Correspondence
 
 
-def check_boxes(boxes: Sequence[BlackBox], rows: Sequence[Ignored], progress: Progress) -> list[CheckedBox]:
+def check_boxes(boxes: Sequence[BlackBox], rows: Sequence[Ignored], progress: StepsDone) -> list[CheckedBox]:
     """Each of the boxes, in order. Raises ConfigError for one that holds what no recorder writes."""
     spare = sum(box.recorded for box in boxes) - max((box.recorded for box in boxes), default=0)
     processes = min(len(boxes), os.cpu_count() or 1)
@@ -49,7 +49,7 @@ def check_boxes(boxes: Sequence[BlackBox], rows: Sequence[Ignored], progress: Pr
         return [jobs[box.path].result() for box in boxes]
 
 
-def _check_box(box: BlackBox, rows: Sequence[Ignored], progress: Progress) -> CheckedBox:
+def _check_box(box: BlackBox, rows: Sequence[Ignored], progress: StepsDone) -> CheckedBox:
     correspondence = Correspondence()
     with suspecting(box.path):
         result = reexecute(box, rows, progress, partial(correspondence.add, box.robot))

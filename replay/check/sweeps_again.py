@@ -17,13 +17,12 @@ from agent.core.codec import decode
 from agent.core.control.sweep import Measurement, Rejected, peak_of, usable
 from agent.core.messages import State
 from agent.core.ranging.camera_model import Eye, camera_pose
-from agent.core.ranging.cues import NoRange
-from agent.core.ranging.fix import Fix, locate
+from agent.core.ranging.fix import Fix, NoRange, locate
 from agent.core.step_io import Outputs, Sighting, SweepOutcome
 from replay.check.black_box import STEP_BYTES, BlackBox
 
 Key = tuple[str, int]  # target, number of the sweep
-Frames = Mapping[Key, Sequence[Sighting | None]]  # of each sweep; None: the frame is not in the file
+SweepFrames = Mapping[Key, Sequence[Sighting | None]]  # of each sweep; None: the frame is not in the file
 
 
 class SweepPair(NamedTuple):
@@ -36,7 +35,7 @@ class SweepPair(NamedTuple):
     flipped: bool = False  # a measurement then or now, not both
 
 
-def sweep_pairs(box: BlackBox, then: Frames, now: Frames) -> Iterator[SweepPair]:
+def sweep_pairs(box: BlackBox, then: SweepFrames, now: SweepFrames) -> Iterator[SweepPair]:
     """The sweeps that gave the robot a measurement, and those that would now; those that lost a frame are left out."""
     for outcome, eye in _outcomes(box):
         key = outcome.target, outcome.sweep
@@ -57,7 +56,7 @@ def sweep_pairs(box: BlackBox, then: Frames, now: Frames) -> Iterator[SweepPair]
         yield SweepPair(*key, shift, _apart(*fixes) if len(fixes) == 2 else None, flipped=len(fixes) == 1)
 
 
-def by_sweep(sightings: Sequence[tuple[Sighting, Sighting | None]]) -> tuple[Frames, Frames]:
+def by_sweep(sightings: Sequence[tuple[Sighting, Sighting | None]]) -> tuple[SweepFrames, SweepFrames]:
     """Pairs of sightings, then and now, as frames of their sweeps."""
     then: defaultdict[Key, list[Sighting | None]] = defaultdict(list)
     now: defaultdict[Key, list[Sighting | None]] = defaultdict(list)

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Sighting
 from replay.check.black_box import BlackBox, open_boxes
 from replay.check.sweeps_again import SweepPair, by_sweep, sweep_pairs

@@ -24,7 +24,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.core.ranging.cues import CENTRE_NOISE_PX, EDGE_BIAS_PX
+from agent.core.ranging.fix import CENTRE_NOISE_PX, EDGE_BIAS_PX
 
 SHARE_RMS = 0.5
 SHARE_WORST = 4.0 * SHARE_RMS

@@ -133,7 +133,7 @@ def _seen(box: BlackBox) -> Iterator[Shot]:
             _paste(canvas, picture)
             drawn, last = canvas.copy(), record.sequence
         _outline(drawn, sighting, camera.f_px)
-        waiting = Shot(picture.t_ns, drawn, _about(sighting))
+        waiting = Shot(picture.t_ns, drawn, _caption(sighting))
     if waiting is not None:
         yield waiting
 
@@ -159,7 +159,7 @@ def _outline(image: Colours, seen: Sighting, f_px: float) -> None:
         cv2.rectangle(image, (round(u - half_w), round(v - half_h)), (round(u + half_w), round(v + half_h)), GREEN, 1)
 
 
-def _about(seen: Sighting) -> str:
+def _caption(seen: Sighting) -> str:
     lens = f"lens {seen.focus}" if seen.focus is not None else "lens unknown"
     sweep = f"  sweep {seen.sweep}" if seen.sweep else ""
     return f"{lens}{sweep}  {seen.target}{'' if seen.found else ': not seen'}"

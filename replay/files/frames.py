@@ -16,10 +16,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.core.codec import decode, encode
+from agent.core.codec import decode, encode, stated_size
 from agent.core.config import ConfigError
 from agent.core.messages import Message
-from agent.core.picture_head import stated_size
 from agent.core.step_io import Sighting
 from replay.files import channels
 from replay.files.backlog import Entry

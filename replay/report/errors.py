@@ -36,12 +36,12 @@ def error_table(timelines: Sequence[RobotTimeline], truth_m: Vector) -> list[Err
     for timeline in timelines:
         if measured := [state for _, state in timeline.measured]:
             priors = np.array([state.prior_m for state in measured]) - truth_m
-            stated = [[math.nan, math.nan, math.nan, _mm(state.prior_sigma_m)] for state in measured]
+            stated = [[math.nan, math.nan, math.nan, _finite_mm(state.prior_sigma_m)] for state in measured]
             rows += _rows(timeline.label, "prior", 1e3 * priors, np.array(stated))
         late = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None][-LATE:]
         if late:
             errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
-            stated = [[*_axes_mm(belief.cov_m2), _mm(belief.state.posterior_sigma_m)] for belief in late]
+            stated = [[*_axes_mm(belief.cov_m2), _finite_mm(belief.state.posterior_sigma_m)] for belief in late]
             rows += _rows(timeline.label, "posterior", 1e3 * errors, np.array(stated))
     return rows
 
@@ -50,7 +50,7 @@ def _axes_mm(cov_m2: Symmetric | None) -> list[float]:
     return [1e3 * math.sqrt(cov_m2[k]) for k in VARIANCES] if cov_m2 else [math.nan] * 3
 
 
-def _mm(sigma_m: float | None) -> float:
+def _finite_mm(sigma_m: float | None) -> float:
     return math.nan if sigma_m is None else 1e3 * sigma_m
 
 

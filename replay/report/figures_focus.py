@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import h
 from replay.report.robot_timeline import Array, LoggedSweep, RobotTimeline
 

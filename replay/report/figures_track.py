@@ -11,7 +11,7 @@ from matplotlib.patches import Patch, Rectangle
 from agent.core.config import Fleet
 from replay.report.creature_track import EVERY_NS, CreatureTrack, Held
 
-SEES, KNOWS, BLIND = "C2", "C1", "0.85"
+SEES, TRACK_KNOWS, BLIND = "C2", "C1", "0.85"
 
 
 def track_above(fleet: Fleet, track: CreatureTrack) -> Figure:
@@ -48,11 +48,11 @@ def seen_when(fleet: Fleet, track: CreatureTrack, start_ns: int) -> Figure:
         sees = track.sees(name, moments) if name in track.looks else np.zeros(len(moments), bool)
         first_ns = track.held[name][0].t_ns if track.held.get(name) else None
         knows = moments >= first_ns if first_ns is not None else np.zeros(len(moments), bool)
-        for mask, colour in ((~sees & ~knows, BLIND), (~sees & knows, KNOWS), (sees, SEES)):
+        for mask, colour in ((~sees & ~knows, BLIND), (~sees & knows, TRACK_KNOWS), (sees, SEES)):
             above.broken_barh(_spans(times_s, mask), (row - 0.4, 0.8), color=colour, linewidth=0)
     above.set_yticks(range(len(names)), names)
     above.invert_yaxis()
-    shown = [("sees it", SEES), ("is told", KNOWS), ("knows nothing", BLIND)]
+    shown = [("sees it", SEES), ("is told", TRACK_KNOWS), ("knows nothing", BLIND)]
     above.legend(
         handles=[Patch(color=colour, label=text) for text, colour in shown],
         ncols=3,

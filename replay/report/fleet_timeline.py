@@ -15,8 +15,7 @@ import numpy as np
 
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError, Fleet
-from agent.core.messages import Estimate, LogLine, State
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer, Estimate, LogLine, State
 from replay.check.black_box import attached_toml, head, schema_of
 from replay.check.links import Link
 from replay.files.channels import network_topic

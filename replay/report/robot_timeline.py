@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.messages import Estimate, LogLine, State, Symmetric, Vector
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
 from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
 from replay.check.black_box import STEP_BYTES, BlackBox
 

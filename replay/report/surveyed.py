@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.grid import grid_of
-from agent.core.claim import holds
+from agent.core.capability_messages import Frame, holds
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.keyframe import Frame
 from agent.core.step_io import Outputs
 from replay.check.black_box import STEP_BYTES, BlackBox
 from replay.files.channels import STEP_OUT

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from agent.core.config import Body
 from agent.core.config import Pose as Place
 from agent.core.messages import Level, LogLine, State, Vector
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from replay.files.protobuf import stamp
 
 WORLD = "world"

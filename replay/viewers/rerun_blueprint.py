@@ -38,7 +38,7 @@ def shown_channels() -> dict[str, list[str]]:
     }
 
 
-def write(out: Path = OUT) -> None:
+def write_blueprint(out: Path = OUT) -> None:
     """Needs the extra `view`."""
     import rerun.blueprint as rrb
 
@@ -76,4 +76,4 @@ def _rate_alone(channel: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    write()
+    write_blueprint()

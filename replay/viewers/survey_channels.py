@@ -15,9 +15,19 @@ from msgspec import UNSET
 from agent.capabilities.survey.evidence import CoverageMap, Key
 from agent.capabilities.survey.grid import ONE, grid_of
 from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
-from agent.core.claim import Claim, View, claim_fault, holds
+from agent.core.capability_messages import (
+    TURN_ONE,
+    UNIT_M,
+    Claim,
+    Frame,
+    Keyframe,
+    View,
+    claim_fault,
+    frame_fault,
+    holds,
+    measured,
+)
 from agent.core.config import Fleet
-from agent.core.keyframe import TURN_ONE, UNIT_M, Frame, Keyframe, frame_fault, measured
 from replay.files import channels
 from replay.files.channels import name
 from replay.viewers import foxglove

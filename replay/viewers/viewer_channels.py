@@ -11,12 +11,11 @@ from typing import Any, TypeVar
 from msgspec import UNSET
 
 from agent.core import topics
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim, Keyframe
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet, Pose
-from agent.core.keyframe import Keyframe
 from agent.core.messages import Image, LogLine, Message, State
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Outputs, Sighting, Telemetry
 from replay.files import channels
 from replay.files.backlog import Entry
@@ -28,7 +27,7 @@ from replay.files.protobuf import schema
 from replay.viewers import foxglove
 from replay.viewers.plots import plot
 from replay.viewers.survey_channels import SurveyChannels
-from replay.viewers.whole_sweeps import MeasureDepth, SweepAssembler, points
+from replay.viewers.whole_sweeps import MeasureDepth, SweepAssembler, sweep_points
 
 M = TypeVar("M", bound=Message)
 
@@ -123,7 +122,7 @@ class ViewerChannels:
             return
         found = self._depth(frames, self._calibration)
         if found is not None:
-            places_m, colours = points(found, self._calibration.camera)
+            places_m, colours = sweep_points(found, self._calibration.camera)
             cloud = foxglove.cloud(self._robot, places_m, colours, found.t_ns)
             yield name(channels.POINTS, robot=self._robot), found.t_ns, cloud
 

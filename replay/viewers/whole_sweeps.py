@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.codec import decode
-from agent.core.ranging.calibration import Calibration, CameraFit
+from agent.core.ranging.camera_model import Calibration, CameraFit
 from agent.core.step_io import Sighting
 from replay.files.channels import VISION
 from replay.files.frames import Frames, Picture, pixels
@@ -76,7 +76,7 @@ def whole_sweeps(records: Iterable[Record], steps: int) -> Iterator[list[SweepFr
                 yield sweep
 
 
-def points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def sweep_points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """The blocks that have a range: places in the camera frame in metres (n, 3), and colours (n, 3) red green blue."""
     rows, cols = np.nonzero(np.isfinite(depth.range_m))
     u_px, v_px = ((k + 0.5) * depth.block_px - 0.5 for k in (cols, rows))

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 
 from agent.core.estimation.fuse import Opinion, fuse, vote
-from agent.core.matrix import apply, inverse, invert, quadratic, upper
+from agent.core.linear_algebra import apply, inverse, invert, quadratic, upper
 from agent.core.messages import Symmetric, Vector
 from agent.experiments.localization.cases import Case
 from agent.experiments.localization.draws import mean_score, score_draw

@@ -9,11 +9,9 @@ from typing import Any
 
 from agent.core.codec import decode, encode
 from agent.core.estimation.evidence import Evidence
-from agent.core.estimation.evidence_checks import Bounds
-from agent.core.estimation.interface import Estimator, Prior
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.estimation.metropolis import Metropolis
-from agent.core.estimation.paper import Paper
+from agent.core.estimation.evidence_table import Bounds
+from agent.core.estimation.interface import Estimator, Mailbox, Prior
+from agent.core.estimation.protocols import Metropolis, Paper
 from agent.core.messages import Epoch, Estimate
 from tests.sample_messages import estimate
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.perception.landmarks.flow import begin, follow
 from agent.perception.landmarks.tags import find_tags
 from tests.perception.landmarks.floor import frame, pose, texture

@@ -25,10 +25,9 @@ from mcap.writer import Writer
 
 from agent.core import topics
 from agent.core.codec import encode
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate, NeighbourState, State
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
-from agent.core.toml_files import dump
 from agent.process.ports import free_ports
 from agent.robot.fleet_reader import load_fleet
 from replay.files.backlog import Backlog, Entry

@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from agent.core.codec import decode, encode
 from agent.core.messages import Estimate
-from agent.core.signed import entry_bytes, verify
+from agent.core.trust import entry_bytes, verify_signature
 from agent.ground.make import make_keys
 from agent.process.key_files import public_bytes
 from agent.process.key_folder import read_keys
@@ -32,14 +32,14 @@ def run() -> dict[str, dict]:
     message = said(entry(), *(entry(name, signature=FOREIGN) for name in ROBOTS[1:]))
     payload, signed = encode(sign(message)), entry_bytes("tank", "ball", EPOCH, entry())
     signature, forged, numbers = key.sign(signed), key.sign(b"something else"), count(1)
-    assert verify(public, signature, signed) and not verify(public, forged, signed)
+    assert verify_signature(public, signature, signed) and not verify_signature(public, forged, signed)
     with tempfile.TemporaryDirectory() as folder:
         make_keys(ROBOTS, Path(folder))
         works = (
             lambda: sign(said(entry(count=next(numbers)))),
             lambda: sign(message),
-            lambda: verify(public, signature, signed),
-            lambda: verify(public, forged, signed),
+            lambda: verify_signature(public, signature, signed),
+            lambda: verify_signature(public, forged, signed),
             lambda: read_keys(Path(folder), ROBOTS),
             lambda: encode(message),
             lambda: decode(payload, Estimate),

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from agent.core.config import Fleet, Tag
-from agent.core.ranging.calibration import Calibration, at_lens_position
+from agent.core.ranging.camera_model import Calibration, at_lens_position
 from agent.core.ranging.focus import lens_position
 from agent.experiments.posed_robot import PosedRobot
 from agent.perception.landmarks.tags import find_tags

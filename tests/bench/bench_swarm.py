@@ -17,9 +17,8 @@ from typing import Any
 
 import msgspec
 
-from agent.core.config import Fleet, Robot
+from agent.core.config import Fleet, Robot, dump
 from agent.core.messages import State
-from agent.core.toml_files import dump
 from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
 from agent.process.ports import free_ports

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import fit_peak, fit_peaks
 from agent.perception.clarity.clarity import grid, tenengrad_grid
 from agent.perception.clarity.peaks import block_peaks

@@ -12,7 +12,7 @@ import pytest
 from agent.clock.clock import SystemClock
 from agent.clock.keeper import start_clock
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import SweepPlan
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision

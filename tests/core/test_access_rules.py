@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 import agent
-from agent.core.config import ConfigError, Fleet
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, Fleet, dump
 from agent.robot.fleet_reader import load_fleet
 
 TANK = (Path(agent.__file__).parent / "fleets" / "tank.toml").read_text()

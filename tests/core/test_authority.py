@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.core.authority import BURST, DIRECT_NS, HEARSAY, OVERDRAWN, VERIFIED_HZ, Authority
+from agent.core.trust import BURST, DIRECT_NS, HEARSAY, OVERDRAWN, VERIFIED_HZ, Authority
 
 SECOND_NS = 10**9
 SAYS = b"what was said"

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 import agent
-from agent.core.config import ConfigError
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
 from agent.robot.fleet_reader import load_fleet
 
 BALL = 'detector = "ball"\nradius_m = 0.07'

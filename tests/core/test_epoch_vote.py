@@ -2,8 +2,8 @@
 
 import pytest
 
-from agent.core.epoch_vote import ALARM_NS, BESIDE_NS, JUMP, LEAST_NS, EpochVote, epoch_of
 from agent.core.messages import Epoch, Proposal
+from agent.core.trust import ALARM_NS, BESIDE_NS, JUMP, LEAST_NS, EpochVote, epoch_of
 
 REST = Epoch()
 

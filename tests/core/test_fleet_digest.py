@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Fleet, Pose, Tank, Target, Twin
-from agent.core.fleet_digest import common
+from agent.core.config import Fleet, Pose, Tank, Target, Twin, common
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 

@@ -1,6 +1,6 @@
 """The log does not flood, and says what it left out."""
 
-from agent.core.logbook import AGAIN_NS, SELDOM_NS, Logbook
+from agent.core.status import AGAIN_NS, SELDOM_NS, Logbook
 
 STEP_NS = 50_000_000
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.core import messages, step_io
 from agent.core.codec import Refusal, decode, encode, encoding
-from agent.core.matrix import upper
+from agent.core.linear_algebra import upper
 from agent.core.messages import MAX_PAYLOAD, SCHEMA, Estimate, LogLine, Message, NeighbourState, State
 from agent.core.step_io import (
     DroppedPayloads,

@@ -7,9 +7,8 @@ from msgspec.structs import replace
 
 from agent.core.codec import encode
 from agent.core.messages import State
-from agent.core.net import SURFACE_AFTER, SURFACE_M
-from agent.core.savepoint import Savepoint
 from agent.core.step_io import Heard, Inputs
+from agent.core.step_transaction import SURFACE_AFTER, SURFACE_M, Savepoint
 from agent.robot.core import Agent
 from tests.core.swarm_on_hand import Swarm
 

@@ -19,8 +19,7 @@ from agent.capabilities.swim.tag_fix import Map
 from agent.core.attitude import AttitudeLog
 from agent.core.config import Fleet, Navigation, Search
 from agent.core.messages import Explain, State
-from agent.core.net import Net
-from agent.core.savepoint import Revertible, Savepoint
+from agent.core.step_transaction import Net, Revertible, Savepoint
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
 from agent.experiments.reconstruction.drawn_scene import draw_scene
 from agent.robot.core import Agent

@@ -1,7 +1,6 @@
 """When something was said and measured, by clocks that nobody set and mouths that may lie."""
 
-from agent.core.origin_clocks import DRIFT, OriginClocks
-from agent.core.transit import INSISTS, Transit
+from agent.core.trust import DRIFT, INSISTS, OriginClocks, Transit
 
 SECOND_NS = 10**9
 HOUR_NS = 3600 * SECOND_NS

@@ -8,7 +8,7 @@ from rich.console import Console
 from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.exchange import holdings
 from agent.capabilities.survey.rays import along, place_m, rotation
-from agent.core.claim import Claim, View
+from agent.core.capability_messages import Claim, View
 from agent.core.messages import Whereabouts
 from agent.demo.coverage import SurveyWatch
 from agent.demo.coverage_table import floor_spot, survey_table

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from agent.core.messages import NeighbourState, State
 from agent.demo.display import progress_row, progress_table, progress_title, result_table, verdict
-from agent.demo.following import score
+from agent.demo.following import score_following
 from agent.demo.history import History
 from agent.process.fleet_files import fleet_file
 from agent.robot.fleet_reader import load_fleet
@@ -82,7 +82,7 @@ def test_a_thing_in_a_box_has_columns_of_its_own() -> None:
 
 def test_a_track_is_shown_with_the_bars_that_it_missed() -> None:
     fleet = load_fleet(fleet_file("fish"))
-    about = score(swum(lost=range(60)), fleet, "fish")
+    about = score_following(swum(lost=range(60)), fleet, "fish")
     summary = {"protocol": "evidence", "seed": 1, "verdict": "pass", "reasons": [], "targets": {"fish": about}}
     text = shown(result_table(summary, "fish"))
     assert max(map(len, text.splitlines())) <= 80 and "…" not in text

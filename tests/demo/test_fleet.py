@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
 from agent.demo.demo import demo
 from agent.demo.fleet import demo_fleet
 from agent.process.fleet_files import fleet_file, shipped_fleet, shipped_names

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.messages import State
-from agent.demo.following import FOLLOW_S, followed_s, reasons, score, swims
+from agent.demo.following import FOLLOW_S, followed_s, reasons_following, score_following, swims
 from agent.demo.history import History
 from agent.process.fleet_files import fleet_file
 from agent.robot.fleet_reader import load_fleet
@@ -15,7 +15,7 @@ FLEET = replace(FISH, robot={name: FISH.robot[name] for name in ("r1", "r2")})
 
 
 def test_shares_of_time_errors_and_losses_are_those_of_the_track():
-    row = score(swum(), FLEET, "fish")
+    row = score_following(swum(), FLEET, "fish")
     assert row["followed_s"] == pytest.approx(40.0)
     assert row["seen_by_one"] == 1.0
     assert row["seen_each"] == row["seen_by_two"] == pytest.approx(1 - 20 / 401)
@@ -30,20 +30,20 @@ def test_shares_of_time_errors_and_losses_are_those_of_the_track():
         "track_rms_mm": False,
         "nees": False,
     }
-    assert reasons(row) == []
+    assert reasons_following(row) == []
 
 
 def test_frames_that_are_old_show_nothing_of_now():
     track = swum()
     few = {**track.looks, "r1": track.looks["r1"][::10]}
-    row = score(track._replace(looks=few), FLEET, "fish")
+    row = score_following(track._replace(looks=few), FLEET, "fish")
     assert row["agents"]["r1"]["seen"] == pytest.approx(0.4, abs=0.01)  # 0.3 s of each second, ends included
 
 
 def test_who_is_surer_than_right_farther_off_than_its_length_or_blind_fails():
     track = swum(lost=range(250))
     far = [h._replace(x_m=(h.x_m[0] + 0.2, *h.x_m[1:])) for h in track.held["r2"]]
-    why = reasons(score(track._replace(held={**track.held, "r2": far}), FLEET, "fish"))
+    why = reasons_following(score_following(track._replace(held={**track.held, "r2": far}), FLEET, "fish"))
     assert [text.partition(":")[0].partition(" ")[0] for text in why] == ["each", "r2", "r2"]
     assert "37.7 % of the time < 50 %" in why[0]
     assert "230 mm rms, more than the creature's length, 150" in why[1]
@@ -52,8 +52,10 @@ def test_who_is_surer_than_right_farther_off_than_its_length_or_blind_fails():
 
 def test_a_robot_that_never_knew_it_fails_and_no_truth_is_no_pass():
     track = swum()
-    assert reasons(score(track._replace(held={**track.held, "r2": []}), FLEET, "fish")) == ["r2 never knew where it is"]
-    assert reasons(score(None, FLEET, "fish")) != []
+    assert reasons_following(score_following(track._replace(held={**track.held, "r2": []}), FLEET, "fish")) == [
+        "r2 never knew where it is"
+    ]
+    assert reasons_following(score_following(None, FLEET, "fish")) != []
 
 
 def test_a_dive_goes_on_until_all_have_known_it_for_long_enough():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.core.toml_files import dump
+from agent.core.config import dump
 from agent.demo.demo import demo_fleet
 from agent.demo.fleet import with_access
 from agent.demo.look import open_page

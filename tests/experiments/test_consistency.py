@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.core.ranging.camera_model import Eye
+from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, FocusFit
 from agent.experiments import ball_measurements as measurements
 from agent.experiments.consistency.run import Result, summary
 from agent.experiments.consistency.tables import cases_table, refusals, table

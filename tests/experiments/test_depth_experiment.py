@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import lens_position
 from agent.experiments.depth import run as experiment
 from agent.experiments.depth import wall

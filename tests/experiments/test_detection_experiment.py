@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.detection.ball_views import outline
 from agent.experiments.detection.run import Settings, run
 from agent.experiments.detection.tables import table

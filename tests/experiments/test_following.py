@@ -10,7 +10,7 @@ from agent.core.config import Body
 from agent.experiments.following import basin as following_basin
 from agent.experiments.following.bars import verdicts
 from agent.experiments.following.cases import FLEET, Case, all_cases
-from agent.experiments.following.counts import figures, losses, share
+from agent.experiments.following.counts import losses, row_of, share
 from agent.experiments.following.dive import Draw, reaches
 from agent.experiments.following.figures import figures as drawings
 from agent.experiments.following.run import Result, Shown
@@ -77,7 +77,7 @@ def test_time_to_see_it_again_counts_from_when_it_is_in_sight() -> None:
         (1.0, True, False),
     ]
     draw.sees[70:, 2] = False  # to the end: never
-    row = figures(CASE, [draw])
+    row = row_of(CASE, [draw])
     assert row["losses"] == 3 and row["losses_alone"] == 1 and row["reacquire_alone_p95_s"] is None
 
 
@@ -87,7 +87,7 @@ def test_who_has_it_behind_is_asked_for_it_from_when_the_gimbal_reaches() -> Non
     draw.in_reach[30:48, 0] = False
     (again,), (any_side,) = losses(draw), losses(draw, any_side=True)
     assert (again.seconds, any_side.seconds) == (0.2, 2.0)
-    row = figures(CASE, [draw])
+    row = row_of(CASE, [draw])
     assert (row["reacquire_p95_s"], row["reacquire_any_side_p95_s"]) == (0.2, 2.0)
 
 
@@ -100,18 +100,18 @@ def test_a_gimbal_reaches_what_is_ahead_and_not_what_touches_the_lens() -> None:
 
 
 def test_bars_are_for_three_that_share() -> None:
-    fine = figures(CASE, [drawn()])
+    fine = row_of(CASE, [drawn()])
     assert all(verdict.met for verdict in verdicts([fine])) and fine["rms_mm"] == pytest.approx(10.0)
-    lossy = {**figures(CASE._replace(loss=0.3), [drawn(error_m=np.full((N, 3), 0.012))])}
+    lossy = {**row_of(CASE._replace(loss=0.3), [drawn(error_m=np.full((N, 3), 0.012))])}
     assert [verdict.met for verdict in verdicts([fine, lossy])][-1] is False
     assert not verdicts([{**fine, "policy": "moored"}, {**fine, "robots": 5}])
-    unknown = figures(CASE, [drawn(error_m=np.full((N, 3), np.nan), nees=np.full((N, 3), np.nan))])
+    unknown = row_of(CASE, [drawn(error_m=np.full((N, 3), np.nan), nees=np.full((N, 3), np.nan))])
     assert {verdict.bar.key for verdict in verdicts([unknown]) if not verdict.met} == {"rms_mm", "nees"}
 
 
 def test_a_result_has_the_keys_that_are_promised(tmp_path) -> None:
     draws = {case: [drawn()] for case in (CASE, CASE._replace(policy="silent"), CASE._replace(robots=1))}
-    result = Result(cases=[figures(case, of) for case, of in draws.items()], shown=Shown(draws, True))
+    result = Result(cases=[row_of(case, of) for case, of in draws.items()], shown=Shown(draws, True))
     write_result(result, tmp_path)
     told = json.loads((tmp_path / "result.json").read_text())
     assert set(told) == {"cases"} and all(set(row) >= KEYS for row in told["cases"])

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.core.estimation.evidence_checks import Bounds, entry_fault
+from agent.core.estimation.evidence_table import Bounds, entry_fault
 from agent.core.estimation.evidence_table import opinion as opinion_of
 from agent.core.estimation.fuse import Opinion, fuse
-from agent.core.matrix import inverse, upper
+from agent.core.linear_algebra import inverse, upper
 from agent.core.messages import Epoch, Gossip
-from agent.core.signed import entry_bytes
+from agent.core.trust import entry_bytes
 from agent.experiments.localization.criteria import verdict
 from agent.experiments.localization.graphs import graph
 from agent.experiments.localization.liar import FIRST, LAST, attacked, bound_m, fleet_of, told

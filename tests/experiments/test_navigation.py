@@ -11,9 +11,9 @@ from agent.capabilities.swim.planes import odometry
 from agent.capabilities.swim.projection import view
 from agent.capabilities.swim.tag_fix import Map, tag_fix, whole
 from agent.capabilities.swim.tag_priors import priors
-from agent.core.angle import wrap
 from agent.core.attitude import Attitude
 from agent.core.config import Pose
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Estimate
 from agent.core.ranging.fix import Fix
 from agent.experiments.navigation import basin

@@ -16,7 +16,7 @@ from agent.experiments.reconstruction.pictures import into_truth, missed_picture
 from agent.experiments.reconstruction.render import TRUTH_STEP, Rendered
 from agent.experiments.reconstruction.run import Settings, missed, run
 from agent.experiments.reconstruction.score import distances, nearest_m, score, seen_twice
-from agent.experiments.reconstruction.swum import WideBodies, fleet_of, swum
+from agent.experiments.reconstruction.swum import WideBodies, swimming_fleet, swum
 from agent.experiments.reconstruction.tables import swimmers_table, table
 from agent.experiments.reconstruction.world import (
     CLEAR_M,
@@ -149,7 +149,7 @@ def test_a_bar_that_is_missed_is_said() -> None:
 
 
 def test_what_swimmers_that_survey_say_is_believed() -> None:
-    fleet = fleet_of(9)
+    fleet = swimming_fleet(9)
     swimmers, heard = Swimmers(fleet, WideBodies(fleet)), set()
     for _ in range(40):
         swimmers.step()

@@ -12,10 +12,9 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agent.core import messages, signed, step_io, topics
+from agent.core import messages, step_io, topics, trust
 from agent.core.codec import Refusal, decode, encode
-from agent.core.messages import Estimate, Image, LogLine, Message, State
-from agent.core.orders_words import Order
+from agent.core.messages import Estimate, Image, LogLine, Message, Order, State
 from agent.ground import decoder
 from agent.robot.core import Agent
 from agent.robot.verbs import VERBS
@@ -155,7 +154,7 @@ def _key(text: bytes) -> None:
 
 
 def _signature(data: bytes) -> None:
-    assert not signed.verify(data[:32], data[32:96], data[96:]), "forged"
+    assert not trust.verify_signature(data[:32], data[32:96], data[96:]), "forged"
 
 
 def _viewer(viewers: ViewerChannels, topic: topics.Topic, payload: bytes) -> None:

@@ -14,9 +14,8 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from agent.core.config import ConfigError
-from agent.core.ranging.calibration import load_calibration, load_focus
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
+from agent.core.ranging.camera_model import load_calibration, load_focus
 from agent.robot.fleet_reader import load_fleet, load_robot, read_fleet, with_behaviour
 from agent.robot.fleet_rules import broken_rules, two_worlds
 from tests.network.scripted_agent import CALIBRATION

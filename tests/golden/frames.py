@@ -13,10 +13,9 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from agent.core.codec import decode, encode
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Inputs, Sighting, SweepPlan
-from agent.core.toml_files import dump
 from agent.perception.rerun_vision import rerun_vision
 from agent.process.agent_process import run_facts
 from agent.robot.core import Agent

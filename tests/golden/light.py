@@ -7,8 +7,7 @@ from pathlib import Path
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.core.claim import Claim
-from agent.core.keyframe import Keyframe
+from agent.core.capability_messages import Claim, Keyframe
 from agent.core.messages import Message
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey

@@ -18,9 +18,8 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.core.codec import encode
-from agent.core.config import Fleet, Target
+from agent.core.config import Fleet, Lighting, Target, WaterOptics
 from agent.core.messages import Vector
-from agent.core.settings import Lighting, WaterOptics
 from agent.core.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
 from agent.process.key_files import public_bytes
 from agent.process.signing import signing, unsigned

@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.config import dump
+from agent.core.ranging.camera_model import Calibration
 from agent.ground import devices, files
 from agent.ground.check import Checked, check
 from agent.ground.init import write_fleet

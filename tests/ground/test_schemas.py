@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.core.codec import decode, encode
-from agent.core.messages import MAX_JPEG, SCHEMA, Image, LogLine, State
-from agent.core.orders_words import Answer, Order
+from agent.core.messages import MAX_JPEG, SCHEMA, Answer, Image, LogLine, Order, State
 from agent.core.step_io import Inputs, Outputs
 from agent.core.topics import TOPICS
 from agent.ground.schemas import INDEX, texts

@@ -32,9 +32,8 @@ import zenoh
 
 from agent.core import topics
 from agent.core.codec import encoding
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate
-from agent.core.toml_files import dump
 from agent.core.topics import LINK
 from agent.robot.fleet_reader import load_fleet
 from router_config.session import observer_config, peer_config

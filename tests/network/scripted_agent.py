@@ -12,10 +12,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from agent.clock.clock import Clock, SystemClock
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
+from agent.core.config import dump
+from agent.core.ranging.camera_model import Calibration, camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
 from agent.core.step_io import Sighting
-from agent.core.toml_files import dump
 from agent.process.agent_process import run_facts
 from agent.process.fleet_certificates import credentials
 from agent.process.fleet_clock import fleet_clock

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import msgspec
 
-from agent.core.config import Access
+from agent.core.config import Access, dump
 from agent.core.messages import State
-from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
 from agent.ground.make import make_all
 from tests.network.relay import Relay

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from agent.core.codec import decode
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate, State
-from agent.core.toml_files import dump
 from agent.process.transport import Transport
 from tests.places import ROOT
 from tests.waiting import until

@@ -15,9 +15,8 @@ import zenoh
 import replay.roll_call
 from agent.core import topics
 from agent.core.codec import encode, encoding
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import MAX_PAYLOAD, Estimate, LogLine, State
-from agent.core.toml_files import dump
 from agent.core.topics import LINK, STATE
 from agent.process.transport import Transport
 from replay.files.backlog import Entry

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.core.config import Fleet
-from agent.core.toml_files import dump
+from agent.core.config import Fleet, dump
 from replay.check.check import check
 from replay.files.channels import STEP_IN
 from replay.files.log import read

@@ -21,9 +21,8 @@ from msgspec.structs import replace
 
 import replay.view
 from agent.clock.clock import SystemClock
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import MAX_JPEG, Image, State
-from agent.core.toml_files import dump
 from agent.ground.viewing import view_fleets
 from agent.process.ports import is_free
 from agent.process.transport import Transport

@@ -20,9 +20,9 @@ import zenoh
 
 from agent.core import topics
 from agent.core.codec import decode, encode, encoding
+from agent.core.config import dump
 from agent.core.messages import Estimate, LogLine, State
 from agent.core.step_io import Outputs
-from agent.core.toml_files import dump
 from agent.demo.fleet import demo_fleet
 from agent.process.transport import Observer
 from replay.files.log import read

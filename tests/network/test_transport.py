@@ -14,8 +14,7 @@ from msgspec.structs import replace
 from agent.core import topics
 from agent.core.codec import decode, encode, encoding
 from agent.core.config import ConfigError, Fleet, Navigation
-from agent.core.messages import MAX_PAYLOAD, Estimate, State
-from agent.core.presence import Presence
+from agent.core.messages import MAX_PAYLOAD, Estimate, Presence, State
 from agent.core.step_io import Heard
 from agent.core.topics import LINK
 from agent.process.transport import Transport

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.config import dump
+from agent.core.ranging.camera_model import Calibration
 from agent.process.fleet_files import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import CAMERA, PLAIN

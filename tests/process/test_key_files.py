@@ -20,10 +20,9 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.core.config import Access, ConfigError
-from agent.core.ranging.calibration import Calibration
-from agent.core.signed import verify
-from agent.core.toml_files import dump
+from agent.core.config import Access, ConfigError, dump
+from agent.core.ranging.camera_model import Calibration
+from agent.core.trust import verify_signature
 from agent.ground.make import fleet_keys, make_keys
 from agent.process.key_files import UnusableKeyError, read_private, read_public
 from agent.process.robot_keys import NO_KEYS, robot_keys
@@ -80,7 +79,7 @@ def test_both_files_are_halves_of_one_pair_and_no_two_pairs_are_the_same(keys: P
     publics = [read_public(keys / f"{name}.sign.pub") for name in FLEET.robot]
     assert len(set(publics)) == len(publics) and {len(key) for key in publics} == {32}
     for name, public in zip(FLEET.robot, publics, strict=True):
-        assert verify(public, read_private(keys / f"{name}.sign").sign(b"said"), b"said")
+        assert verify_signature(public, read_private(keys / f"{name}.sign").sign(b"said"), b"said")
 
 
 @pytest.mark.parametrize("there", ["r2.sign", "r2.sign.pub"])

@@ -16,11 +16,10 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.core.codec import decode, encode
-from agent.core.config import Access, Fleet
+from agent.core.config import Access, Fleet, dump
 from agent.core.messages import Entry, Estimate
-from agent.core.signed import entry_bytes, verify
 from agent.core.step_io import Heard, Inputs, Outputs
-from agent.core.toml_files import dump
+from agent.core.trust import entry_bytes, verify_signature
 from agent.demo.fleet import demo_fleet
 from agent.ground.make import make_keys
 from agent.process.agent_process import run_facts
@@ -160,7 +159,7 @@ def test_what_comes_by_a_relay_has_the_signature_of_its_origin(run: Run) -> None
 
 def genuine(run: Run, estimate: Estimate, one: Entry) -> bool:
     signed = entry_bytes(estimate.fleet, estimate.target, estimate.gossip.epoch, one)
-    return verify(run.keys[one.origin], one.signature, signed)
+    return verify_signature(run.keys[one.origin], one.signature, signed)
 
 
 def test_all_keys_in_the_first_step_and_what_is_left_within_a_second_of_a_removal(run: Run) -> None:

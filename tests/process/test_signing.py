@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from agent.core.codec import decode, encode
 from agent.core.messages import Epoch, Estimate
-from agent.core.signed import entry_bytes, proposal_bytes, sample_bytes, verify
+from agent.core.trust import entry_bytes, proposal_bytes, sample_bytes, verify_signature
 from agent.process.key_files import public_bytes
 from agent.process.signing import signing, unsigned
 from tests.process.said import FOREIGN, START, entry, proposal, said, sample
@@ -35,9 +35,9 @@ def test_what_it_signs_verifies_at_the_other_end() -> None:
     got = arrived(signing("r1", KEY)(said(entry(), sample(), proposal())))
     gossip = got.gossip
     (one,), (two,), (three,) = gossip.entries, gossip.samples, gossip.proposals
-    assert verify(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, gossip.epoch, one))
-    assert verify(PUBLIC, two.signature, sample_bytes(got.fleet, got.target, gossip.epoch, two))
-    assert verify(PUBLIC, three.signature, proposal_bytes(got.fleet, got.target, three))
+    assert verify_signature(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, gossip.epoch, one))
+    assert verify_signature(PUBLIC, two.signature, sample_bytes(got.fleet, got.target, gossip.epoch, two))
+    assert verify_signature(PUBLIC, three.signature, proposal_bytes(got.fleet, got.target, three))
 
 
 def test_numbers_without_a_point_verify_too() -> None:
@@ -45,8 +45,8 @@ def test_numbers_without_a_point_verify_too() -> None:
     whole = {"information": (1, 0, 0, 1, 0, 1), "vector": (0, 0, 0)}
     got = arrived(signing("r1", KEY)(said(entry(**whole, systematic_m2=(0,) * 6), sample(**whole))))
     (one,), (two,) = got.gossip.entries, got.gossip.samples
-    assert verify(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, got.gossip.epoch, one))
-    assert verify(PUBLIC, two.signature, sample_bytes(got.fleet, got.target, got.gossip.epoch, two))
+    assert verify_signature(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, got.gossip.epoch, one))
+    assert verify_signature(PUBLIC, two.signature, sample_bytes(got.fleet, got.target, got.gossip.epoch, two))
 
 
 @pytest.mark.parametrize(
@@ -68,13 +68,13 @@ def test_nothing_of_an_entry_can_be_shown_elsewhere_or_changed(changed: dict) ->
     (one,) = got.gossip.entries
     where = {"fleet": got.fleet, "target": got.target, "epoch": got.gossip.epoch, **changed}
     shown = replace(one, **where.pop("entry", {}))
-    assert not verify(PUBLIC, one.signature, entry_bytes(entry=shown, **where))
+    assert not verify_signature(PUBLIC, one.signature, entry_bytes(entry=shown, **where))
 
 
 def test_the_age_of_a_sample_is_the_relays_to_write() -> None:
     got = signing("r1", KEY)(said(sample()))
     older = replace(got.gossip.samples[0], age_ns=10**9)
-    assert verify(PUBLIC, older.signature, sample_bytes(got.fleet, got.target, got.gossip.epoch, older))
+    assert verify_signature(PUBLIC, older.signature, sample_bytes(got.fleet, got.target, got.gossip.epoch, older))
 
 
 def test_the_word_of_others_passes_as_it_came() -> None:
@@ -103,7 +103,7 @@ def test_its_own_word_of_an_earlier_life_passes_as_it_came() -> None:
 def test_a_new_incarnation_of_the_entry_is_signed_as_the_first() -> None:
     got = signing("r1", KEY)(said(entry(), entry(incarnation=START + 10**10)))
     assert all(
-        verify(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, got.gossip.epoch, one))
+        verify_signature(PUBLIC, one.signature, entry_bytes(got.fleet, got.target, got.gossip.epoch, one))
         for one in got.gossip.entries
     )
 

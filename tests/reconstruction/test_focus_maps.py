@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import range_variance
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.camera_model import pixel as kernel_pixel
 from agent.reconstruction.camera import Camera, pixel_grid, pixel_of, project, ray_slopes, shrunk, slopes_of, unproject
 from agent.reconstruction.view import View, diagonal_prior, moved, rotation_of, see, surface_points, to_camera, to_world

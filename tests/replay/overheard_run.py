@@ -5,9 +5,9 @@ from pathlib import Path
 
 from agent.core import topics
 from agent.core.codec import decode, encode
+from agent.core.config import dump
 from agent.core.messages import Message
 from agent.core.step_io import Outputs
-from agent.core.toml_files import dump
 from replay.check.black_box import open_boxes
 from replay.files.backlog import Entry
 from replay.files.channels import NETWORK, name

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from agent.core.codec import encode
 from agent.core.messages import LogLine, NeighbourState, State
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
 from agent.robot.fleet_reader import load_fleet
 from replay.black_box_writer import BlackBoxWriter, black_box_log

@@ -8,11 +8,10 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from agent.core.codec import decode, encode
-from agent.core.config import Fleet
-from agent.core.orders_words import Arg, Order
-from agent.core.ranging.calibration import Calibration
+from agent.core.config import Fleet, dump
+from agent.core.messages import Arg, Order
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Ordered, Outputs
-from agent.core.toml_files import dump
 from agent.process.agent_process import run_facts
 from agent.robot.core import Agent
 from replay.files.backlog import Entry

@@ -6,8 +6,7 @@ import pytest
 from msgspec import UNSET, UnsetType
 
 from agent.clock.clock import SystemClock
-from agent.core.messages import Estimate
-from agent.core.presence import Presence
+from agent.core.messages import Estimate, Presence
 from agent.core.step_io import Inputs, Outputs, SetPoint
 from agent.process.runtime import Runtime
 from tests.sample_messages import presence

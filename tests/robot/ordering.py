@@ -5,8 +5,8 @@ from pathlib import Path
 
 from agent.core.codec import encode
 from agent.core.config import Fleet
-from agent.core.orders_words import Answer, Arg, Order
-from agent.core.ranging.calibration import Calibration
+from agent.core.messages import Answer, Arg, Order
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Ordered, Outputs
 from agent.demo.fleet import demo_fleet
 from agent.robot.core import Agent

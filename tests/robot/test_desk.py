@@ -6,9 +6,9 @@ from msgspec.structs import replace
 
 from agent.core.codec import encode
 from agent.core.config import Access, Fleet
-from agent.core.net import SURFACE_AFTER
-from agent.core.orders_words import MAX_ORDER
+from agent.core.messages import MAX_ORDER
 from agent.core.step_io import Ordered
+from agent.core.step_transaction import SURFACE_AFTER
 from agent.robot import memory
 from agent.robot.core import Agent
 from agent.robot.desk import STALE_NS

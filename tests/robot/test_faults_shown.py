@@ -7,8 +7,8 @@ from typing import Any
 
 from msgspec import UNSET
 
-from agent.core.logbook import SELDOM_NS
 from agent.core.messages import State
+from agent.core.status import SELDOM_NS
 from agent.core.step_io import Inputs, Telemetry
 from agent.demo.fleet import demo_fleet
 from agent.robot.core import Agent

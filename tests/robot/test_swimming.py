@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.core.codec import encode
-from agent.core.orders_words import Answer, Order
+from agent.core.messages import Answer, Order
 from agent.core.step_io import Ordered
 from tests.capabilities.swim.swimming_agent import InTank, fleet
 

@@ -12,7 +12,7 @@ from agent.clock.clock import Clock, StandingClock
 from agent.core.codec import decode
 from agent.core.config import Fleet
 from agent.core.messages import State
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Outputs, SetPoint
 from agent.process.runtime import STEP_NS, Runtime

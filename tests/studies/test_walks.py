@@ -9,7 +9,7 @@ pytest.importorskip("websockets", reason="the extra `page` is not installed")
 
 from agent.core.attitude import AttitudeLog
 from agent.core.estimation.evidence import Evidence
-from agent.core.estimation.metropolis import Metropolis
+from agent.core.estimation.protocols import Metropolis
 from agent.core.status import Status
 from agent.process.runtime import Runtime
 from agent.robot.core import Agent

@@ -27,9 +27,8 @@ from websockets.sync.client import ClientConnection
 
 from agent.clock.clock import SystemClock
 from agent.core.codec import decode, encode
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.step_io import Inputs
-from agent.core.toml_files import dump
 from agent.ground.console import OrderConsole
 from agent.ground.page.live import SHOWN
 from agent.ground.page.ordering import give

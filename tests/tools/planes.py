@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit
 from hw.camera.camera import FocusRange, Frame, Roi
 
 FOCUS = FocusFit(

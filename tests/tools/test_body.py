@@ -11,9 +11,8 @@ from rich.console import Console
 
 from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import asked, fix
-from agent.core.config import ConfigError
-from agent.core.ranging.calibration import BodyFit, load_calibration
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
+from agent.core.ranging.camera_model import BodyFit, load_calibration
 from agent.process.failure import Failed
 from agent.tools import body
 from agent.tools.body_fit import MIN_FIXES, Trial, fit_body

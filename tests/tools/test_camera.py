@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import read_toml
-from agent.tools.camera import run
+from agent.core.config import ConfigError, read_toml
+from agent.tools.camera import calibrate_camera
 
 F, CX, CY = 820.0, 330.0, 232.0
 QUIET = Console(quiet=True)
@@ -39,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_known_intrinsics_come_back(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "r1.toml"
     out.write_text('robot = "r1"\n[camera]\npan_zero_deg = 0.5\nf_px = 1.0\n[focus]\nrho0 = 3.0\n')
-    fit = run(folder, 9, 6, 25.0, out, QUIET)
+    fit = calibrate_camera(folder, 9, 6, 25.0, out, QUIET)
     assert fit.f_px == pytest.approx(F, rel=0.003)
     assert (fit.cx_px, fit.cy_px) == pytest.approx((CX, CY), abs=3.0)
     assert fit.residual_px < 0.3
@@ -52,11 +51,11 @@ def test_known_intrinsics_come_back(folder: Path, tmp_path: Path) -> None:
 
 def test_what_cannot_be_used_is_one_line(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such folder"):
-        run(tmp_path / "none", 9, 6, 25.0, None, QUIET)
+        calibrate_camera(tmp_path / "none", 9, 6, 25.0, None, QUIET)
     with pytest.raises(ConfigError, match="whole in 0 of 12"):
-        run(folder, 13, 6, 25.0, None, QUIET)
+        calibrate_camera(folder, 13, 6, 25.0, None, QUIET)
     with pytest.raises(ConfigError, match=r"no pictures in this folder; it needs files that end in \.png"):
-        run(tmp_path, 9, 6, 25.0, None, QUIET)
+        calibrate_camera(tmp_path, 9, 6, 25.0, None, QUIET)
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(ConfigError, match=r"a\.png: not an image that OpenCV can read"):
-        run(tmp_path, 9, 6, 25.0, None, QUIET)
+        calibrate_camera(tmp_path, 9, 6, 25.0, None, QUIET)

@@ -9,8 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.__main__ import main
-from agent.core.config import ConfigError
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
 from agent.perception.depth_box import BoxRange, box_clarity, box_range
 from agent.perception.tracking.box import Box
 from agent.tools.depth_map import run

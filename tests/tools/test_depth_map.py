@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, dump
 from agent.core.ranging.focus import h
-from agent.core.toml_files import dump
 from agent.perception.depth_peaks import Reason
 from agent.perception.tracking.box import Box
 from agent.process.failure import Failed

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.core.control.lens_positions import full_positions
-from agent.core.ranging.calibration import Calibration, CameraFit
+from agent.core.control.sweep import full_positions
+from agent.core.ranging.camera_model import Calibration, CameraFit
 from agent.core.ranging.focus import h
 from agent.tools.fit import FocusRow, fit_focus
 from agent.tools.run import describe

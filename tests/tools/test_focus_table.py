@@ -8,8 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import read_toml
+from agent.core.config import ConfigError, read_toml
 from agent.process.plain_console import plain_console
 from agent.tools import focus_table
 from agent.tools.focus_table import paper_gauge, read_table, run

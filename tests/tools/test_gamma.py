@@ -6,10 +6,9 @@ import pytest
 import tomli_w
 from rich.console import Console
 
-from agent.core.config import ConfigError
-from agent.core.ranging.calibration import CameraFit
-from agent.core.toml_files import read_toml
-from agent.tools.gamma import gamma_of_folder, run
+from agent.core.config import ConfigError, read_toml
+from agent.core.ranging.camera_model import CameraFit
+from agent.tools.gamma import calibrate_gamma, gamma_of_folder
 from tests.perception.landmarks.printed import WALL, photograph, tag_light, turned
 
 CAMERA = CameraFit(width_px=480, height_px=400, f_px=1184.0, cx_px=239.5, cy_px=199.5, bend=0.39)
@@ -55,9 +54,9 @@ def test_sharp_and_burnt_out_tags_say_nothing(taken):
 def test_it_goes_into_the_camera_of_a_calibration_and_nowhere_else(taken, tmp_path):
     path = tmp_path / "r1.toml"
     with pytest.raises(ConfigError, match="has no table"):
-        run(taken(1.8), path, Console(quiet=True))
+        calibrate_gamma(taken(1.8), path, Console(quiet=True))
     path.write_text(tomli_w.dumps({"robot": "r1", "made": "", "source": "", "camera": {"f_px": 900.0}}))
-    run(taken(1.8), path, Console(quiet=True))
+    calibrate_gamma(taken(1.8), path, Console(quiet=True))
     after = read_toml(path)["camera"]
     assert after.pop("gamma") == pytest.approx(1.8, abs=0.05)
     assert after == {"f_px": 900.0}

@@ -8,9 +8,8 @@ import pytest
 import tomli_w
 from msgspec.structs import replace
 
-from agent.core.config import ConfigError, Fleet
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, Fleet, dump
+from agent.core.ranging.camera_model import Calibration
 from agent.process.agent_process import own_calibration
 from agent.process.fleet_files import shipped_fleet
 from agent.robot.fleet_reader import load_fleet

@@ -11,9 +11,8 @@ from rich.console import Console
 
 from agent.__main__ import main
 from agent.core.codec import encode
-from agent.core.config import ConfigError, Landmarks, Tag
+from agent.core.config import ConfigError, Landmarks, Tag, dump, read_toml
 from agent.core.step_io import Inputs, SeenTags
-from agent.core.toml_files import dump, read_toml
 from agent.process.failure import Failed
 from agent.process.fleet_files import shipped_fleet
 from agent.robot.fleet_reader import load_fleet

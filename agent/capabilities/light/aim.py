@@ -9,13 +9,11 @@ from msgspec.structs import replace
 
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude
-from agent.core.config import Body, Fleet, Pose
+from agent.core.config import Body, Fleet, Lighting, Pose
 from agent.core.control.pointing import HIGHEST_US, LOWEST_US
-from agent.core.control.seek import Seek
-from agent.core.messages import Vector
-from agent.core.presence import Presence
+from agent.core.control.target_search import Seek
+from agent.core.messages import Presence, Vector
 from agent.core.ranging.camera_model import Eye, camera_pose, look_at
-from agent.core.settings import Lighting
 
 AHEAD_M = 1.0  # along the camera's axis: where a lamp aims while nobody knows where anything is
 BEYOND_DEG = 3.0  # past the end of a gimbal's way, and the target is still in the flat middle of its beam

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from agent.capabilities.light.information import Worth, worth
 from agent.capabilities.light.model import Pair, pair
+from agent.core.config import Lighting
 from agent.core.messages import Vector
-from agent.core.settings import Lighting
 
 ROUNDS = 2
 LEAST_RISE = math.log(1.01)  # of log J, for which a lamp is flipped

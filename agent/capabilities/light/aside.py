@@ -15,9 +15,8 @@ from collections.abc import Sequence
 
 from agent.core.config import Cues, Target
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration, at_lens_position
-from agent.core.ranging.camera_model import Eye, ray, to_camera
-from agent.core.ranging.cues import Outline, focus_range
+from agent.core.ranging.camera_model import Calibration, Eye, at_lens_position, ray, to_camera
+from agent.core.ranging.fix import Outline, focus_range
 
 LEAST_PX = 3.0  # of R - r: twice what the range by focus leaves open of R at 1.5 m
 MOST = 0.4  # of R: an outline that lacks more is of something else

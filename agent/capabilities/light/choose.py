@@ -13,13 +13,11 @@ from typing import overload
 from agent.capabilities.light.allocate import Choice, Lamp, Scene, allocate
 from agent.capabilities.light.frames import FrameChoice, FrameScene, allocate_frame
 from agent.capabilities.light.lamp import LENDS_BELOW
-from agent.core.config import Target
+from agent.core.capability_messages import LampNow
+from agent.core.config import Lighting, Target
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import Eye
+from agent.core.ranging.camera_model import Calibration, Eye
 from agent.core.ranging.focus import lens_position
-from agent.core.settings import Lighting
-from agent.core.words import LampNow
 
 LOADED = 0.5  # of what it may be, or empty: from there on a lamp costs
 THING_M = 0.05  # half of what a target is whose size nobody knows

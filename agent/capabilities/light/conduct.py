@@ -27,20 +27,18 @@ from agent.capabilities.light.view_light import LentViewLight
 from agent.capabilities.light.wish import Wishes
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.capability_messages import Light
 from agent.core.codec import decode
-from agent.core.config import Cues, Fleet, Target
-from agent.core.control.seek import Seek
+from agent.core.config import Cues, Fleet, Lighting, Target
 from agent.core.control.sweep import Measurement, Rejected
-from agent.core.logbook import Logbook
+from agent.core.control.target_search import Seek
 from agent.core.messages import LampState, Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import Eye
-from agent.core.ranging.cues import Outline
-from agent.core.settings import Lighting
+from agent.core.ranging.camera_model import Calibration, Eye
+from agent.core.ranging.fix import Outline
+from agent.core.status import Logbook
 from agent.core.step_io import Heard, SweepOutcome
 from agent.core.target_state import TargetState
 from agent.core.topics import LIGHT
-from agent.core.words import Light
 
 LENS_STEP = 0.25  # of the peak's half width: a blur by less is not worth moving the lens
 

@@ -17,16 +17,14 @@ from agent.capabilities.light.lease import Party, listeners
 from agent.capabilities.swim.pursuit import AHEAD_S, ALL_LOST_NS, carried_on
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude
-from agent.core.config import Fleet, Pose
-from agent.core.control.seek import Seek
-from agent.core.estimation.choice import dynamics, pursued
+from agent.core.capability_messages import LampNow
+from agent.core.config import Fleet, Lighting, Pose
+from agent.core.control.target_search import Seek
+from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import camera_pose
-from agent.core.savepoint import Revertible
-from agent.core.settings import Lighting
+from agent.core.ranging.camera_model import Calibration, camera_pose
+from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
-from agent.core.words import LampNow
 
 
 class Wish(NamedTuple):

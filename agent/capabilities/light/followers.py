@@ -22,8 +22,8 @@ from typing import NamedTuple
 from agent.capabilities.light.allocate import Scene, dazzles
 from agent.capabilities.light.information import worth
 from agent.capabilities.light.model import Pair, pair
+from agent.core.config import Lighting
 from agent.core.messages import Vector
-from agent.core.settings import Lighting
 
 # Of the target's light in all light: by less the twin's fish is in no frame, by more in nearly all that show its side
 # (harbour water, world 0, 0.5 to 1.5 m).

@@ -14,11 +14,11 @@ from agent.capabilities.light.allocate import Lamp, improved
 from agent.capabilities.light.information import ELECTRONS, LEVEL, MAX_GAIN, READ_NOISE, WELL
 from agent.capabilities.light.model import ALBEDO, FORWARD, Colours, beam_share, single_veil
 from agent.capabilities.light.orders import all_orders
+from agent.core.config import Lighting
 from agent.core.messages import Vector
-from agent.core.settings import Lighting
 
 STEPS = 40  # along a ray: a spot's veil to 1 %, which stands for that of many blocks
-GLARE_RAD = math.radians(30.0)  # about the axis, as allocate's; a whole frame is wider
+VIEW_GLARE_RAD = math.radians(30.0)  # about the axis, as allocate's; a whole frame is wider
 # log J at which half of the blocks show a peak, and how steeply more of it shows more: by the keyframes of world 0, in
 # harbour and bay water (tests/bench/light/bench_keyframes.py). Concrete and stones have less texture than a ball.
 HALF_AT, SLOPE = 12.0, 1.0
@@ -119,7 +119,7 @@ def glares(scene: FrameScene, lamp_m: Vector) -> bool:
     range_m = math.sqrt(sum(o * o for o in offset))
     if range_m <= math.dist(scene.camera_m, scene.aim_m):
         return False
-    return sum(o * a for o, a in zip(offset, scene.axis, strict=True)) > math.cos(GLARE_RAD) * range_m
+    return sum(o * a for o, a in zip(offset, scene.axis, strict=True)) > math.cos(VIEW_GLARE_RAD) * range_m
 
 
 def _direct(scene: FrameScene, spot: Spot, lamp_m: Vector, lighting: Lighting) -> Colours:

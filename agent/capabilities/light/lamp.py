@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from agent.core.capability_messages import Why
 from agent.core.control.pointing import SLEW_US_PER_S
 from agent.core.step_io import Telemetry
-from agent.core.words import Why
 
 DARK_NS = 150_000_000  # from a set-point to light or darkness: the line to the module, its loop, the lamp's driver
 SERVO_NS = 300_000_000  # lag of a servo at the end of a turn, and what a small move does to the body
@@ -18,7 +18,7 @@ FULL_V, EMPTY_V = 14.8, 13.2  # of four cells under light load; the control modu
 LENDS_BELOW = 0.9  # of whichever load is more; above, a robot keeps its light for itself
 
 
-class Lit(NamedTuple):
+class OrderedLight(NamedTuple):
     """How somebody has ordered a lamp to burn, until he orders otherwise."""
 
     light: float  # share of full power
@@ -26,7 +26,7 @@ class Lit(NamedTuple):
     tilt_deg: float
 
 
-class Lamp(NamedTuple):
+class LampControl(NamedTuple):
     """As commanded. Pulses are those of its gimbal, pan and tilt, us."""
 
     us: tuple[int, int]
@@ -41,7 +41,7 @@ class Lamp(NamedTuple):
         return now_ns >= self.steady_ns
 
 
-def command(lamp: Lamp, power: float, us: tuple[int, int], now_ns: int) -> Lamp:
+def command(lamp: LampControl, power: float, us: tuple[int, int], now_ns: int) -> LampControl:
     """The lamp told to burn like that. A turn in the dark is no change of light."""
     if (power, us) == (lamp.power, lamp.us):
         return lamp
@@ -55,7 +55,7 @@ def command(lamp: Lamp, power: float, us: tuple[int, int], now_ns: int) -> Lamp:
     return lamp._replace(power=power, us=us, changes=lamp.changes + 1, rests_ns=rests_ns, steady_ns=steady_ns)
 
 
-def warmed(lamp: Lamp, now_ns: int) -> Lamp:
+def warmed(lamp: LampControl, now_ns: int) -> LampControl:
     """The lamp some time later: it warms with its power and cools with what it is."""
     dt_s = (now_ns - lamp.at_ns) * 1e-9 if lamp.at_ns else 0.0
     ends = lamp.power * COOLS_S / WARMS_S
@@ -64,13 +64,13 @@ def warmed(lamp: Lamp, now_ns: int) -> Lamp:
     return lamp._replace(warm=lamp.warm + (ends - lamp.warm) * share, at_ns=now_ns)
 
 
-def load(lamp: Lamp, telemetry: Telemetry | None) -> float:
+def load(lamp: LampControl, telemetry: Telemetry | None) -> float:
     """How near it is to a limit, of heat or of the battery: 0 to 1, in hundredths."""
     empty = 0.0 if telemetry is None else (FULL_V - telemetry.battery_v) / (FULL_V - EMPTY_V)
     return round(min(max(lamp.warm / TOO_WARM, empty, 0.0), 1.0), 2)
 
 
-def cannot(has: bool, lamp: Lamp, telemetry: Telemetry | None, silent: bool) -> Why:
+def cannot(has: bool, lamp: LampControl, telemetry: Telemetry | None, silent: bool) -> Why:
     """Why it must not burn at all, for itself or for others; empty: it may. silent: the control module is."""
     if not has:
         return "no lamp"

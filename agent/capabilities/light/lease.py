@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 from msgspec import UNSET
 
-from agent.core.words import MOST_HOLDS_S, Lease, LeaseAck, Light, Why
+from agent.core.capability_messages import MOST_HOLDS_S, Lease, LeaseAck, Light, Why
 
 SILENT_NS = 3_000_000_000  # who was not heard for so long is not waited for
 GONE_NS = 10_000_000_000  # whose lamp is dark, or as it was: nobody who is there is silent for so long

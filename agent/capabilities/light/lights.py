@@ -12,17 +12,17 @@ from msgspec import UNSET, UnsetType
 from agent.capabilities.light.own_lamp import OwnLamp
 from agent.capabilities.light.view_light import ViewLight
 from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.capability_messages import Light
 from agent.core.codec import Refusal
 from agent.core.config import Cues, Target
-from agent.core.control.seek import Seek
 from agent.core.control.sweep import Measurement, Rejected
+from agent.core.control.target_search import Seek
 from agent.core.messages import LampState
 from agent.core.ranging.camera_model import Eye
-from agent.core.ranging.cues import Outline
-from agent.core.savepoint import Revertible
+from agent.core.ranging.fix import Outline
 from agent.core.step_io import Heard, SweepOutcome
+from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
-from agent.core.words import Light
 
 
 class Lights(Revertible):

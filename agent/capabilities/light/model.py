@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from agent.capabilities.light.orders import all_orders
 from agent.capabilities.light.phase import phase
+from agent.core.config import Beam, Lighting, WaterOptics
 from agent.core.messages import Vector
-from agent.core.settings import Beam, Lighting, WaterOptics
 
 Colours = tuple[float, float, float]
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from agent.capabilities.light.lease import Party, lit_by
+from agent.core.capability_messages import LampNow
 from agent.core.messages import LampState
-from agent.core.words import LampNow
 
 
 def lamp_state(party: Party, own: LampNow, spoiled: int) -> LampState:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from agent.capabilities.light.veil_table import ANGLE_DEG, LOG_TIMES, RATIO, SCATTERING_SHARE, TAU
-from agent.core.settings import WaterOptics
+from agent.core.config import WaterOptics
 
 
 def all_orders(depth_m: float, ahead_m: float, aside_m: float, water: WaterOptics) -> tuple[float, float, float]:

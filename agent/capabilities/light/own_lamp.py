@@ -6,16 +6,15 @@ from typing import NamedTuple
 
 from agent.capabilities.light.aim import aim_of, looked_at
 from agent.capabilities.light.follow_light import Wish
-from agent.capabilities.light.lamp import LENDS_BELOW, Lamp, Lit, cannot, command, load, warmed
+from agent.capabilities.light.lamp import LENDS_BELOW, LampControl, OrderedLight, cannot, command, load, warmed
 from agent.capabilities.light.lease import Bound, Party, lit_by
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.config import Fleet
-from agent.core.control.seek import Seek
+from agent.core.capability_messages import LampNow, Why
+from agent.core.config import Fleet, Lighting
+from agent.core.control.target_search import Seek
 from agent.core.messages import Vector
-from agent.core.savepoint import Revertible
-from agent.core.settings import Lighting
-from agent.core.words import LampNow, Why
+from agent.core.step_transaction import Revertible
 
 AWAKE_NS = 1_000_000_000  # after a start nobody knows how the module's lamp burned before
 NEAR_US = 22  # of a lamp that goes with its camera: it stays where it is for less, 2 degrees
@@ -39,11 +38,11 @@ class OwnLamp(Revertible):
         self.has, self._name, self._swimmer = fleet.robot[name].lamp, name, swimmer
         self.aim = aim_of(fleet, lighting)
         centre_us = round(fleet.body.servo_centre_us)
-        self.lamp = Lamp((centre_us, centre_us))
+        self.lamp = LampControl((centre_us, centre_us))
         self._obeyed: Obeyed | None = None
         self._us: tuple[int, int] | None = None  # by the own lease
         self._woke = False
-        self.ordered: Lit | None = None  # by somebody; None: it burns as light is lent
+        self.ordered: OrderedLight | None = None  # by somebody; None: it burns as light is lent
         self._bound_ns = 0  # since when it obeys this lease
         self._comes = False  # it is to burn for it, as soon as its robot rests
         self.now = LampNow()
@@ -120,7 +119,7 @@ class OwnLamp(Revertible):
         power = 1.0 if follows is None or follows.burns else 0.0
         return power, self.lamp.us if near and self.lamp.power else us
 
-    def _as_ordered(self, party: Party, lit: Lit) -> tuple[float, tuple[int, int]]:
+    def _as_ordered(self, party: Party, lit: OrderedLight) -> tuple[float, tuple[int, int]]:
         """It does not change for anybody's lease; whoever has one is told, and own sweeps are made as it burns."""
         us = self.aim.us(lit.pan_deg), self.aim.us(lit.tilt_deg)
         self._us = us if party.mine is not None and party.mine.granted else None

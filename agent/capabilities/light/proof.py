@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from agent.capabilities.light.lease import GONE_NS, Party, acquainted
-from agent.core.words import LampNow
+from agent.core.capability_messages import LampNow
 
 Verdict = Literal["pending", "kept"]
 

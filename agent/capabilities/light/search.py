@@ -24,10 +24,10 @@ from agent.capabilities.light.lease import Party
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Target
 from agent.core.control.pointing import SEARCH_DEG
-from agent.core.control.seek import Seek
+from agent.core.control.target_search import Seek
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Eye, camera_pose
-from agent.core.savepoint import Revertible
+from agent.core.step_transaction import Revertible
 
 # From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from
 # 0.7 m before it to 0.7 m behind; nearer than that the own lamp shows what there is.

@@ -7,12 +7,12 @@ from msgspec.structs import replace
 
 from agent.capabilities.light.lease import Party, ack_to, acquainted, ask, hear, release, said_lease, tick
 from agent.capabilities.light.proof import Baseline, Spoiled, baseline, verdict
+from agent.core.capability_messages import LampNow, Lease, Light, Why, light_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
-from agent.core.letters import Letters
-from agent.core.savepoint import Revertible
+from agent.core.step_transaction import Revertible
 from agent.core.topics import LIGHT, next_due_ns
-from agent.core.words import LampNow, Lease, Light, Why, light_fault
+from agent.core.trust import Letters
 
 SLOW_NS = round(1e9 / LIGHT.hz)
 JUDGE_NS = 1_500_000_000  # after a sweep: by then all have been heard, or it does not count

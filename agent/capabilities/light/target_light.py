@@ -10,12 +10,12 @@ from agent.capabilities.light.wish import Wishes
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet
-from agent.core.control.seek import Seek
 from agent.core.control.sweep import ByLight
-from agent.core.estimation.choice import pursued
-from agent.core.logbook import Logbook
+from agent.core.control.target_search import Seek
+from agent.core.estimation.protocols import pursued
 from agent.core.messages import Vector
-from agent.core.savepoint import Revertible
+from agent.core.status import Logbook
+from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 
 

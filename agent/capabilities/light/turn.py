@@ -6,8 +6,8 @@ from agent.capabilities.light.lease import Phase, lit_by
 from agent.capabilities.light.own_lamp import OwnLamp
 from agent.capabilities.light.proof import Spoiled
 from agent.capabilities.light.talk import Talk
-from agent.core.savepoint import Revertible
-from agent.core.words import Lease
+from agent.core.capability_messages import Lease
+from agent.core.step_transaction import Revertible
 
 LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
 MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed

@@ -13,9 +13,9 @@ from agent.capabilities.light.proof import Spoiled
 from agent.capabilities.light.turn import LOOK_NS, MARGIN_NS, Turn
 from agent.capabilities.light.wish import Wishes
 from agent.core.attitude import Attitude
-from agent.core.control.seek import Seek
-from agent.core.logbook import Logbook
-from agent.core.savepoint import Revertible
+from agent.core.control.target_search import Seek
+from agent.core.status import Logbook
+from agent.core.step_transaction import Revertible
 
 
 class View(Protocol):

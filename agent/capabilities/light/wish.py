@@ -13,14 +13,13 @@ from agent.capabilities.light.own_lamp import OwnLamp
 from agent.capabilities.light.talk import Talk
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude
-from agent.core.config import Fleet, Target
-from agent.core.control.seek import Seek
+from agent.core.capability_messages import MOST_HOLDS_S, MOST_WAITED, Lease
+from agent.core.config import Fleet, Lighting, Target
+from agent.core.control.target_search import Seek
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import lens_position
-from agent.core.savepoint import Revertible
-from agent.core.settings import Lighting
-from agent.core.words import MOST_HOLDS_S, MOST_WAITED, Lease
+from agent.core.step_transaction import Revertible
 
 PATIENCE_NS = 6_000_000_000  # with a neighbour that looks for landmarks, and goes on and on
 

@@ -16,10 +16,9 @@ from agent.capabilities.survey.cast import Beam, beam, expected, gain
 from agent.capabilities.survey.grid import Grid
 from agent.capabilities.survey.rays import quaternion
 from agent.capabilities.swim.barrier import Planar
-from agent.core.angle import wrap
-from agent.core.claim import View
+from agent.core.capability_messages import Lens, View, place_of
 from agent.core.config import Body, Pose
-from agent.core.keyframe import Lens, place_of
+from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import camera_pose
 
 CANDIDATES = 60

@@ -10,8 +10,7 @@ from typing import NamedTuple
 from agent.capabilities.survey.evidence import ALONE_COS
 from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, Grid, expected_mm, information, is_inner
 from agent.capabilities.survey.rays import Slopes, along, place_m, rotation, slope
-from agent.core.claim import View
-from agent.core.keyframe import Lens
+from agent.core.capability_messages import Lens, View
 from agent.core.messages import Vector
 
 ACROSS, DOWN = 13, 10  # rays of a view: as many blocks stand for one

@@ -17,17 +17,15 @@ from agent.capabilities.survey.exchange import Exchange
 from agent.capabilities.survey.survey import Surveyor
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim, Keyframe
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet
-from agent.core.control.seek import Seek
-from agent.core.keyframe import Keyframe
+from agent.core.control.target_search import Seek
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import Eye
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import Calibration, Eye
 from agent.core.status import Status
 from agent.core.step_io import BlockPeaks, Heard, SweepPlan
+from agent.core.step_transaction import Revertible
 from agent.core.topics import CLAIM, KEYFRAME
 
 STILL_M_S, STILL_RAD_S = 0.03, math.radians(3.0)  # a sweep takes seconds, and its frames have to lie on each other

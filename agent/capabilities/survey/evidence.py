@@ -17,9 +17,9 @@ import msgspec
 from agent.capabilities.survey.free_space import is_free, passed
 from agent.capabilities.survey.grid import FARTHEST_M, FLOOR_MM, NEAREST_M, Grid, information, is_inner
 from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
-from agent.core.keyframe import UNIT_M, Frame, measured
+from agent.core.capability_messages import UNIT_M, Frame, measured
 from agent.core.messages import Vector
-from agent.core.savepoint import Revertible
+from agent.core.step_transaction import Revertible
 
 STARTS = 4
 ALONE_COS = 0.7  # of a block without neighbours that tell how its surface lies

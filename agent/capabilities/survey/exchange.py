@@ -15,13 +15,11 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.capabilities.survey.evidence import CoverageMap, Key
-from agent.core.claim import SHORT_MASK, Claim, Has, View, claim_fault
+from agent.core.capability_messages import SHORT_MASK, Claim, Frame, Has, Keyframe, View, claim_fault, frame_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
-from agent.core.keyframe import Frame, Keyframe, frame_fault
-from agent.core.letters import Letters
-from agent.core.savepoint import Revertible
-from agent.core.transit import CLOCKS_NS
+from agent.core.step_transaction import Revertible
+from agent.core.trust import CLOCKS_NS, Letters
 
 SILENT_NS = 3_000_000_000  # by then an origin no longer speaks for itself
 CLAIM_NS = 500_000_000  # twice a second each says what it holds

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, Grid, is_inner
 from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
-from agent.core.keyframe import UNIT_M, Frame, measured
+from agent.core.capability_messages import UNIT_M, Frame, measured
 from agent.core.messages import Vector
 
 FREE = 6  # cells that more than so many blocks look through for each that ends there are empty

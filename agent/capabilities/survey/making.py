@@ -6,12 +6,20 @@ import math
 
 from agent.capabilities.survey.grid import SIGMA_AT_M, SIGMA_UNIT_MM
 from agent.capabilities.survey.rays import block_slopes, quaternion
-from agent.core.keyframe import BEND_ONE, MOST_BLOCKS, PX_ONE, UNIT_M, Blocks, Frame, Lens, place_of, quantised
+from agent.core.capability_messages import (
+    BEND_ONE,
+    MOST_BLOCKS,
+    PX_ONE,
+    UNIT_M,
+    Blocks,
+    Frame,
+    Lens,
+    place_of,
+    quantised,
+)
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration, CameraFit, at_lens_position
-from agent.core.ranging.camera_model import Eye, to_world
-from agent.core.ranging.focus import h, lens_position, phase_sigma, range_variance
-from agent.core.ranging.lens_sag import at_tilt
+from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, to_world
+from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
 from agent.core.step_io import BlockPeaks
 
 ACROSS, DOWN = 25, 19

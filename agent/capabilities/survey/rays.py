@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from agent.core.keyframe import BEND_ONE, PX_ONE, TURN_ONE, UNIT_M, Lens, Place, Quaternion
+from agent.core.capability_messages import BEND_ONE, PX_ONE, TURN_ONE, UNIT_M, Lens, Place, Quaternion
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Rotation
 

@@ -13,10 +13,10 @@ from agent.capabilities.light.frames import FrameScene, Spot
 from agent.capabilities.survey.cast import cast
 from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, Grid
 from agent.capabilities.survey.rays import along, place_m, rotation, slope
-from agent.core.claim import View
+from agent.core.capability_messages import View
 from agent.core.messages import Vector
 
-ACROSS, DOWN = 5, 4
+SPOTS_ACROSS, SPOTS_DOWN = 5, 4
 ON_M = 1e-6  # of a wall or the floor: a ray ends there, but for rounding
 AHEAD_M = 1.0  # where lamps aim of a view that is expected to show nothing
 
@@ -24,11 +24,11 @@ AHEAD_M = 1.0  # where lamps aim of a view that is expected to show nothing
 def frame_scene(view: View, grid: Grid, cells: Mapping[int, int], stops: frozenset[int]) -> FrameScene:
     """cells, stops: of the map (CoverageMap)."""
     r, at = rotation(view.turn), place_m(view.place)
-    axis, worth = along(r, (0.0, 0.0)), view.lens.cols * view.rows / (ACROSS * DOWN)
+    axis, worth = along(r, (0.0, 0.0)), view.lens.cols * view.rows / (SPOTS_ACROSS * SPOTS_DOWN)
     spots = []
-    for j in range(DOWN):
-        for i in range(ACROSS):
-            s = slope(view.lens, (i + 0.5) * view.lens.cols / ACROSS, (j + 0.5) * view.rows / DOWN)
+    for j in range(SPOTS_DOWN):
+        for i in range(SPOTS_ACROSS):
+            s = slope(view.lens, (i + 0.5) * view.lens.cols / SPOTS_ACROSS, (j + 0.5) * view.rows / SPOTS_DOWN)
             way = along(r, s)
             if (hit := cast(at, way, grid, stops)) is None:
                 continue

@@ -26,16 +26,14 @@ from agent.capabilities.survey.grid import grid_of
 from agent.capabilities.survey.making import block_px, frame_of, lens_of, sigma_of
 from agent.capabilities.survey.spots import frame_scene
 from agent.capabilities.swim.barrier import MARGIN_M, WALL_M, Planar
-from agent.core.angle import wrap
-from agent.core.claim import View
+from agent.core.capability_messages import MOST_NUMBER, UNIT_M, Frame, View
 from agent.core.config import Fleet, Pose, Survey
-from agent.core.control.lens_positions import full_positions, home_position
-from agent.core.keyframe import MOST_NUMBER, UNIT_M, Frame
+from agent.core.control.sweep import full_positions, home_position
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import Eye
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import Calibration, Eye
 from agent.core.step_io import BlockPeaks, SweepPlan
+from agent.core.step_transaction import Revertible
 
 Phase = Literal["choose", "go", "look", "sweep", "done"]
 

@@ -26,13 +26,11 @@ from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.corrections import GATE
 from agent.capabilities.swim.event_ring import RING_NS, Event, EventRing, sighting
 from agent.capabilities.swim.pose_filter import Belief, Drift
-from agent.core.angle import wrap
-from agent.core.dense import dot
 from agent.core.estimation.interface import Posterior
-from agent.core.matrix import apply, inverse, plus, quadratic
+from agent.core.linear_algebra import apply, dot, inverse, plus, quadratic, wrap
 from agent.core.messages import Symmetric, Vector
-from agent.core.ranging.own_pose import carried
-from agent.core.savepoint import Revertible
+from agent.core.ranging.fix import carried
+from agent.core.step_transaction import Revertible
 
 NEED_M = 0.02  # one sigma of place: a robot that sees tags between its sweeps knows better by itself
 LATE_NS = 4_000_000_000  # the sharpest frame of a sweep may be its first

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from agent.capabilities.swim.pose_filter import Belief
-from agent.core.angle import wrap
+from agent.core.linear_algebra import wrap
 
 HULL_M = 0.14  # from its centre to a wall that it leans against
 FARTHEST = 3.0  # sigmas beyond: what is farther out was believed wrong, and tells nothing of how wrong

@@ -15,8 +15,8 @@ from agent.capabilities.swim.pilot import Reference
 from agent.capabilities.swim.search import Hunt, search
 from agent.capabilities.swim.surroundings import Surroundings, facing, walled_in
 from agent.capabilities.swim.trial import Stage, trial
-from agent.core.angle import wrap
 from agent.core.config import Behaviour, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
 
 THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived: so near, for so long

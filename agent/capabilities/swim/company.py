@@ -14,9 +14,9 @@ from agent.capabilities.swim.neighbours import Neighbours, content_fault
 from agent.capabilities.swim.pilot import Reference
 from agent.capabilities.swim.pose_filter import Belief
 from agent.core.config import Fleet
-from agent.core.matrix import plus
-from agent.core.presence import Presence
-from agent.core.savepoint import Revertible
+from agent.core.linear_algebra import plus
+from agent.core.messages import Presence
+from agent.core.step_transaction import Revertible
 from agent.core.topics import NEAR, next_due_ns
 
 NEAR_NS = round(1e9 / NEAR.hz)

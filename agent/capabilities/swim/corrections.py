@@ -10,8 +10,7 @@ import math
 from collections.abc import Sequence
 
 from agent.capabilities.swim.pose_filter import BIAS, Belief, Covariance, begin, frozen, has_gyro, learnt, own
-from agent.core.angle import wrap
-from agent.core.dense import cholesky, dot, inverse
+from agent.core.linear_algebra import cholesky, dot, lower_inverse, wrap
 from agent.core.messages import Symmetric, Vector
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
@@ -102,7 +101,7 @@ def _correct(belief: Belief, H: Sequence[Sparse], misses: Sequence[float], R: Co
     L = cholesky(S)
     if L is None:
         raise ValueError("the covariance of the pose is not positive")
-    W = inverse(L)
+    W = lower_inverse(L)
     nis = dot(misses, [dot(row, misses) for row in W])
     K = [[dot(row, column) for row in W] for column in zip(*HP, strict=True)]  # n x m
     x = [a + dot(gain, misses) for a, gain in zip(belief.x, K, strict=True)]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from agent.capabilities.swim.projection import View
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import SeenTag
 

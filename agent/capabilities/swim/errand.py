@@ -12,11 +12,11 @@ from agent.capabilities.swim.neighbours import Neighbours
 from agent.capabilities.swim.search import Hunt
 from agent.capabilities.swim.surroundings import Surroundings, velocity_m_s
 from agent.core.config import Behaviour, Fleet, Follow, Pose, Search, Survey
-from agent.core.control.roam import Roam, all_around, spiral
-from agent.core.control.seek import Seek
-from agent.core.estimation.choice import dynamics, pursued
-from agent.core.ranging.calibration import Calibration
-from agent.core.savepoint import Revertible
+from agent.core.control.search_pattern import Roam, all_around, spiral
+from agent.core.control.target_search import Seek
+from agent.core.estimation.protocols import dynamics, pursued
+from agent.core.ranging.camera_model import Calibration
+from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetEstimate
 
 SCREEN_NS = 6_000_000_000  # remembered for so long: where exactly it is nobody knows, and a fish swims on

@@ -18,7 +18,7 @@ from agent.capabilities.swim.body_model import Hull, Wrench
 from agent.capabilities.swim.corrections import add_fix, add_flow, add_rate, add_sighting
 from agent.capabilities.swim.pose_filter import Belief, Drift, ask, keep_key, predict
 from agent.core.messages import Symmetric, Vector
-from agent.core.savepoint import Revertible
+from agent.core.step_transaction import Revertible
 
 RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
 KEEP_NS = 6_000_000_000  # as long as telemetry is kept (control/attitude.py)

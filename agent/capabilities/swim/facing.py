@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from agent.capabilities.swim.layout import Marker
-from agent.core.matrix import cross, difference
+from agent.core.linear_algebra import cross, difference
 from agent.core.messages import Vector
 
 

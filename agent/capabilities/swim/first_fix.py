@@ -16,8 +16,7 @@ from agent.capabilities.swim.layout import Marker
 from agent.capabilities.swim.projection import Theta, View, direction, upright
 from agent.capabilities.swim.tag_fix import Map, NoFix, TagFix, tag_fix, whole
 from agent.capabilities.swim.tag_priors import Priors
-from agent.core.angle import wrap
-from agent.core.dense import backward, cholesky, forward
+from agent.core.linear_algebra import backward, cholesky, forward, wrap
 from agent.core.step_io import SeenTag
 
 LARGEST = 3  # tags to begin from: the nearest say most

@@ -24,8 +24,8 @@ from typing import NamedTuple
 from agent.capabilities.swim.barrier import Planar
 from agent.capabilities.swim.pilot import Reference
 from agent.capabilities.swim.surroundings import Surroundings, facing, known, sight_m, velocity_m_s, within_walls
-from agent.core.angle import wrap
 from agent.core.config import Follow
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
 from agent.core.target_state import TargetEstimate
 

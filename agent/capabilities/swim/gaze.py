@@ -18,7 +18,7 @@ import math
 from collections.abc import Sequence
 
 from agent.core.messages import Symmetric, Vector
-from agent.core.savepoint import Revertible
+from agent.core.step_transaction import Revertible
 
 LOST_NS = 400_000_000  # four frames without it
 ELSEWHERE_NS = 200_000_000  # several steps

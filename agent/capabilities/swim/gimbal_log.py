@@ -13,11 +13,9 @@ from collections import deque
 from typing import NamedTuple
 
 from agent.core.config import Body
-from agent.core.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing
-from agent.core.control.servo_path import ServoPath, Stand
-from agent.core.ranging.calibration import CameraFit
-from agent.core.ranging.camera_model import gimbal_deg
-from agent.core.savepoint import Revertible
+from agent.core.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing, ServoPath, Stand
+from agent.core.ranging.camera_model import CameraFit, gimbal_deg
+from agent.core.step_transaction import Revertible
 
 TURNS = 16  # that are remembered: more than a key frame's four seconds hold
 REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)

@@ -10,9 +10,8 @@ from agent.capabilities.swim.facing import facing
 from agent.capabilities.swim.layout import Marker
 from agent.core.attitude import Attitude
 from agent.core.config import Body, Pose
-from agent.core.ranging.calibration import CameraFit
-from agent.core.ranging.camera_model import look_at
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import CameraFit, look_at
+from agent.core.step_transaction import Revertible
 
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
 CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, nobody says

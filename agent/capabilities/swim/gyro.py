@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from msgspec import UNSET
 
-from agent.core.savepoint import Revertible
 from agent.core.step_io import Telemetry
+from agent.core.step_transaction import Revertible
 
 FULL_SCALE_RAD_S = math.radians(249.0)  # of 250 deg/s, hw/firmware/gyro.py
 LATE_NS = 10_000_000  # its low-pass of 25 Hz, and half a cycle of 10 ms until it is told

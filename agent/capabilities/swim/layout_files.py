@@ -14,9 +14,8 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 
 from agent.capabilities.swim.on_face import on_face
-from agent.core.config import ConfigError, Landmarks, Positive, Struct, Tank
+from agent.core.config import ConfigError, Landmarks, Positive, Struct, Tank, convert, read_toml
 from agent.core.messages import Vector
-from agent.core.toml_files import convert, read_toml
 
 MOST_IDS = 587  # of the family 36h11
 DIGITS = 9  # of what was computed from a quaternion: a nanometre
@@ -73,14 +72,14 @@ class Rotation(msgspec.Struct):
     quaternion: Quaternion
 
 
-class Pose(msgspec.Struct):
+class RosPose(msgspec.Struct):
     translation: dict[Literal["x", "y", "z"], float]
     rotation: Rotation
 
 
 class FieldTag(msgspec.Struct):
     ID: int
-    pose: Pose
+    pose: RosPose
 
 
 class FieldLayout(msgspec.Struct):

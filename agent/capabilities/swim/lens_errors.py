@@ -13,8 +13,8 @@ import math
 from functools import lru_cache
 from typing import NamedTuple
 
-from agent.core.dense import cholesky
-from agent.core.ranging.calibration import CameraFit
+from agent.core.linear_algebra import cholesky
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Slope
 
 NUMBERS = 10  # CameraFit.covariance

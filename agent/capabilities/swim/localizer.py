@@ -28,13 +28,12 @@ from agent.capabilities.swim.tag_priors import TURNING_DEG, Priors, priors, wake
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet
 from agent.core.estimation.interface import Posterior, Prior
-from agent.core.matrix import minus, plus, times
+from agent.core.linear_algebra import minus, plus, times
 from agent.core.messages import Vector, Whereabouts
-from agent.core.ranging.calibration import BodyFit, Calibration
-from agent.core.ranging.fix import Fix
-from agent.core.ranging.own_pose import MEMORY_S, OwnPose, carried, kappa, longest_gap_s
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import BodyFit, Calibration
+from agent.core.ranging.fix import MEMORY_S, Fix, OwnPose, carried, kappa, longest_gap_s
 from agent.core.step_io import Flow, SeenTags
+from agent.core.step_transaction import Revertible
 
 STILL: Wrench = (*AT_REST, 0.0)
 UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks

@@ -11,12 +11,11 @@ from collections.abc import Collection
 from agent.capabilities.swim.barrier import RINGS_M, Disc, Planar, robot
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
-from agent.core.estimation.evidence_checks import MARGIN_M, SLACK, finite, inside, widest_m2
-from agent.core.letters import Letter, Letters
-from agent.core.matrix import semidefinite, trace
-from agent.core.messages import Vector
-from agent.core.presence import Presence
-from agent.core.savepoint import Revertible
+from agent.core.estimation.evidence_table import MARGIN_M, SLACK, finite, inside, widest_m2
+from agent.core.linear_algebra import semidefinite, trace
+from agent.core.messages import Presence, Vector
+from agent.core.step_transaction import Revertible
+from agent.core.trust import Letter, Letters
 
 FASTEST_M_S = 2.0  # a robot that drops from a hand; none swims at a quarter of it
 OLDEST_NS = 1_000_000_000  # a place was that old, at most, when it was said

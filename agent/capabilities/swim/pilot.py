@@ -17,7 +17,7 @@ from typing import NamedTuple
 from agent.capabilities.swim.barrier import STILL, Planar
 from agent.capabilities.swim.body_model import Hull, Wrench, damping, turn_damping
 from agent.capabilities.swim.pose_filter import Belief
-from agent.core.angle import wrap
+from agent.core.linear_algebra import wrap
 
 # As stiff as is damped by 0.3 and more where thrusters lag by 0.08 to 0.15 s, mass and inertia are 0.75 to 1.3 times
 # what is believed and fixes are 0.2 s late. At 3.0 the lightest and fastest body with the latest fixes swings for ever;

@@ -20,8 +20,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from agent.capabilities.swim.projection import Theta, Upright, View, direction, upright
-from agent.core.angle import wrap
-from agent.core.dense import backward, cholesky, forward, inverse
+from agent.core.linear_algebra import backward, cholesky, forward, lower_inverse, wrap
 from agent.core.messages import Symmetric, Vector
 
 FARTHEST_M = 3.0  # of a point from the camera
@@ -105,7 +104,7 @@ def odometry(
     way_m = math.hypot(state[0], state[1])
     if L is None or len(kept) < FEWEST or off > AGREE_RAD or way_m > LONGEST_M:
         return None
-    C, s2 = inverse(L), max(off, SEEN_RAD) ** 2
+    C, s2 = lower_inverse(L), max(off, SEEN_RAD) ** 2
     m2, rad2 = STANDS_M * STANDS_M + (OF_WAY * way_m) ** 2, TURN_RAD * TURN_RAD + unsettled * unsettled
     covariance = s2 * C[0][0] + m2, s2 * C[0][1], s2 * C[0][2], s2 * C[1][1] + m2, s2 * C[1][2], s2 * C[2][2] + rad2
     return Moved((state[0], state[1], wrap(state[2])), covariance, len(kept))

@@ -25,9 +25,7 @@ from agent.capabilities.swim.body_model import (
     Wrench,
     motion,
 )
-from agent.core.angle import wrap
-from agent.core.dense import Rows
-from agent.core.matrix import ZERO
+from agent.core.linear_algebra import ZERO, Rows, wrap
 from agent.core.messages import Symmetric, Vector
 
 FIRST_BIAS_RAD_S = math.radians(0.6)

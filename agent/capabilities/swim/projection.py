@@ -13,9 +13,9 @@ from typing import NamedTuple
 from agent.capabilities.swim.layout import survey_jacobian
 from agent.capabilities.swim.lens_errors import LensError, lens_errors
 from agent.core.config import Body
-from agent.core.matrix import cross
+from agent.core.linear_algebra import cross
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import Slope
 
 Theta = tuple[float, float, float, float, float, float, float, float]

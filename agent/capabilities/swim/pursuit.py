@@ -19,19 +19,17 @@ from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_priors import TURNING_DEG
 from agent.core.attitude import Attitude, AttitudeLog
 from agent.core.config import Fleet
-from agent.core.control.seek import Seek
-from agent.core.control.servo_path import SERVO_LAG_S
-from agent.core.estimation.choice import dynamics, pursued
-from agent.core.estimation.dynamics import Dynamics, growth
+from agent.core.control.pointing import SERVO_LAG_S
+from agent.core.control.target_search import Seek
 from agent.core.estimation.interface import Bearing, Posterior
+from agent.core.estimation.protocols import dynamics, pursued
+from agent.core.estimation.track import Dynamics, growth
 from agent.core.messages import Symmetric, Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import camera_pose, look_at
-from agent.core.ranging.cues import Outline
+from agent.core.ranging.camera_model import Calibration, camera_pose, look_at
+from agent.core.ranging.fix import NEAREST_M, Outline, sight_line
 from agent.core.ranging.focus import lens_position
-from agent.core.ranging.sight_line import NEAREST_M, sight_line
-from agent.core.savepoint import Revertible
 from agent.core.step_io import Sighting
+from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState, grown
 
 STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves

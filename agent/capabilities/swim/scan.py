@@ -11,12 +11,12 @@ import math
 
 from agent.capabilities.swim.gaze import SWIFTEST_DEG_S, triangle
 from agent.core.config import Body
-from agent.core.control.roam import rows_deg
-from agent.core.ranging.calibration import CameraFit
-from agent.core.savepoint import Revertible
+from agent.core.control.search_pattern import rows_deg
+from agent.core.ranging.camera_model import CameraFit
+from agent.core.step_transaction import Revertible
 
 AWAY_NS = 200_000_000  # several steps
-ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew
+SCAN_ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew
 
 
 class Scan(Revertible):
@@ -34,7 +34,7 @@ class Scan(Revertible):
         low, high = body.pan_limit_deg
         rows = rows_deg(camera, body, depth_m, surface_m)
         since_ns, self._asked_ns = now_ns - self._asked_ns, now_ns
-        if since_ns > ELSEWHERE_NS:
+        if since_ns > SCAN_ELSEWHERE_NS:
             self._turn = self._share
         elif since_ns < AWAY_NS and not rests:
             self._turn += since_ns * 1e-9 * SWIFTEST_DEG_S / (2.0 * (high - low))

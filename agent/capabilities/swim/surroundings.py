@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from agent.capabilities.swim.barrier import MARGIN_M, STILL, WALL_M, Planar
-from agent.core.angle import wrap
+from agent.core.linear_algebra import wrap
 from agent.core.target_state import TargetEstimate
 
 SEEN_NS = 20_000_000_000  # a glance at landmarks takes seconds, and targets take turns: unseen for longer is unknown

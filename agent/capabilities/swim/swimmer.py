@@ -38,15 +38,13 @@ from agent.capabilities.swim.pose_filter import Belief
 from agent.capabilities.swim.task import Task
 from agent.core.attitude import Attitude, AttitudeLog
 from agent.core.config import Fleet, Pose
-from agent.core.control.seek import Seek
-from agent.core.estimation.choice import pursued
+from agent.core.control.target_search import Seek
 from agent.core.estimation.interface import Posterior
-from agent.core.messages import Vector
-from agent.core.net import SURFACE_M
-from agent.core.presence import Presence
-from agent.core.ranging.calibration import Calibration
-from agent.core.savepoint import Revertible
+from agent.core.estimation.protocols import pursued
+from agent.core.messages import Presence, Vector
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Flow, SeenTags, Telemetry
+from agent.core.step_transaction import SURFACE_M, Revertible
 from agent.core.target_state import TargetEstimate
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain

@@ -20,10 +20,21 @@ from agent.capabilities.swim.lens_errors import slope_error
 from agent.capabilities.swim.projection import Gaze, Seen, Theta, View, gaze, seen
 from agent.capabilities.swim.tag_noise import TagNoise, tag_noise
 from agent.capabilities.swim.tag_priors import Priors
-from agent.core.angle import wrap
 from agent.core.config import Landmarks
-from agent.core.dense import backward, cholesky, dot, dot8, forward, forward_all, forward_nine, inverse
-from agent.core.matrix import ZERO, minus, plus
+from agent.core.linear_algebra import (
+    ZERO,
+    backward,
+    cholesky,
+    dot,
+    dot8,
+    forward,
+    forward_all,
+    forward_nine,
+    lower_inverse,
+    minus,
+    plus,
+    wrap,
+)
 from agent.core.messages import Symmetric
 from agent.core.step_io import SeenTag
 
@@ -198,7 +209,7 @@ def _normal(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _N
 
 def _fix(of: View, priors: Priors, used: Sequence[_Used], found: _Minimum) -> TagFix:
     """The fix at the minimum, and its covariance."""
-    normal, C = found.normal, inverse(found.L)
+    normal, C = found.normal, lower_inverse(found.L)
     odd = sum(weight < 1.0 for weight in normal.weights)
     stays = ZERO
     for (_, _, noise), weight, J in zip(used, normal.weights, normal.columns, strict=True):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from agent.capabilities.swim.layout import Marker
 from agent.capabilities.swim.projection import Seen, View, by_survey
 from agent.core.config import Landmarks
-from agent.core.dense import cholesky
+from agent.core.linear_algebra import cholesky
 from agent.core.step_io import SeenTag
 
 # Measured on rendered frames, blurred by 0 to 7 px, of 640x480.

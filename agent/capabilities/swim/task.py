@@ -8,10 +8,10 @@ from agent.capabilities.swim.barrier import Planar
 from agent.capabilities.swim.behaviour import Progress, reference, start
 from agent.capabilities.swim.pilot import Reference
 from agent.capabilities.swim.surroundings import Surroundings
-from agent.core.angle import wrap
 from agent.core.config import Behaviour, Hold, Robot
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.savepoint import Revertible
+from agent.core.step_transaction import Revertible
 
 
 class Task(Revertible):

@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 from agent.capabilities.swim.pilot import Reference
-from agent.core.angle import wrap
 from agent.core.config import Trial
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
 
-NEAR_M, NEAR_RAD = 0.05, math.radians(5.0)  # of where a leg begins; nobody has to be there exactly
+TRIAL_NEAR_M, NEAR_RAD = 0.05, math.radians(5.0)  # of where a leg begins; nobody has to be there exactly
 APPROACH_NS, RUN_NS, COAST_NS = 12_000_000_000, 9_000_000_000, 3_000_000_000  # at most; at most; always
 QUARTER = 0.5 * math.pi  # of a turn, over which a turn runs
 
@@ -96,7 +96,7 @@ def _is_ready(what: Trial, leg: Line | Spin, pose: Vector) -> bool:
     way, yaw = (0.0, 0.0) if isinstance(leg, Spin) else (-leg.way * what.half_m, QUARTER if leg.sideways else 0.0)
     heading = math.radians(what.yaw_deg)
     x, y = what.x_m + way * math.cos(heading), what.y_m + way * math.sin(heading)
-    return math.hypot(x - pose[0], y - pose[1]) < NEAR_M and abs(wrap(heading + yaw - pose[2])) < NEAR_RAD
+    return math.hypot(x - pose[0], y - pose[1]) < TRIAL_NEAR_M and abs(wrap(heading + yaw - pose[2])) < NEAR_RAD
 
 
 def _along(what: Trial, pose: Vector) -> float:

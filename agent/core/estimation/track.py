@@ -13,11 +13,91 @@ v += C'^T e, the same by the matrix inversion lemma.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.core.estimation.dynamics import ROLLING, Dynamics, growth
-from agent.core.matrix import IDENTITY, WELL, ZERO, adjugate, apply, invert, minus, plus, quadratic, times, trace
+from agent.core.linear_algebra import (
+    IDENTITY,
+    WELL,
+    ZERO,
+    adjugate,
+    apply,
+    inverse,
+    invert,
+    minus,
+    plus,
+    quadratic,
+    times,
+    trace,
+    well_conditioned,
+)
 from agent.core.messages import Symmetric, Vector
+from agent.core.step_transaction import Revertible
+
+# @@ dynamics
+# How a target moves when nobody looks: a velocity that wanders, for ever or only so far.
+#
+# In each axis dv = -v/T dt + sqrt(q) dW. Without T the velocity is a random walk, right for what rolls and drifts,
+# whose speed an estimate may follow for long. An animal turns: with T, the time after which it has forgotten its
+# course, its velocity stays near v_rms = sqrt(q T / 2), and so does what a track believes of it while nobody sees it:
+# the integrated Ornstein-Uhlenbeck process (Uhlenbeck and Ornstein, Phys. Rev. 36, 1930), as Singer has it for the
+# acceleration (IEEE Trans. AES-6, 1970).
+
+# Of what swims, shares of its motion in each axis as variances: animals swim mostly level. Three tenths of the speed go
+# up and down at most; the twin's fish do with half of that.
+LEVEL: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 0.09)
+SMALL = 0.01  # of h/T: below, differences of what is alike lose digits, and a series is exact to 1e-12
+
+
+class Dynamics(NamedTuple):
+    """Constants of one target."""
+
+    psd_m2_s3: float  # q
+    turn_s: float  # T; inf: never
+    first_speed_m_s: float  # sigma of each component before any motion was seen
+
+    @property
+    def axes(self) -> Symmetric:
+        """What both variances are multiplied by."""
+        return IDENTITY if self.turn_s == math.inf else LEVEL
+
+
+class Growth(NamedTuple):
+    """Over a step: x += reach_s v, v *= kept, and the covariances that each level axis gains."""
+
+    reach_s: float
+    kept: float
+    place_m2: float
+    both_m2_s: float
+    speed_m2_s2: float
+
+
+ROLLING = Dynamics(4e-6, math.inf, 0.05)  # a ball rolled by a swell changes its speed by 2 mm/s in a second
+
+
+def swimming(speed_m_s: float, turn_s: float) -> Dynamics:
+    """An animal of this speed, most of it level, that keeps a course for about turn_s: speed/sqrt(2) in x and in y."""
+    v_rms_m_s = speed_m_s / math.sqrt(2.0)
+    return Dynamics(2.0 * v_rms_m_s * v_rms_m_s / turn_s, turn_s, v_rms_m_s)
+
+
+def growth(dynamics: Dynamics, h_s: float) -> Growth:
+    """What h_s brings; turn_s finite."""
+    q, T, _ = dynamics
+    x = h_s / T
+    gone = -math.expm1(-x)  # 1 - e
+    kept = 1.0 - gone
+    place = _place(x) if x < SMALL else x - gone - 0.5 * gone * gone
+    v2 = 0.5 * q * T  # v_rms^2
+    return Growth(T * gone, kept, 2.0 * v2 * T * T * place, v2 * T * gone * gone, v2 * gone * (1.0 + kept))
+
+
+def _place(x: float) -> float:
+    """x - 2 (1 - e^-x) + (1 - e^-2x)/2, where it is small."""
+    return x * x * x * (1 / 3 - x * (1 / 4 - x * (7 / 60 - x * (1 / 24 - x * 31 / 2520))))
+
+
+# @@ track
 
 Square = tuple[float, float, float, float, float, float, float, float, float]  # 3x3, row by row
 
@@ -184,3 +264,129 @@ def product(a: Square, b: Square) -> Square:
         a6 * b1 + a7 * b4 + a8 * b7,
         a6 * b2 + a7 * b5 + a8 * b8,
     )
+
+
+# @@ line
+# What a sample of rank 2 says: the target is on a line, so well across it, and nothing along it.
+
+FLAT = 1e-9  # of the trace's square, sum of the principal minors: below this a second direction is not known either
+ALONG = 1e-9  # of the trace, 1/m: what rounding leaves of a vector along the line
+
+
+class Line(NamedTuple):
+    """The points foot_m + s along."""
+
+    foot_m: Vector
+    along: Vector  # of length 1
+
+
+def line(information: Symmetric, vector: Vector) -> Line | None:
+    """The line of an information matrix without rank 3 and its vector; None where it leaves more than a line open, or
+    where the vector claims to know the place along it."""
+    adj, _ = adjugate(information)
+    size = trace(information)
+    if not trace(adj) > FLAT * size * size:
+        return None
+    # The adjugate of a matrix of rank 2 is that of its null direction, n n', times both eigenvalues.
+    xx, xy, xz, yy, yz, zz = adj
+    column = max(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), key=lambda c: c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    length = math.sqrt(column[0] * column[0] + column[1] * column[1] + column[2] * column[2])
+    n = column[0] / length, column[1] / length, column[2] / length
+    if abs(_dot(vector, n)) > ALONG * size:
+        return None
+    return Line(apply(invert(plus(information, times(size, outer(n)))), vector), n)
+
+
+def chord(of: Line, low_m: Vector, high_m: Vector) -> tuple[float, float] | None:
+    """From where to where along a line it is in a box; None: nowhere."""
+    first, last = -math.inf, math.inf
+    for x, n, low, high in zip(*of, low_m, high_m, strict=True):
+        if n == 0.0:
+            if not low <= x <= high:
+                return None
+            continue
+        near, far = sorted(((low - x) / n, (high - x) / n))
+        first, last = max(first, near), min(last, far)
+    return (first, last) if first < last else None
+
+
+def placed(information: Symmetric, vector: Vector, tank_m: Vector) -> tuple[Symmetric, Vector]:
+    """The same, with what is known beforehand: that the target is in the tank. Of a line, that it is anywhere on its
+    chord, which has the variance chord^2/12; of what hardly knows a direction, or two, anywhere in the box."""
+    of = line(information, vector) if inverse(information) is None else None
+    if of is None:
+        x, y, z = (12.0 / (size * size) for size in tank_m)
+        vx, vy, vz = (v + 6.0 / size for v, size in zip(vector, tank_m, strict=True))
+        return plus(information, (x, 0.0, 0.0, y, 0.0, z)), (vx, vy, vz)
+    ends = chord(of, (0.0, 0.0, 0.0), tank_m)
+    if ends is None:  # a little outside: as far along as the tank's middle is, within the tank's diagonal
+        half = 0.5 * math.sqrt(_dot(tank_m, tank_m))
+        x, y, z = of.foot_m
+        middle = _dot((0.5 * tank_m[0] - x, 0.5 * tank_m[1] - y, 0.5 * tank_m[2] - z), of.along)
+        ends = middle - half, middle + half
+    width, middle = ends[1] - ends[0], 0.5 * (ends[0] + ends[1])
+    weight = 12.0 / (width * width)
+    known = weight * (middle + _dot(of.foot_m, of.along))
+    x, y, z = (v + known * n for v, n in zip(vector, of.along, strict=True))
+    return plus(information, times(weight, outer(of.along))), (x, y, z)
+
+
+def outer(n: Vector) -> Symmetric:
+    """n n'"""
+    x, y, z = n
+    return x * x, x * y, x * z, y * y, y * z, z * z
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+# @@ fixed_lag_filter
+# A Kalman filter over samples that come late and out of order: frozen where the window begins, run again from there.
+#
+# What comes out is the filter of somebody who had every sample in time, as long as none is later than the window is
+# long. What is older than the window stays as one track, whose worth fades with the acceleration noise.
+
+ANYWHERE_M = (10.0, 10.0, 10.0)  # where nobody says how large the tank is
+
+
+class Held(NamedTuple):
+    """One sample as this robot keeps it."""
+
+    t_ns: int  # of exposure, on this robot's clock
+    information: Symmetric  # R^-1, 1/m^2; of rank 2 at least
+    vector: Vector  # R^-1 x̂, 1/m
+    exposed_ns: int = 0  # of exposure, on the clock of its origin; 0: not told
+    signature: bytes = b""
+
+
+class FixedLagFilter(Revertible):
+    """A track over the samples that it is shown; those up to the horizon it remembers, the others it must see again.
+
+    tank_m: where the target is for certain, which is all that a first bearing knows of the way along it.
+    """
+
+    def __init__(self, dynamics: Dynamics = ROLLING, tank_m: Vector = ANYWHERE_M) -> None:
+        self._dynamics, self._tank_m = dynamics, tank_m
+        self._frozen: Track | None = None
+
+    def run(self, samples: Iterable[Held], horizon_ns: int, now_ns: int) -> Track | None:
+        """The filter at this moment; None before the first sample.
+
+        samples: all that are newer than the horizon of the run before, in an order that is the same on every robot.
+        """
+        moments: dict[int, list[tuple[Symmetric, Vector]]] = {}
+        for held in samples:
+            moments.setdefault(held.t_ns, []).append((held.information, held.vector))
+        track = self._frozen
+        for t_ns in sorted(moments):
+            information, vector = summed(moments[t_ns])
+            if track is None:
+                if not well_conditioned(information):
+                    information, vector = placed(information, vector, self._tank_m)
+                track = begin(t_ns, information, vector, self._dynamics)
+            else:
+                track = correct(predict(track, t_ns, self._dynamics), information, vector)
+            if t_ns <= horizon_ns:
+                self._frozen = track
+        return None if track is None else predict(track, now_ns, self._dynamics)

@@ -14,12 +14,220 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.core.config import Cues, Target
-from agent.core.matrix import cross, plus, times
+from agent.core.estimation.interface import Bearing
+from agent.core.linear_algebra import ZERO, cross, plus, times
 from agent.core.messages import Symmetric, Vector
-from agent.core.ranging.calibration import Calibration, at_lens_position
-from agent.core.ranging.camera_model import Eye, apply, ray, slopes_per_px
-from agent.core.ranging.cues import NoRange, Outline, Range, distance
-from agent.core.ranging.own_pose import OwnPose, carried
+from agent.core.ranging.camera_model import (
+    Calibration,
+    CameraFit,
+    Eye,
+    FocusFit,
+    apply,
+    at_lens_position,
+    centre_behind_skin_m,
+    ray,
+    slopes_per_px,
+)
+from agent.core.ranging.focus import at_tilt, h, range_variance
+from agent.core.target_state import bearing, ranged
+
+# @@ cues
+# Two ways to know how far a ball is, from one sharp picture, and what they are worth together.
+#
+# Focus: h of the lens position at which the ball's skin is sharpest (paper, section 3). Size: the outline of a ball
+# of known radius R is a cone of rays with the half angle theta, and its centre is at d = R / sin(theta), off the axis
+# as on it. Both give d from the point where the camera's rays meet, along the ray to the ball's centre.
+#
+# Each carries two variances. `random` averages out over measurements. `systematic` does not: the focus fit's own
+# covariance, the picture's scale, the ball's tolerance, and where an edge seems to lie.
+
+# Measured on the twin, three cameras, clear and coastal water, 0.32 to 1.2 m: the radius of a whole, sharp outline is
+# off by 0.05 to 0.12 px (rms), mostly alike from frame to frame: texture at the rim, and blur that gamma makes uneven.
+EDGE_BIAS_PX = 0.09
+EDGE_NOISE_PX = 0.03
+ARC_POWER = 1.5  # where vision states no sigma, share ** -1.5 times as much: 0.25 px of half an outline
+CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
+WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
+DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
+
+
+class NoRange(NamedTuple):
+    """What was seen gives no range, or two that contradict each other."""
+
+    reason: str
+
+
+class Outline(NamedTuple):
+    """A ball as one frame shows it, or the box around something else."""
+
+    centre_px: tuple[float, float]  # where the ray to the ball's centre meets the image; middle of the box
+    radius_px: float | None  # angular radius times the f_px of that lens position; None: no ball
+    share: float  # vision's score, 0 to 1; where no sigma is stated, the share of the outline that was seen
+    lens_position: float | None  # of that frame
+    size_px: tuple[float, float] | None = None  # width and height of the box; None: a ball
+    radius_sigma_px: float | None = None  # standard deviation of the radius, as vision states it; None: it does not
+    centre_sigma_px: float = CENTRE_NOISE_PX  # of the middle, each way
+
+
+class Range(NamedTuple):
+    """Distance from the point where rays meet to the ball's centre, or to the surface in the middle of the box."""
+
+    distance_m: float
+    random_m2: float
+    systematic_m2: float
+    focus_share: float = 1.0  # how much of it is the focus's word; the rest is the size's
+
+    @property
+    def variance_m2(self) -> float:
+        return self.random_m2 + self.systematic_m2
+
+
+def distance(
+    calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, cues: Cues, tilt_rad: float
+) -> Range | NoRange:
+    """What the wanted cues say; NoRange where they have no range, or contradict each other.
+
+    rho, sigma_rho: lens position of the clarity's peak and its standard deviation. tilt_rad: how far the camera looks
+    up.
+    """
+    camera = at_lens_position(calibration.camera, outline.lens_position)
+    if cues == "size":
+        return size_range(camera, outline, ball)
+    focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
+    if focus is None:
+        return NoRange(f"peak at {rho:.0f} is sharp beyond all ranges")
+    alone = cues == "focus" or ball.radius_m is None
+    return focus if alone else fuse(focus, size_range(camera, outline, ball))
+
+
+def focus_range(
+    fit: FocusFit,
+    camera: CameraFit,
+    centre_px: tuple[float, float],
+    rho: float,
+    sigma_rho: float,
+    ball: Target,
+    tilt_rad: float = 0.0,
+) -> Range | None:
+    """The skin's z-depth from the pivot is h(rho); the centre lies behind it on the same ray. None beyond the pole.
+
+    Of a thing without known shape the skin is all there is.
+    """
+    fit = at_tilt(fit, tilt_rad)
+    u_m = h(fit, rho)
+    if u_m is None:
+        return None
+    m_z = ray(camera, centre_px)[2]
+    skin_m = (u_m - camera.ahead_m) / m_z
+    random, systematic = range_variance(fit, rho, sigma_rho)
+    travel = rho - fit.rho0
+    return Range(
+        skin_m + (0.0 if ball.radius_m is None else centre_behind_skin_m(skin_m, ball.radius_m)),
+        random / (m_z * m_z),
+        (systematic + (fit.b_m / travel**2 * WARMTH * fit.width) ** 2) / (m_z * m_z),
+    )
+
+
+def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
+    """d = R / sin(theta), theta = radius_px / f_px at the lens position of the frame.
+
+    Systematic: d / tan(theta) times the edge's bias in radians, the twin's or what vision states if that is more (it
+    grows as less of the outline is seen), d times the scale's relative error, d / R times the ball's tolerance, and
+    where rays meet.
+    """
+    assert ball.radius_m is not None and outline.radius_px is not None  # see distance()
+    f_px = at_lens_position(camera, outline.lens_position).f_px
+    theta = outline.radius_px / f_px
+    d = ball.radius_m / math.sin(theta)
+    per_px = d / math.tan(theta) / f_px
+    if outline.radius_sigma_px is None:
+        per_px *= outline.share**-ARC_POWER
+    bias_px = max(EDGE_BIAS_PX, outline.radius_sigma_px or 0.0)
+    ff, fa, aa = camera.scale_covariance
+    # A longer ahead_m is made up for by a shorter d: both count from the pivot.
+    scale = d * d * ff + 2.0 * d * fa + aa
+    tolerance = d / ball.radius_m * ball.radius_sigma_m
+    return Range(
+        d,
+        (per_px * EDGE_NOISE_PX) ** 2,
+        (per_px * bias_px) ** 2 + max(scale, 0.0) + tolerance * tolerance,
+        focus_share=0.0,
+    )
+
+
+def fuse(focus: Range, size: Range) -> Range | NoRange:
+    """Both, each weighed by the inverse of its whole variance; NoRange where they contradict each other."""
+    apart_m, both = focus.distance_m - size.distance_m, focus.variance_m2 + size.variance_m2
+    if apart_m * apart_m > DISAGREE * DISAGREE * both:
+        return NoRange(
+            f"focus says {focus.distance_m:.3f} m, size {size.distance_m:.3f} m, {abs(apart_m) / math.sqrt(both):.0f} "
+            "standard deviations apart; check the target's radius_m, or calibrate again"
+        )
+    w = size.variance_m2 / both
+    v = 1.0 - w
+    return Range(
+        w * focus.distance_m + v * size.distance_m,
+        w * w * focus.random_m2 + v * v * size.random_m2,
+        w * w * focus.systematic_m2 + v * v * size.systematic_m2,
+        focus_share=w,
+    )
+
+
+# @@ own_pose
+# What not knowing where one is oneself does to where one says that a target is.
+#
+# random += kappa J P_f J' ;  systematic += J B J' ;  J = [e_x, e_y, e_z x arm], arm from the robot to the target
+#
+# P_f: what fluctuates of (x, y, psi); B: what stays. Errors of a filtered pose are alike from one moment to the next,
+# so that samples of a target, dt apart, do not average out as independent ones do: n Var(mean) / P tends to kappa =
+# (1 + phi) / (1 - phi), phi = exp(-dt / tau), by which each sample is therefore made weaker.
+
+MEMORY_S = 10.0  # how far back gaps between fixes count
+# tau of a filtered pose: measured 0.25 s with fixes at 5 Hz, 0.75 s with gaps of 2 s in every 4.
+TAU_S, TAU_OF_GAP = 0.3, 0.25
+
+
+class OwnPose(NamedTuple):
+    """How well a robot knows its x, y and yaw where a target was seen: covariances, m and rad."""
+
+    fluctuates: Symmetric
+    stays: Symmetric
+    kappa: float
+
+
+EXACT = OwnPose(ZERO, ZERO, 1.0)  # for a measurement from the robot instead of in the world
+
+
+def kappa(since_last_s: float, gap_s: float) -> float:
+    """By how much a sample is worth less than an independent one. since_last_s: since the robot's sample before it."""
+    phi = math.exp(-since_last_s / (TAU_S + TAU_OF_GAP * gap_s))
+    return (1.0 + phi) / (1.0 - phi)
+
+
+def longest_gap_s(fixes_ns: Iterable[int], now_ns: int) -> float:
+    """The longest time without a fix of late; fixes_ns: their exposures, oldest first."""
+    last_ns, longest_ns = now_ns - round(MEMORY_S * 1e9), 0
+    for t_ns in (*fixes_ns, now_ns):
+        if t_ns > last_ns:
+            longest_ns, last_ns = max(longest_ns, t_ns - last_ns), t_ns
+    return longest_ns * 1e-9
+
+
+def carried(arm_m: Vector, of_pose: Symmetric) -> Symmetric:
+    """J P J': what an uncertain (x, y, psi) does to a place that lies arm_m from the robot, world frame."""
+    xx, xy, xp, yy, yp, pp = of_pose
+    jx, jy = -arm_m[1], arm_m[0]  # e_z x arm
+    return (
+        xx + 2.0 * jx * xp + jx * jx * pp,
+        xy + jy * xp + jx * yp + jx * jy * pp,
+        0.0,
+        yy + 2.0 * jy * yp + jy * jy * pp,
+        0.0,
+        0.0,
+    )
+
+
+# @@ fix
 
 # What the robot does not know of itself; figures of the twin, which took them from tape measures and cheap sensors.
 PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
@@ -111,3 +319,102 @@ def _sum(parts: Iterable[tuple[Vector, float]]) -> Symmetric:
         xx, xy, xz = xx + s * x * x, xy + s * x * y, xz + s * x * z
         yy, yz, zz = yy + s * y * y, yz + s * y * z, zz + s * z * z
     return xx, xy, xz, yy, yz, zz
+
+
+# @@ sight_line
+# One frame of a target as a bearing in the world: no sweep, and so no range but what its size may say: a ball's well,
+# a creature's hardly, for it may be seen from any side.
+#
+# Across the ray count the pixel, the gimbal, the body's level, and where the robot was by its own pose: what
+# fluctuates of it weaker by kappa, what stays as it is (own_pose.py).
+
+BENDING = 0.03  # of a box's longer side, by which a body that bends moves the middle of its box
+HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: which side it shows is known where that is
+SHOWN = 0.6  # of its length, which it shows from most sides
+HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
+# Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard
+# deviation of its logarithm 0.2, by what is blurred, bends and pitches; other fish are slimmer, or stouter. What one
+# frame says of the range the next ones do, for as long as it keeps its side: half a second of frames count as one.
+HIGH_SIGMA, ALIKE = 0.2, 5.0
+CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
+HEADS = 0.5  # of its usual speed: slower, it may face anywhere
+TURNS_RAD = 0.6  # by which it may face elsewhere than it is believed to swim: a track knows of a turn when it is over
+NEAREST_M = 0.1  # a target that is believed to be nearer would weigh too much
+
+
+def sight_line(
+    camera: CameraFit,
+    eye: Eye,
+    outline: Outline,
+    target: Target,
+    own: OwnPose,
+    gimbal_sigma_rad: float,
+    believed_m: Vector | None,
+    t_ns: int,
+    unknown_m: float,
+    sized: bool = True,
+    velocity_m_s: Vector | None = None,
+    tilt_sigma_rad: float = 0.0,
+) -> Bearing:
+    """The bearing of what a frame exposed at t_ns shows.
+
+    eye, own: of that moment. believed_m: where the target is believed to have been then, world frame; it gives the
+    range unless a ball's size does. None: nobody knows. unknown_m: the range then. sized: whether its size may say
+    anything of the range. velocity_m_s: of the target as it is believed to swim; None: nobody knows.
+    tilt_sigma_rad: what the gimbal may be off by up or down besides.
+    """
+    camera = at_lens_position(camera, outline.lens_position)
+    axis = apply(eye.rotation, (0.0, 0.0, 1.0))
+    px, py, pz = (p + camera.ahead_m * a for p, a in zip(eye.position_m, axis, strict=True))
+    r = apply(eye.rotation, ray(camera, outline.centre_px))
+    way = None if believed_m is None else (believed_m[0] - px, believed_m[1] - py, believed_m[2] - pz)
+    side = None if velocity_m_s is None else _side(r, velocity_m_s, target)
+    sigma_m, far_m = None, _height_range_m(outline, target, camera) if sized else None
+    if sized and target.radius_m is not None and outline.radius_px is not None:
+        size = size_range(camera, outline, target)
+        range_m, sigma_m = size.distance_m, math.sqrt(size.variance_m2)
+    elif way is not None:
+        range_m = max(r[0] * way[0] + r[1] * way[1] + r[2] * way[2], NEAREST_M)
+    else:
+        range_m = unknown_m if far_m is None else max(far_m, NEAREST_M)
+    arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
+    up_m = range_m * tilt_sigma_rad
+    pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))
+    pose_m2 = plus(pose_m2, (0.0, 0.0, 0.0, 0.0, 0.0, up_m * up_m))
+    px_sigma = math.hypot(
+        camera.noise_px, outline.centre_sigma_px, *_bent_px(outline, target, camera.f_px / range_m, side)
+    )
+    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
+    line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
+    if far_m is None:
+        return line
+    return ranged(line, (px, py, pz), r, far_m, HIGH_SIGMA * math.sqrt(ALIKE) * far_m, way)
+
+
+def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
+    """Share of its length that what swims so shows to who looks along the ray: 1 from its side; None: nobody knows."""
+    u, v = velocity_m_s[:2]
+    speed_m_s, far = math.hypot(u, v), math.hypot(ray[0], ray[1])
+    if target.speed_m_s is None or speed_m_s < HEADS * target.speed_m_s or far == 0.0:
+        return None
+    return min(abs(ray[0] * v - ray[1] * u) / (speed_m_s * far), 1.0)
+
+
+def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | None) -> tuple[float, float]:
+    """How far the middle of a box may be from the body's by its bending, and by what of it does not show."""
+    shown_px = max(outline.size_px or (0.0,))
+    if target.length_m is None:
+        return BENDING * shown_px, 0.0
+    whole_px = target.length_m * px_per_m
+    shows = SHOWN if side is None else max(math.sin(max(math.asin(side) - TURNS_RAD, 0.0)), HIGH)
+    return BENDING * max(shown_px, whole_px), HIDDEN * max(shows * whole_px - shown_px, 0.0)
+
+
+def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> float | None:
+    """About how far a creature of that length is that is so high in the picture; None: nobody knows its length, or
+    not all of its height shows."""
+    if target.length_m is None or outline.size_px is None:
+        return None
+    high_px, y_px = outline.size_px[1], outline.centre_px[1]
+    whole = y_px - 0.5 * high_px > CUT_PX and y_px + 0.5 * high_px < camera.height_px - CUT_PX
+    return HIGH * target.length_m * camera.f_px / high_px if whole and high_px > 0.0 else None

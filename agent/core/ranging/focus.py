@@ -13,9 +13,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 
 Array = NDArray[np.float64]
 Method = Literal["matched", "parabola", "argmax"]
@@ -285,3 +286,75 @@ def _top(x: Array, y: Array, method: Method) -> tuple[Array, Array]:
     convex = (bend < 0) & (best == i)
     top = x[i] - (d1 + bend * h1) / (2.0 * np.where(convex, bend, -1.0))
     return np.where(convex, np.clip(top, x[i - 1], x[i + 1]), x[best]), variance
+
+
+# @@ depth_of_field
+# The ranges over which a picture is as sharp as its pixels can show.
+#
+# The paper adds this width to the range of the peak. It is no error of the peak, which is found from the flanks and
+# an order of magnitude finer, so here it is a bound: what a single look at one frame could tell.
+
+
+def depth_of_field_m(u_m: float, focal_m: float, f_number: float, spot_m: float) -> float:
+    """L = f^2 u / (f^2 - G D (u - f)) - f^2 u / (f^2 + G D (u - f)) in air, metres (paper, section 3).
+
+    u from the lens, G the f-number, D the largest blur on the sensor that cannot be told from a point: one pixel in the
+    paper, 2 to 2.5 of them behind a colour filter. Infinite where the far limit is.
+    """
+    f2, reach = focal_m * focal_m, f_number * spot_m * (u_m - focal_m)
+    if reach >= f2:
+        return math.inf
+    return f2 * u_m / (f2 - reach) - f2 * u_m / (f2 + reach)
+
+
+def depth_of_field_in_water_m(
+    u_m: float, focal_m: float, f_number: float, spot_m: float, index: float, port_m: float
+) -> float:
+    """The same behind a flat port `port_m` ahead of the lens: what lies at u seems to be at port + (u - port) / n."""
+    return index * depth_of_field_m(port_m + (u_m - port_m) / index, focal_m, f_number, spot_m)
+
+
+# @@ lens_sag
+# The lens's own weight: looking up, it sinks towards the sensor, and the peak of every sweep lies a little elsewhere.
+#
+# A voice coil holds its lens on springs, so the shift is proportional to the component of gravity along the optical
+# axis. A micrometre at the vertical is five to eight lens positions of a small module, 10 mm at half a metre: more
+# than all that averages out. It is measured by repeating a distance with the camera looking up and down.
+
+UNKNOWN_SAG = 0.05  # of the peak's half width, standard deviation where nobody measured it: a micrometre of sag
+MIN_SPREAD = math.sin(math.radians(10.0))  # of sin(tilt), from the lowest to the highest view: less shows only noise
+
+
+class TiltedPeak(NamedTuple):
+    """A peak found with the camera looking up by `tilt_rad`; u_m is z-depth from the pivot along the tilted axis."""
+
+    u_m: float
+    rho: float
+    tilt_rad: float
+
+
+def at_tilt(fit: FocusFit, tilt_rad: float) -> FocusFit:
+    """The same lens looking up by `tilt_rad`: all its peaks shift alike, so rho0 does. How well the sag is known
+    joins the variance of rho0, hence what does not average out."""
+    up = math.sin(tilt_rad)
+    sigma = UNKNOWN_SAG * fit.width if fit.sag_sigma is None else fit.sag_sigma
+    xx, xy, xz, yy, yz, zz = fit.covariance
+    return replace(fit, rho0=fit.rho0 + fit.sag * up, covariance=(xx, xy, xz, yy, yz, zz + (sigma * up) ** 2))
+
+
+def with_sag(fit: FocusFit, peaks: Sequence[TiltedPeak]) -> FocusFit:
+    """`fit` with the sag that these peaks show; as it was where they do not differ enough in tilt.
+
+    A straight line of the peaks' shift against sin(tilt). Its intercept is left free: what warmed up since the
+    distances were taken is not sag.
+    """
+    up = [math.sin(peak.tilt_rad) for peak in peaks]
+    if len(peaks) < 3 or max(up) - min(up) < MIN_SPREAD:
+        return fit
+    shift = [peak.rho - lens_position(fit, peak.u_m) for peak in peaks]
+    mean_up, mean_shift = sum(up) / len(up), sum(shift) / len(shift)
+    spread = sum((s - mean_up) ** 2 for s in up)
+    sag = sum((s - mean_up) * (r - mean_shift) for s, r in zip(up, shift, strict=True)) / spread
+    rest = sum((r - mean_shift - sag * (s - mean_up)) ** 2 for s, r in zip(up, shift, strict=True))
+    noise = max(math.sqrt(rest / (len(peaks) - 2)), fit.noise)
+    return replace(fit, sag=sag, sag_sigma=noise / math.sqrt(spread))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from agent.core.ranging.calibration import FocusFit
+from agent.core.ranging.camera_model import FocusFit
 from agent.experiments.result import ExperimentResult, Row
 from agent.process.fleet_files import shipped_fleet
 from agent.process.progress import Progress

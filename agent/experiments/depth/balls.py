@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import get_args
 
 from agent.core.config import Cues
-from agent.core.ranging.depth_of_field import depth_of_field_in_water_m
+from agent.core.ranging.focus import depth_of_field_in_water_m
 from agent.experiments.ball_measurements import ball_measurements
 from agent.experiments.result import Row
 from agent.experiments.sweeps import WATER_INDEX

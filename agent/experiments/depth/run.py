@@ -15,9 +15,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import Calibration, CameraFit
-from agent.core.ranging.focus import Array, Method
-from agent.core.ranging.lens_sag import at_tilt
+from agent.core.ranging.camera_model import Calibration, CameraFit
+from agent.core.ranging.focus import Array, Method, at_tilt
 from agent.experiments.choices import Sensor
 from agent.experiments.depth.balls import BALL_M, BALL_PLACES, ball_rows
 from agent.experiments.depth.wall import calibrate, sweeps_of_a_calibration

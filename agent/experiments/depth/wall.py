@@ -11,10 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from agent.core.ranging.calibration import FocusFit
-from agent.core.ranging.focus import fit_peaks
-from agent.core.ranging.lens_sag import TiltedPeak, with_sag
-from agent.experiments.still_camera import StillCamera, View
+from agent.core.ranging.camera_model import FocusFit
+from agent.core.ranging.focus import TiltedPeak, fit_peaks, with_sag
+from agent.experiments.still_camera import StillCamera, TankView
 from agent.experiments.sweeps import BLOCK_PX, facing_wall, lens_positions, sweep
 from agent.perception.depth_sweep import MIN_QUALITY, clarity_of
 from agent.tools.fit import FocusRow, fit_focus
@@ -50,7 +49,7 @@ def calibrate(camera: StillCamera, growth: float, step: Callable[[], None]) -> F
     return with_sag(fit_focus(found), tilted)
 
 
-def wall_peak(camera: StillCamera, view: View, growth: float) -> tuple[float, float] | None:
+def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float, float] | None:
     """Median peak and half width of the blocks in the picture's middle, lens positions; None where none has a peak.
 
     A wall has no edges in depth for the strict gate to find: it would only take blocks away, nearly all of them at the

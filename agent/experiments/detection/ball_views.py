@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import WaterKind
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.choices import Sensor
-from agent.experiments.still_camera import StillCamera, View
+from agent.experiments.still_camera import StillCamera, TankView
 from hw.camera.camera import Image
 from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
@@ -78,7 +78,7 @@ def ball_views(water: WaterKind, sensor: Sensor, seed: int, count: int) -> Itera
             yield _ball_view(full, bare, view, lens_position, range_m, lens_position == sharp)
 
 
-def _view(ball_m: Array, rng: np.random.Generator) -> tuple[View, float]:
+def _view(ball_m: Array, rng: np.random.Generator) -> tuple[TankView, float]:
     """A place in the tank from which the ball can be seen, and its distance from there."""
     while True:
         range_m, azimuth, height_m = rng.uniform(*RANGE_M), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(*HEIGHT_M)
@@ -90,7 +90,7 @@ def _view(ball_m: Array, rng: np.random.Generator) -> tuple[View, float]:
             break
     yaw_deg = math.degrees(azimuth) + rng.uniform(-ASIDE_DEG[0], ASIDE_DEG[0])
     tilt_deg = math.degrees(math.atan2(drop_m, flat_m)) + rng.uniform(-ASIDE_DEG[1], ASIDE_DEG[1])
-    return View((float(x), float(y), height_m), yaw_deg, tilt_deg), range_m
+    return TankView((float(x), float(y), height_m), yaw_deg, tilt_deg), range_m
 
 
 def _sharp_position(camera: StillCamera, distance_m: float) -> int:
@@ -101,7 +101,7 @@ def _sharp_position(camera: StillCamera, distance_m: float) -> int:
 
 
 def _ball_view(
-    full: StillCamera, bare: StillCamera, view: View, lens_position: int, range_m: float, sharp: bool
+    full: StillCamera, bare: StillCamera, view: TankView, lens_position: int, range_m: float, sharp: bool
 ) -> BallView:
     """The two frames, and the truth from their depths."""
     images, depths = [], []

@@ -13,7 +13,7 @@ from agent.experiments.detection.picture_run import Result, Seen
 from agent.experiments.figure_files import Figures
 from hw.picture_files import read_picture
 
-COLUMNS, ROWS = 4, 4  # of a sheet
+SHEET_COLUMNS, ROWS = 4, 4  # of a sheet
 TILE_PX = (400, 300)  # width, height
 FOUND, MISSED, FALSE = (255, 255, 255), (0, 0, 255), (0, 255, 255)  # blue green red
 
@@ -21,15 +21,15 @@ FOUND, MISSED, FALSE = (255, 255, 255), (0, 0, 255), (0, 255, 255)  # blue green
 def figures(result: Result) -> Figures:
     """Sheets of all pictures with something to show: a marked ball, or one where there is none."""
     worth = [seen for seen in result.shown if seen.outcomes or seen.false]
-    for number, start in enumerate(range(0, len(worth), COLUMNS * ROWS), start=1):
-        yield f"sheet_{number:03d}.png", _sheet(worth[start : start + COLUMNS * ROWS])
+    for number, start in enumerate(range(0, len(worth), SHEET_COLUMNS * ROWS), start=1):
+        yield f"sheet_{number:03d}.png", _sheet(worth[start : start + SHEET_COLUMNS * ROWS])
 
 
 def _sheet(pictures: Sequence[Seen]) -> Figure:
     width, height = TILE_PX
-    canvas = np.zeros((height * -(-len(pictures) // COLUMNS), width * COLUMNS, 3), np.uint8)
+    canvas = np.zeros((height * -(-len(pictures) // SHEET_COLUMNS), width * SHEET_COLUMNS, 3), np.uint8)
     for k, seen in enumerate(pictures):
-        top, left = height * (k // COLUMNS), width * (k % COLUMNS)
+        top, left = height * (k // SHEET_COLUMNS), width * (k % SHEET_COLUMNS)
         tile = _tile(seen)
         canvas[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
     figure = Figure(figsize=(canvas.shape[1] / 100, canvas.shape[0] / 100), dpi=100)

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from agent.core.config import Colour
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.detection.marked_pictures import COLOURS, MarkedBall, marked_pictures
 from agent.experiments.result import ExperimentResult, Row
 from agent.perception.detection.detect import Ball, find_balls
@@ -89,7 +89,7 @@ def run(settings: Settings, progress: Progress) -> Result:
     return Result(
         folder=str(settings.folder),
         pictures=len(seen),
-        balls={colour: figures([one for one in outcomes if one.marked.colour == colour]) for colour in COLOURS},
+        balls={colour: rates([one for one in outcomes if one.marked.colour == colour]) for colour in COLOURS},
         false=false,
         by_radius=by_radius(outcomes),
         within_sigma=within_sigma(outcomes),
@@ -143,7 +143,7 @@ def relative_error(one: Outcome) -> float:
     return abs(one.ball.radius_px - one.marked.radius_px) / one.marked.radius_px
 
 
-def figures(outcomes: Sequence[Outcome]) -> Row:
+def rates(outcomes: Sequence[Outcome]) -> Row:
     """How many of them were found, and how exactly."""
     errors = [relative_error(one) for one in outcomes if one.ball]
     median = float(np.median(errors)) if errors else None
@@ -158,7 +158,7 @@ def by_radius(outcomes: Sequence[Outcome]) -> list[Row]:
             group = [o for o in outcomes if o.marked.colour == colour and low <= o.marked.radius_px < high]
             if group:
                 radius_px = [low, None if math.isinf(high) else high]
-                table.append({"colour": colour, "radius_px": radius_px, **figures(group)})
+                table.append({"colour": colour, "radius_px": radius_px, **rates(group)})
     return table
 
 
@@ -177,7 +177,7 @@ def missed(outcomes: Sequence[Outcome], false: int) -> list[str]:
     lines = [f"{false} called a ball and none"] if false else []
     for colour in COLOURS:
         group = [one for one in outcomes if one.marked.colour == colour and one.marked.radius_px >= JUDGED_PX]
-        got = figures(group)
+        got = rates(group)
         if got["found"] < FOUND_SHARE * got["marked"]:
             lines.append(f"{colour}: {got['found']} of {got['marked']} from {JUDGED_PX:g} px radius found")
         if got["found"] and got["radius_error_median"] > RADIUS_ERROR:

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from agent.core.config import WaterKind
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.choices import DEFAULT_SENSOR, WATERS, Sensor
 from agent.experiments.detection.ball_views import BallView, ball_views
 from agent.experiments.result import ExperimentResult, Row

@@ -26,7 +26,7 @@ class Again(NamedTuple):
     by_others: bool  # others saw it then
 
 
-def figures(case: Case, draws: Sequence[Draw]) -> Row:
+def row_of(case: Case, draws: Sequence[Draw]) -> Row:
     """A row of result.json."""
     seen = {key: float(np.mean([share(draw)[key] for draw in draws])) for key in SHARES}
     error_m = np.concatenate([draw.error_m[draw.watched :].ravel() for draw in draws])

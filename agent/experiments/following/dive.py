@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from agent.capabilities.swim.pursuit import carried_on
 from agent.core.config import Body, Fleet, Pose
-from agent.core.estimation.choice import dynamics
+from agent.core.estimation.protocols import dynamics
 from agent.core.messages import Estimate, Message, Vector
 from agent.core.ranging.camera_model import camera_pose, look_at
 from agent.experiments.following.basin import fleet_of, weeds
 from agent.experiments.following.cases import Case
 from agent.experiments.following.drawn_fish import NEAREST_M, DrawnFish
 from agent.experiments.navigation.bodies import twin_bodies
-from agent.experiments.navigation.drawn_ball import FARTHEST_M, Pillar, hides, ring
+from agent.experiments.navigation.drawn_ball import BALL_FARTHEST_M, Pillar, hides, ring
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import FRAME_STEPS, Swimmers
 from agent.robot.core import Agent
@@ -92,7 +92,7 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         eyes, place = swimmers.eyes[name], swimmers.place(name)
         newest = eyes.coming[-1].sighting
         others = [ring(swimmers.bodies.pose(other)) for other in fleet.robot if other != name]
-        near = np.hypot(target_m[0] - place[0], target_m[1] - place[1]) < FARTHEST_M
+        near = np.hypot(target_m[0] - place[0], target_m[1] - place[1]) < BALL_FARTHEST_M
         clear = not any(hides(pillar, place[:2], target_m) for pillar in (*pillars, *others))
         reach = reaches(fleet.body, place, target_m)
         flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered

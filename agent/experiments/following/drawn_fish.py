@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from agent.core.config import Fleet
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import CameraFit
-from agent.core.ranging.camera_model import pixel
+from agent.core.ranging.camera_model import CameraFit, pixel
 from agent.experiments.following.cases import LENGTH_M
-from agent.experiments.navigation.drawn_ball import FARTHEST_M, BallPath, DrawnTarget
+from agent.experiments.navigation.drawn_ball import BALL_FARTHEST_M, BallPath, DrawnTarget
 from hw.twin.creatures.shape import swimming
 from hw.twin.creatures.swimmer import STRIDE, Attitude
 from hw.twin.devices.camera_device import look
@@ -57,7 +56,7 @@ class DrawnFish(DrawnTarget):
         eye, _ = look(pose, self._camera_m)
         rotation = np.asarray(eye.rotation)
         x, y, z = ((np.array(fish_m) - np.asarray(eye.position_m)) @ rotation).tolist()
-        if not z - self._camera.ahead_m > NEAREST_M or math.hypot(x, y, z) > FARTHEST_M:
+        if not z - self._camera.ahead_m > NEAREST_M or math.hypot(x, y, z) > BALL_FARTHEST_M:
             return None
         low, high = self._extent(t_ns, fish_m, np.asarray(eye.position_m), rotation)
         size = np.array([self._camera.width_px, self._camera.height_px], float)

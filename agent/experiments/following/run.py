@@ -15,7 +15,7 @@ import msgspec
 from agent.experiments.choices import FollowingPolicy
 from agent.experiments.following.bars import verdicts
 from agent.experiments.following.cases import Case, all_cases
-from agent.experiments.following.counts import figures
+from agent.experiments.following.counts import row_of
 from agent.experiments.following.dive import WATCH_S, Draw, dive
 from agent.experiments.pieces import Task, all_draws
 from agent.experiments.result import ExperimentResult, Row
@@ -59,7 +59,7 @@ def run(settings: Settings, progress: Progress) -> Result:
     first = WORLDS * settings.seed
     tasks = [Task(partial(worlds, case, first), settings.seeds, COST * case.robots, 1) for case in chosen]
     draws = dict(zip(chosen, all_draws(tasks, progress), strict=True))
-    rows = [figures(case, of) for case, of in draws.items()]
+    rows = [row_of(case, of) for case, of in draws.items()]
     return Result(cases=rows, shown=Shown(draws, settings.seeds >= ENOUGH))
 
 

@@ -21,7 +21,7 @@ COLUMNS = (
     ("reacquire_alone_p95_s", "alone s"),
     ("least_m", "least m"),
 )
-SHARES = ("seen_by_one", "seen_by_two", "seen_each", "known")
+COLUMN_SHARES = ("seen_by_one", "seen_by_two", "seen_each", "known")
 
 
 def table(result: Result) -> Group:
@@ -52,11 +52,11 @@ def bars_table(cases: list[Row]) -> Table:
             "none" if value is None else f"{value:.3g}",
             (f"{case['speed_m_s']:.2f}", f"{case['loss']:.0%}"),
         )
-        shown.add_row(bar.words, *where, measured, _asked(bar), "yes" if met else "no")
+        shown.add_row(bar.words, *where, measured, _asked_text(bar), "yes" if met else "no")
     return shown
 
 
-def _asked(bar: Bar) -> str:
+def _asked_text(bar: Bar) -> str:
     if bar.least is None:
         return f"<= {bar.most:g}"
     return f">= {bar.least:g}" if bar.most is None else f"{bar.least:g} to {bar.most:g}"
@@ -65,4 +65,4 @@ def _asked(bar: Bar) -> str:
 def _figure(key: str, value: float | None) -> str:
     if value is None:
         return "-"
-    return f"{value:.1%}" if key in SHARES else f"{value:.3g}"
+    return f"{value:.1%}" if key in COLUMN_SHARES else f"{value:.3g}"

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.capabilities.light.allocate import Lamp, Scene
-from agent.core.config import Tank
+from agent.core.config import Lighting, Tank, WaterOptics
 from agent.core.messages import Vector
 from agent.core.ranging.focus import Peak, fit_peak
-from agent.core.settings import Lighting, WaterOptics
 from agent.experiments.peak_shift.run import mm_per_position
 from agent.perception.clarity.region import around, disc_clarity
 from hw.camera.camera import Frame, Roi

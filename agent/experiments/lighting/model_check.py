@@ -11,7 +11,7 @@ import numpy as np
 from agent.capabilities.light import model
 from agent.capabilities.light.orders import all_orders
 from agent.clock import machine
-from agent.core.settings import Beam, WaterOptics
+from agent.core.config import Beam, WaterOptics
 from agent.experiments.lighting.dark_water import INDEX, RADIUS_M, WATERS, DarkWater, stand
 from agent.experiments.lighting.monte_carlo import Medium, scattered
 from agent.experiments.lighting.veil_nodes import beside

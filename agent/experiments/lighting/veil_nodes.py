@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.capabilities.light.model import single_veil
-from agent.core.settings import Beam, WaterOptics
+from agent.core.config import Beam, WaterOptics
 from agent.experiments.lighting.monte_carlo import POINT, SURFACE, Medium, Setting, scattered
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from agent.core.config import Tank
-from agent.core.estimation.evidence_checks import MARGIN_M, R_FLOOR_M
+from agent.core.estimation.evidence_table import MARGIN_M, R_FLOOR_M
 from agent.core.estimation.fuse import LOW
-from agent.core.matrix import apply, upper
+from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Symmetric, Vector
 from agent.experiments.localization.draws import WORLD
 from agent.experiments.localization.graphs import graph

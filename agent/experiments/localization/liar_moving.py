@@ -13,13 +13,11 @@ from random import Random
 import numpy as np
 from msgspec.structs import replace
 
-from agent.core.estimation.evidence_checks import R_FLOOR_M
-from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
-from agent.core.estimation.fuse import Opinion, doubts, mixture, vote
-from agent.core.estimation.track import Track, begin, correct, predict
-from agent.core.estimation.track_distance import distances2
-from agent.core.estimation.window import WINDOW
-from agent.core.matrix import apply, inverse, invert, times, trace, upper
+from agent.core.estimation.evidence_table import R_FLOOR_M
+from agent.core.estimation.fuse import Opinion, distances2, doubts, mixture, vote
+from agent.core.estimation.moving_target import WINDOW
+from agent.core.estimation.track import FixedLagFilter, Held, Track, begin, correct, predict
+from agent.core.linear_algebra import apply, inverse, invert, times, trace, upper
 from agent.core.messages import Estimate, Sample, Symmetric, Vector
 from agent.experiments.localization.draws import WORLD
 from agent.experiments.localization.liar import (

@@ -11,10 +11,9 @@ from collections.abc import Callable, Sequence
 from random import Random
 
 from agent.core.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
-from agent.core.estimation.choice import estimator
-from agent.core.estimation.interface import Estimator, Prior, Update
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.matrix import upper
+from agent.core.estimation.interface import Estimator, Mailbox, Prior, Update
+from agent.core.estimation.protocols import estimator
+from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Symmetric
 from agent.experiments.localization.graphs import Graph
 from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify

@@ -21,14 +21,12 @@ from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, rat
 from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
 from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import Belief, Drift, begin
-from agent.core.angle import wrap
 from agent.core.estimation.evidence_table import Table
 from agent.core.estimation.fuse import fuse
 from agent.core.estimation.interface import Posterior, Prior
-from agent.core.matrix import plus, times, upper
+from agent.core.linear_algebra import plus, times, upper, wrap
 from agent.core.messages import Symmetric, Vector
-from agent.core.ranging.fix import Fix
-from agent.core.ranging.own_pose import carried, kappa, longest_gap_s
+from agent.core.ranging.fix import Fix, carried, kappa, longest_gap_s
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import PULL
 from agent.experiments.navigation.joint_filter import Array, JointFilter, full
@@ -38,8 +36,8 @@ from hw.twin.scene import generator
 
 S = 1_000_000_000
 STEP_NS, LATE_NS, SWEPT_NS, SAMPLE_NS = S // 20, S // 10, S // 2, S  # a fix is known 0.1 s late, a sample 0.5 s
-AROUND_M, SECONDS = 0.75, 40.0
-BALL_M = np.array((0.5 * TANK.size_m[0], 0.5 * TANK.size_m[1], 0.07))
+AID_AROUND_M, AID_S = 0.75, 40.0
+AID_BALL_M = np.array((0.5 * TANK.size_m[0], 0.5 * TANK.size_m[1], 0.07))
 TAGS: dict[str, Callable[[int], bool]] = {  # whether a robot's frames show tags, by time
     "r1": lambda t_ns: t_ns % (S // 5) == 0,
     "r2": lambda t_ns: t_ns % (S // 5) == 0 and t_ns % (4 * S) < 2 * S,
@@ -53,7 +51,7 @@ RANDOM_M, ALIKE_M = np.array((0.002, 0.0007, 0.001)), np.array((0.0031, 0.0008, 
 BIAS_RAD_S = math.radians(0.3)  # of a gyro
 
 
-class Sample(NamedTuple):
+class AidSample(NamedTuple):
     """A sighting of the ball: from where it was taken, and as measured from there."""
 
     t_ns: int
@@ -67,7 +65,7 @@ class Diver:
 
     def __init__(self, seed: int, name: str, way: float, gyro: bool) -> None:
         self.rng, self.name, self.tags, self.gyro = generator(seed, name, "aid"), name, TAGS[name], gyro
-        place = BALL_M[:2] - AROUND_M * np.array((math.cos(way), math.sin(way)))
+        place = AID_BALL_M[:2] - AID_AROUND_M * np.array((math.cos(way), math.sin(way)))
         self.goal = Reference((float(place[0]), float(place[1])), way)
         self.body = PlanarBody.resting((*place, way), drawn_hull(self.rng))
         self.stays, self.covariance = _squares(STAYS), _squares(FIX)
@@ -114,17 +112,17 @@ class Diver:
         assert found is not None
         return found
 
-    def measure(self, t_ns: int) -> Sample:
+    def measure(self, t_ns: int) -> AidSample:
         """The ball as seen from here."""
         x, y, psi = self.body.at.tolist()
-        away = BALL_M[:2] - (x, y)
+        away = AID_BALL_M[:2] - (x, y)
         along = math.atan2(away[1], away[0])
         axes = _turned(along)
         wrong = axes @ (self._alike + self.rng.normal(0.0, RANDOM_M))
-        ahead, left, up = offset_m((x, y, psi), tuple((BALL_M + wrong).tolist()))
-        return Sample(t_ns, (ahead, left, up), *(upper(axes @ np.diag(s * s) @ axes.T) for s in (RANDOM_M, ALIKE_M)))
+        ahead, left, up = offset_m((x, y, psi), tuple((AID_BALL_M + wrong).tolist()))
+        return AidSample(t_ns, (ahead, left, up), *(upper(axes @ np.diag(s * s) @ axes.T) for s in (RANDOM_M, ALIKE_M)))
 
-    def prior(self, seen: Sample, now_ns: int) -> Prior | None:
+    def prior(self, seen: AidSample, now_ns: int) -> Prior | None:
         """What it says of the ball: as the kernel puts its own pose into it (own_pose.py)."""
         own = self.at(seen.t_ns)
         if not within(own, LOST_M, LOST_DEG):
@@ -143,11 +141,11 @@ class Diver:
         return self.aid.at(own, others)
 
 
-def aided(seed: int, gyro: bool = False, seconds: float = SECONDS) -> Row:
+def aided(seed: int, gyro: bool = False, seconds: float = AID_S) -> Row:
     """Errors of each robot's own, aided and joint pose while it knows where it is, and of the ball's place."""
     first = float(generator(seed, "aid").uniform(-math.pi, math.pi))
     divers = [Diver(seed, name, wrap(first + 2.0 * math.pi * k / len(TAGS)), gyro) for k, name in enumerate(TAGS)]
-    table, joint, pending = Table(), JointFilter(len(divers)), deque[tuple[int, int, Sample]]()
+    table, joint, pending = Table(), JointFilter(len(divers)), deque[tuple[int, int, AidSample]]()
     for i, one in enumerate(divers):
         joint.begin(i, 0, one.at(0).pose, one.covariance)
     errors: dict[str, list[list[Array]]] = {key: [[] for _ in divers] for key in ("own", "aided", "joint")}
@@ -186,17 +184,17 @@ def aided(seed: int, gyro: bool = False, seconds: float = SECONDS) -> Row:
                 errors["aided"][i].append(by[i].pose[:2] - truth[:2])
                 errors["joint"][i].append(np.array(joint.pose(i)[:2]) - truth[:2])
                 if better is not None:
-                    nees.append(_nees(better, truth))
+                    nees.append(_planar_nees(better, truth))
     ball = fuse(table.opinions())
     assert ball is not None
-    off, (joint_at, _) = np.array(ball.x_m) - BALL_M, joint.target
+    off, (joint_at, _) = np.array(ball.x_m) - AID_BALL_M, joint.target
     return {
         **{f"{key}_mm": [1e3 * _rms(each) for each in found] for key, found in errors.items()},
         "known": [len(TAGS) * len(each) / moments for each in errors["own"]],
         "nees": nees,
         "target_mm": 1e3 * float(np.linalg.norm(off)),
         "target_nees": float(off @ np.linalg.solve(full(ball.cov_m2), off)) / 3.0,
-        "joint_target_mm": 1e3 * float(np.linalg.norm(joint_at - BALL_M)),
+        "joint_target_mm": 1e3 * float(np.linalg.norm(joint_at - AID_BALL_M)),
     }
 
 
@@ -217,7 +215,7 @@ def _turned(psi: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _nees(belief: Belief, truth: Array) -> float:
+def _planar_nees(belief: Belief, truth: Array) -> float:
     e = np.array(belief.pose) - truth
     e[2] = wrap(float(e[2]))
     return float(e @ np.linalg.solve(full(plus(belief.covariance, belief.stays)), e)) / 3.0

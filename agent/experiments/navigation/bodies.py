@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 
 from agent.core.config import Body, Fleet
-from agent.core.ranging.calibration import CameraFit
-from agent.core.ranging.camera_model import gimbal_deg
+from agent.core.ranging.camera_model import CameraFit, gimbal_deg
 from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.board_host import Host
 from agent.experiments.navigation.basin import DEPTH_M, TANK

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from agent.core.config import Fleet
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import CameraFit, FocusFit
-from agent.core.ranging.camera_model import centre_behind_skin_m, pixel
-from agent.core.ranging.cues import CENTRE_NOISE_PX
+from agent.core.ranging.camera_model import CameraFit, FocusFit, centre_behind_skin_m, pixel
+from agent.core.ranging.fix import CENTRE_NOISE_PX
 from agent.core.step_io import Sighting, SweepPlan
 from agent.experiments.navigation.planar_body import RING_M
 from hw.twin.devices.camera_device import look
@@ -40,7 +39,7 @@ FOCUS = FocusFit(
     held_out_rmse_m=0.008,
 )
 RADIUS_SIGMA_PX = 0.2
-FARTHEST_M = 1.6
+BALL_FARTHEST_M = 1.6
 OUTLINE = 24  # points of it that are looked at
 CIRCLE = tuple((math.cos(2.0 * math.pi * k / OUTLINE), math.sin(2.0 * math.pi * k / OUTLINE)) for k in range(OUTLINE))
 
@@ -153,7 +152,7 @@ class DrawnBall(DrawnTarget):
         x, y, z = way.tolist()
         centre = pixel(self._camera, (x, y, z))
         distance_m = math.hypot(x, y, z - self._camera.ahead_m)
-        if centre is None or not self._radius_m < distance_m < FARTHEST_M:
+        if centre is None or not self._radius_m < distance_m < BALL_FARTHEST_M:
             return None
         noise_px = math.hypot(self._camera.noise_px, CENTRE_NOISE_PX)
         u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from agent.capabilities.swim.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Flow, SeenTag, SeenTags
 from agent.experiments.navigation.basin import TANK
 from agent.perception.landmarks.edges import module_px

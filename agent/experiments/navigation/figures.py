@@ -23,9 +23,9 @@ def figures(result: Result) -> Figures:
     if swum := [name for name in SWUM if name in draws]:
         drawn["navigation_paths"] = paths(draws, swum)
     if fixed := [row for row in draws.get("fix", ()) if "nees" in row]:
-        drawn["navigation_fixes"] = fixes(fixed)
+        drawn["navigation_fixes"] = fixes_figure(fixed)
     if "separation" in draws:
-        drawn["navigation_crossing"] = crossing(min(draws["separation"], key=lambda row: row["least_m"]))
+        drawn["navigation_crossing"] = crossing_figure(min(draws["separation"], key=lambda row: row["least_m"]))
     for name, figure in drawn.items():
         for suffix in ("svg", "png"):
             yield f"{name}.{suffix}", figure
@@ -48,7 +48,7 @@ def paths(draws: dict[str, list[Row]], names: Sequence[str]) -> Figure:
     return drawn
 
 
-def fixes(rows: Sequence[Row]) -> Figure:
+def fixes_figure(rows: Sequence[Row]) -> Figure:
     """Error against blur and against distance."""
     drawn = Figure(figsize=(7.2, 3.4), dpi=120, layout="constrained")
     for panel, key, words in zip(
@@ -64,7 +64,7 @@ def fixes(rows: Sequence[Row]) -> Figure:
     return drawn
 
 
-def crossing(row: Row) -> Figure:
+def crossing_figure(row: Row) -> Figure:
     """The seed in which two came nearest."""
     drawn = Figure(figsize=(6.0, 4.2), dpi=120, layout="constrained")
     panel = drawn.subplots()

@@ -18,12 +18,11 @@ from agent.capabilities.swim.layout import markers
 from agent.capabilities.swim.projection import view
 from agent.capabilities.swim.tag_fix import Map, TagFix, tag_fix
 from agent.capabilities.swim.tag_priors import priors
-from agent.core.angle import wrap
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Pose
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration, at_lens_position
-from agent.core.ranging.camera_model import gimbal_deg, servos_us
+from agent.core.ranging.camera_model import Calibration, at_lens_position, gimbal_deg, servos_us
 from agent.core.ranging.focus import lens_position
 from agent.experiments.choices import DEFAULT_SENSOR
 from agent.experiments.measured_level import level_of
@@ -37,8 +36,8 @@ from hw.twin.landmarks import true_tags
 from hw.twin.scene import generator
 
 PLACES = 10  # of a robot; two frames at each
-SETTLE_S = 0.1
-CLEAR_M = 0.35  # from walls to a robot's middle
+FIX_SETTLE_S = 0.1
+FIX_CLEAR_M = 0.35  # from walls to a robot's middle
 DEPTH_M = (0.2, 0.4)
 TILTED_DEG = 0.5  # roll and pitch, one sigma
 PAN_DEG, TILT_DEG = (-60.0, 60.0), (-50.0, 20.0)
@@ -69,7 +68,7 @@ def fixes(seed: int, places: int = PLACES) -> list[Row]:
     for stand in stands(robot, fleet, calibration, places, rng):
         for wanted in (rest, int(rng.integers(calibration.focus.lowest, calibration.focus.highest + 1))):
             lens = robot.set_focus(wanted)
-            found = find_tags(robot.read(settle_s=SETTLE_S).image, at_lens_position(calibration.camera, lens))
+            found = find_tags(robot.read(settle_s=FIX_SETTLE_S).image, at_lens_position(calibration.camera, lens))
             row = judged(found, lens, stand, fleet, calibration, known, rng)
             rows.append({"seed": seed, "at_rest": wanted == rest, **row})
     return rows
@@ -81,7 +80,7 @@ def stands(
     """Put it anywhere, looking anywhere, again and again."""
     camera, body = calibration.camera, fleet.body
     for _ in range(places):
-        x, y = (float(rng.uniform(CLEAR_M, side_m - CLEAR_M)) for side_m in TANK.size_m[:2])
+        x, y = (float(rng.uniform(FIX_CLEAR_M, side_m - FIX_CLEAR_M)) for side_m in TANK.size_m[:2])
         depth_m, yaw_deg = float(rng.uniform(*DEPTH_M)), float(rng.uniform(-180.0, 180.0))
         roll_deg, pitch_deg = (float(deg) for deg in rng.normal(0.0, TILTED_DEG, 2))
         us = servos_us(camera, body, float(rng.uniform(*PAN_DEG)), float(rng.uniform(*TILT_DEG)))

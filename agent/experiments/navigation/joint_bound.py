@@ -13,13 +13,10 @@ from agent.capabilities.swim.projection import View, view
 from agent.capabilities.swim.tag_fix import Map, NoFix, TagFix, tag_fix, whole
 from agent.capabilities.swim.tag_priors import Priors, priors
 from agent.core.config import Fleet, Pose
-from agent.core.matrix import ZERO
+from agent.core.linear_algebra import ZERO
 from agent.core.messages import Symmetric
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import camera_pose
-from agent.core.ranging.cues import Outline
-from agent.core.ranging.fix import Fix, locate
-from agent.core.ranging.own_pose import EXACT
+from agent.core.ranging.camera_model import Calibration, camera_pose
+from agent.core.ranging.fix import EXACT, Fix, Outline, locate
 from agent.core.step_io import Flow, SeenTags
 from agent.experiments.navigation.joint_filter import JointFilter
 from agent.experiments.navigation.notes import Asked, Carriage, Measured, Sample

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from agent.capabilities.swim.body_model import STEP_NS, Hull, Wrench, motion
 from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, Drift
-from agent.core.angle import wrap
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.fix import Fix
 

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.angle import wrap
 from agent.core.config import Behaviour, Goto, Look, Orbit, Pose, Turn
+from agent.core.linear_algebra import wrap
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import twin_bodies

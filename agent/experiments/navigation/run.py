@@ -14,14 +14,14 @@ from typing import NamedTuple, get_args
 import msgspec
 
 from agent.experiments.choices import NavigationCase
-from agent.experiments.navigation.aid import SECONDS as AID_S
+from agent.experiments.navigation.aid import AID_S as AID_S
 from agent.experiments.navigation.aid import aided
 from agent.experiments.navigation.bars import BARS, met
 from agent.experiments.navigation.fix import PLACES, fixes
 from agent.experiments.navigation.manoeuvres import goto, hold, orbit, turn
 from agent.experiments.navigation.pursuit.follow import WATCH_S, follow
 from agent.experiments.navigation.pursuit.search import SEARCH_S, search
-from agent.experiments.navigation.separation import ROBOTS, SECONDS, crossing
+from agent.experiments.navigation.separation import CROSSING_ROBOTS, CROSSING_S, crossing
 from agent.experiments.navigation.summaries import SUMMARIES
 from agent.experiments.navigation.target import SECONDS as TARGET_S
 from agent.experiments.navigation.target import ball
@@ -101,7 +101,7 @@ def run(settings: Settings, progress: Progress) -> Result:
 
 
 def all_cases(quick: bool) -> Sequence[Draws]:
-    places, robots, seconds, aid_s = (3, 4, 10.0, 12.0) if quick else (PLACES, ROBOTS, SECONDS, AID_S)
+    places, robots, seconds, aid_s = (3, 4, 10.0, 12.0) if quick else (PLACES, CROSSING_ROBOTS, CROSSING_S, AID_S)
     watch_s, search_s = (10.0, 30.0) if quick else (WATCH_S, SEARCH_S)
     return (
         Draws("fix", "fix", partial(fixes, places=places), 8),

@@ -19,7 +19,7 @@ from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
 from hw.twin.scene import generator
 
-ROBOTS, SECONDS = 10, 30.0
+CROSSING_ROBOTS, CROSSING_S = 10, 30.0
 FIND_S = 30.0  # in the hands of the crew, at most
 APART_M = 0.45  # places that are told; the fleet file demands 0.36
 CLEAR_M = 0.22  # from walls
@@ -27,7 +27,7 @@ CLEAR_M = 0.22  # from walls
 Array = NDArray[np.float64]
 
 
-def crossing(seed: int, robots: int = ROBOTS, seconds: float = SECONDS) -> Row:
+def crossing(seed: int, robots: int = CROSSING_ROBOTS, seconds: float = CROSSING_S) -> Row:
     """Least distance (m) of any two, and the share of robots that are within 5 cm of their goals at the end."""
     rng = generator(seed, "crossing")
     starts = places(rng, robots)

@@ -32,20 +32,20 @@ def fix(draws: Draws) -> Row:
     }
 
 
-def hold(draws: Draws) -> Row:
+def summarise_hold(draws: Draws) -> Row:
     return {key: pooled(draws["hold"], key) for key in ("rms_mm", "yaw_rms_deg")}
 
 
-def goto(draws: Draws) -> Row:
+def summarise_goto(draws: Draws) -> Row:
     rows = draws["goto"]
     return {"s": p95([row["s"] for row in rows]), "overshoot_mm": p95([row["overshoot_mm"] for row in rows])}
 
 
-def turn(draws: Draws) -> Row:
+def summarise_turn(draws: Draws) -> Row:
     return {"s": p95([row["s"] for row in draws["turn"]])}
 
 
-def orbit(draws: Draws) -> Row:
+def summarise_orbit(draws: Draws) -> Row:
     return {"rms_mm": pooled(draws["orbit"], "rms_mm"), "gap_rms_mm": pooled(draws["orbit with gaps"], "rms_mm")}
 
 
@@ -106,10 +106,10 @@ def p95(values: Sequence[float | None]) -> float | None:
 
 SUMMARIES: dict[NavigationCase, Callable[[Draws], Row]] = {
     "fix": fix,
-    "hold": hold,
-    "goto": goto,
-    "turn": turn,
-    "orbit": orbit,
+    "hold": summarise_hold,
+    "goto": summarise_goto,
+    "turn": summarise_turn,
+    "orbit": summarise_orbit,
     "separation": separation,
     "target": target,
     "aid": aid,

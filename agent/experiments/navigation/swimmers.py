@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.messages import Message, Vector
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies

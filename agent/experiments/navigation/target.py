@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from agent.core.angle import wrap
 from agent.core.config import Look, Pose
+from agent.core.linear_algebra import wrap
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import twin_bodies

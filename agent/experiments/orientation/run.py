@@ -41,7 +41,7 @@ TARGETS = (  # for the default law at the first lag: where in its figures, limit
 )
 
 
-class Group(NamedTuple):
+class CaseGroup(NamedTuple):
     """Cases that dive together."""
 
     world: int  # seed of the twin
@@ -134,7 +134,7 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
 
 
-def both_manoeuvres(group: Group, interpreter: str) -> list[Responses]:
+def both_manoeuvres(group: CaseGroup, interpreter: str) -> list[Responses]:
     """Push and step, each from a fresh boot."""
     with temporary_folder() as folder:
         pushed = respond(group.cases, PUSH, group.world, folder, interpreter)
@@ -145,7 +145,7 @@ def both_manoeuvres(group: Group, interpreter: str) -> list[Responses]:
 
 def groups(
     seed: int, seeds: int, law: str, lag_s: float, mass_scale: float | None = None, delay_samples: int = 1
-) -> Iterator[Group]:
+) -> Iterator[CaseGroup]:
     """The dives of all seeds. A seed is the same robot in every group: its world and its place are its own.
 
     Without a mass_scale the seeds share out the whole spread evenly, in an order of chance.
@@ -157,7 +157,7 @@ def groups(
             Case(law, k, lag_s, float(scales[k]) if mass_scale is None else mass_scale, delay_samples)
             for k in range(first, min(first + len(PLACES_M), seeds))
         ]
-        yield Group(1000 * seed + first // len(PLACES_M), cases)
+        yield CaseGroup(1000 * seed + first // len(PLACES_M), cases)
 
 
 def score(case: Case, push: Response, step: Response) -> Row:

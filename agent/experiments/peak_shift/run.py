@@ -77,7 +77,7 @@ def ways() -> list[Way]:
 
         def held(sweep: Sweep) -> Sweep:
             colours = estimate(sweep[0])
-            return [fast_enhance.apply(colours, image) for image in sweep]
+            return [fast_enhance.apply_colours(colours, image) for image in sweep]
 
         found.append(Way("plain", lambda sweep: [plain.apply(image) for image in sweep]))
         found.append(Way("fast", lambda sweep: [fast.apply(image) for image in sweep]))

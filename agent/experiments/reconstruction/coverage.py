@@ -18,24 +18,22 @@ from msgspec import UNSET
 from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, STEEPEST, grid_of
 from agent.capabilities.survey.making import block_px
-from agent.core.claim import Claim
+from agent.core.capability_messages import Claim, Keyframe
 from agent.core.codec import encode
 from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
-from agent.core.keyframe import Keyframe
-from agent.core.ranging.calibration import Calibration, CameraFit
-from agent.core.ranging.camera_model import camera_pose, gimbal_deg
+from agent.core.ranging.camera_model import Calibration, CameraFit, camera_pose, gimbal_deg
 from agent.core.ranging.focus import lens_position, phase_sigma
 from agent.core.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan, Telemetry
 from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, look
 from agent.robot.core import Agent
 
-START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
+SURVEY_START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
 SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5
 PLACES = ((0.25, 0.25, 45.0), (1.25, 0.25, 135.0), (1.25, 0.95, 225.0), (0.25, 0.95, 315.0), (0.75, 0.20, 90.0))
 DEPTHS_M = (0.30, 0.22, 0.32, 0.24, 0.28)
-CAMERA = CameraFit(width_px=1280, height_px=960, f_px=1714.0, cx_px=639.5, cy_px=479.5, bend=0.39, ahead_m=0.001)
-SIDE_PX = block_px(CAMERA)
+SURVEY_CAMERA = CameraFit(width_px=1280, height_px=960, f_px=1714.0, cx_px=639.5, cy_px=479.5, bend=0.39, ahead_m=0.001)
+SIDE_PX = block_px(SURVEY_CAMERA)
 SIGMA = math.hypot(FOCUS.noise, phase_sigma(FOCUS.width, SIDE_PX * SIDE_PX))  # of a block's peak, lens positions
 SHOWS = 0.75  # of the blocks have texture enough for a peak
 KNOWN, MOST = 0.9, 250  # share of the cells that ends a run, and keyframes that end one without it
@@ -83,9 +81,9 @@ class World:
     def __init__(self, fleet: Fleet, scene: Scene, seed: int, shares: bool, loss: float) -> None:
         self.fleet, self.scene, self.shares, self.loss = fleet, scene, shares, loss
         self.rng = np.random.default_rng((seed, 5))
-        self.calibration = Calibration(robot="r1", made="", source="", focus=FOCUS, camera=CAMERA)
-        self.agents = {name: Agent(fleet, name, self.calibration, START_NS) for name in fleet.robot}
-        self.now_ns = START_NS
+        self.calibration = Calibration(robot="r1", made="", source="", focus=FOCUS, camera=SURVEY_CAMERA)
+        self.agents = {name: Agent(fleet, name, self.calibration, SURVEY_START_NS) for name in fleet.robot}
+        self.now_ns = SURVEY_START_NS
         self.all = CoverageMap(grid_of(fleet))  # of everybody's keyframes
         self.record: Callable[[str, int, bytes, bytes], None] = lambda *step: None  # for a black box
         self._post: dict[str, list[Heard]] = {name: [] for name in fleet.robot}
@@ -105,7 +103,7 @@ class World:
             self.record(name, self.now_ns, encode(inputs), encode(outputs))
             surveyor = agent.survey.surveyor
             if surveyor is not None and surveyor.keyframes > before:
-                self.all.add(surveyor.known.held[name, START_NS, surveyor.keyframes].frame)
+                self.all.add(surveyor.known.held[name, SURVEY_START_NS, surveyor.keyframes].frame)
                 made.append(surveyor.keyframes)
             if outputs.sweep is not None and outputs.sweep.block_px:
                 self._sweeps[name] = outputs.sweep, self.now_ns + SWEEP_NS, outputs
@@ -157,14 +155,14 @@ class World:
             return None
         plan, _, outputs = self._sweeps.pop(name)
         side = plan.block_px
-        eye = eye_of(self.fleet, name, outputs.set_point.servos_us[:2])
-        seen = look(self.scene, np.array(eye.position_m), np.array(eye.rotation), CAMERA, side)
+        eye = gimbal_eye(self.fleet, name, outputs.set_point.servos_us[:2])
+        seen = look(self.scene, np.array(eye.position_m), np.array(eye.rotation), SURVEY_CAMERA, side)
         peaks = []
         for k, z_m in enumerate(seen.z_m):
             if not (0.08 < z_m < 1.6) or self.rng.random() > SHOWS or seen.cos[k] < STEEPEST:
                 continue
             peaks.append((k, lens_position(FOCUS, float(z_m)) + float(self.rng.normal(0.0, SIGMA)), SIGMA))
-        return found_in(plan, CAMERA, side, peaks, self.now_ns - STEP_NS)
+        return found_in(plan, SURVEY_CAMERA, side, peaks, self.now_ns - STEP_NS)
 
 
 def found_in(
@@ -187,10 +185,10 @@ def sigma_m(z_m: float) -> float:
     return SIGMA * (z_m - FOCUS.u_inf_m) ** 2 / FOCUS.b_m
 
 
-def eye_of(fleet: Fleet, name: str, servos: Sequence[float]) -> Any:
+def gimbal_eye(fleet: Fleet, name: str, servos: Sequence[float]) -> Any:
     """Where a robot's camera truly is: the calibration is exact here."""
     robot, surface_m = fleet.robot[name], fleet.tank.surface_m
-    angles = gimbal_deg(CAMERA, fleet.body, (servos[0], servos[1]))
+    angles = gimbal_deg(SURVEY_CAMERA, fleet.body, (servos[0], servos[1]))
     return camera_pose(robot.pose, fleet.body, robot.depth_m, 0.0, 0.0, *angles, surface_m)
 
 
@@ -203,7 +201,7 @@ def visible(fleet: Fleet, scene: Scene, seed: int) -> frozenset[int]:
         pan, tilt = rng.uniform(-90.0, 90.0), rng.uniform(-55.0, 5.0)
         robot = fleet.robot[name]
         eye = camera_pose(robot.pose, fleet.body, robot.depth_m, 0.0, 0.0, pan, tilt, fleet.tank.surface_m)
-        seen = look(scene, np.array(eye.position_m), np.array(eye.rotation), CAMERA, block_px(CAMERA))
+        seen = look(scene, np.array(eye.position_m), np.array(eye.rotation), SURVEY_CAMERA, block_px(SURVEY_CAMERA))
         good = (seen.z_m > NEAREST_M) & (seen.z_m < FARTHEST_M) & (seen.cos > STEEPEST)
         for number in {grid.number(*map(float, point)) for point in seen.points_m[good]} - {None}:
             assert number is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.sweeps import WATER_INDEX
 from agent.reconstruction.camera import Camera, Floats, project
 from hw.twin.optics.lens import Lens

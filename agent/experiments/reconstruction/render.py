@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import WaterKind
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.experiments.choices import Sensor
 from agent.experiments.depth.wall import calibrate, sweeps_of_a_calibration
 from agent.experiments.reconstruction.intrinsics import camera_of

@@ -17,7 +17,7 @@ from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.grid import STEEPEST, grid_of
 from agent.capabilities.survey.making import NOISIER
 from agent.core.config import Coverage, Fleet, Pose, Survey
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import lens_position, phase_sigma
 from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.experiments.navigation import basin
@@ -34,7 +34,7 @@ WIDE = msgspec.structs.replace(CAMERA, f_px=867.0, bend=0.41)  # of the twin's c
 THINGS = 8
 STARTS = ((0.5, 0.5, 45.0), (2.5, 0.5, 135.0), (1.5, 1.5, 270.0))  # x, y, yaw of each robot
 SECONDS, EVERY_S, STEPS_S = 300.0, 60.0, 20
-SHOWS = 0.85  # of the blocks have texture enough for a peak: 373 to 410 of 475 in a rendered dive
+SWUM_SHOWS = 0.85  # of the blocks have texture enough for a peak: 373 to 410 of 475 in a rendered dive
 OUTLIERS = 200  # one block in so many, by keyframes of a rendered dive
 WRONG_M = (0.2, 0.3)  # depths that such a one has: near the lens's nearest
 
@@ -71,7 +71,7 @@ class SurveyEyes(Eyes):
         own = math.hypot(FOCUS.noise, phase_sigma(FOCUS.width, side * side))
         peaks = []
         for k, z_m in enumerate(seen.z_m):
-            shows = 0.12 < z_m < 1.6 and seen.cos[k] > STEEPEST and rng.random() < SHOWS
+            shows = 0.12 < z_m < 1.6 and seen.cos[k] > STEEPEST and rng.random() < SWUM_SHOWS
             wrong = rng.random() < 1.0 / OUTLIERS
             if shows:
                 true_m = float(rng.uniform(*WRONG_M)) if wrong else float(z_m)
@@ -80,7 +80,7 @@ class SurveyEyes(Eyes):
         return found_in(plan, camera, side, peaks, bodies.now_ns)
 
 
-def fleet_of(seed: int) -> Fleet:
+def swimming_fleet(seed: int) -> Fleet:
     """Three robots that survey the floor of the basin of the experiment on navigation."""
     names = [f"r{k + 1}" for k in range(len(STARTS))]
     robots = {
@@ -100,7 +100,7 @@ def swum(seed: int, seconds: float = SECONDS, every_s: float = EVERY_S) -> Row:
     """known: share of the floor's cells that all keyframes together know, after each every_s; keyframes of each robot;
     things: cells away from floor and walls in which the map has something, and empty: of these, how many in which
     nothing is, a cell's width around."""
-    fleet = fleet_of(seed)
+    fleet = swimming_fleet(seed)
     bodies = WideBodies(fleet)
     length, breadth, _ = basin.TANK.size_m
     scene = draw_scene((length, breadth, basin.TANK.surface_m), seed, THINGS)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from agent.core.config import WaterKind
-from agent.experiments.still_camera import View
+from agent.experiments.still_camera import TankView
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
 BALL_M = 0.07
@@ -42,7 +42,7 @@ class Station(NamedTuple):
     """One view: which robot's camera takes it, where it stands and looks."""
 
     robot: str
-    view: View
+    view: TankView
 
 
 def scene_of_seed(seed: int, water: WaterKind) -> Scene:
@@ -72,7 +72,7 @@ def drawn_solids(seed: int) -> tuple[Solid, ...]:
 def trained() -> list[Station]:
     """45 views: every robot at three depths, turned three ways."""
     return [
-        Station(robot, View((x, y, SURFACE_M - depth), yaw + pan, tilt))
+        Station(robot, TankView((x, y, SURFACE_M - depth), yaw + pan, tilt))
         for robot, (x, y, yaw) in MOORED.items()
         for depth, tilt in zip(DEPTHS_M, TILTS_DEG, strict=True)
         for pan in PANS_DEG
@@ -85,13 +85,13 @@ def held_back_known() -> list[Station]:
     for robot, (depth, pan) in BETWEEN.items():
         x, y, yaw = MOORED[robot]
         tilt = float(np.interp(depth, DEPTHS_M, TILTS_DEG))
-        found.append(Station(robot, View((x, y, SURFACE_M - depth), yaw + pan, tilt)))
+        found.append(Station(robot, TankView((x, y, SURFACE_M - depth), yaw + pan, tilt)))
     return found
 
 
 def held_back_new() -> list[Station]:
     """Views from where no robot was; with the camera of the robot of that number."""
     return [
-        Station(robot, View((x, y, SURFACE_M - depth), yaw, tilt))
+        Station(robot, TankView((x, y, SURFACE_M - depth), yaw, tilt))
         for robot, (x, y, yaw, depth, tilt) in zip(MOORED, NEW, strict=True)
     ]

@@ -10,7 +10,7 @@ from agent.clock import machine
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode
 from agent.core.config import Fleet
-from agent.core.orders_words import Answer, Order
+from agent.core.messages import Answer, Order
 from agent.ground.doctor.clocks import ASKED, Stamps
 from router_config.door import Reply, Session
 

@@ -16,7 +16,7 @@ import msgspec
 from agent.core.codec import Refusal
 from agent.ground.page.rows import Shown, text
 
-LINES = "lines"  # the key of what is a queue: log, orders, answers
+LINES_KEY = "lines"  # the key of what is a queue: log, orders, answers
 CAME = "came"  # the key of what came of a recording, whatever time of it is shown
 KEPT = 400  # lines that whoever opens the page later still sees
 MOST_KEYS = 1024
@@ -86,7 +86,7 @@ class Board:
         self._lines.append(raw)
         for viewer in self._viewers:
             viewer.lines.append(raw)
-            viewer.wants(LINES)
+            viewer.wants(LINES_KEY)
 
     def start_over(self) -> None:
         """Nothing is shown: another time of a recording follows."""
@@ -106,7 +106,7 @@ class Board:
         for key in self._newest:
             viewer.wants(key)
         if viewer.lines:
-            viewer.wants(LINES)
+            viewer.wants(LINES_KEY)
         self._viewers.add(viewer)
         return viewer
 
@@ -119,7 +119,7 @@ class Board:
         while (key := viewer.due()) is not None:
             del viewer.waiting[key]
             try:
-                found.append(self._lines_for(viewer) if key == LINES else self._newest[key].made())
+                found.append(self._lines_for(viewer) if key == LINES_KEY else self._newest[key].made())
             except Refusal:
                 self.refused += 1
                 self._newest.pop(key)
@@ -132,4 +132,4 @@ class Board:
     def _lines_for(self, viewer: Viewer) -> Shown:
         lines = list(viewer.lines)
         viewer.lines.clear()
-        return text({"k": LINES, "lines": lines})
+        return text({"k": LINES_KEY, "lines": lines})

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from agent.core.config import ConfigError, Fleet, Target
-from agent.core.ranging.calibration import load_calibration
+from agent.core.ranging.camera_model import load_calibration
 from agent.ground.battery import NEAR_V, SURFACES_V
 
 Kind = Literal["live", "recording"]

@@ -14,13 +14,10 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
-from agent.core.claim import Claim, holds
+from agent.core.capability_messages import TURN_ONE, UNIT_M, Claim, holds
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import Fleet
-from agent.core.keyframe import TURN_ONE, UNIT_M
-from agent.core.messages import Estimate, Image, LogLine, Message, State
-from agent.core.orders_words import Answer
-from agent.core.presence import Presence
+from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
 from agent.core.topics import Topic
 
 Shown = str | bytes  # a text message, or a picture

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.ranging.focus import MIN_POSITIONS, phase_sigma
 from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.perception.clarity.breathing import GROWTH_POWER

@@ -37,7 +37,7 @@ def measure_growth(images: Sequence[NDArray[np.uint8]]) -> float | None:
     """
     count, scale = len(images), 1 / max(1, round(images[0].shape[1] / WIDTH_PX))
     ends = [round(k) for k in np.linspace(0, count - 1, min(LINKS, count - 1) + 1).tolist()]
-    small = {k: _reduced(luminance(images[k]), scale) for k in ends}
+    small = {k: _scaled(luminance(images[k]), scale) for k in ends}
     if min(small[0].shape) < SMALLEST_PX:
         return None
     links, start = [], np.eye(2, 3, dtype=np.float32)
@@ -52,7 +52,7 @@ def measure_growth(images: Sequence[NDArray[np.uint8]]) -> float | None:
     return float(np.mean(agreeing)) * (count - 1) if 2 * len(agreeing) >= len(links) else None
 
 
-def _reduced(grey: Grey, scale: float) -> Grey:
+def _scaled(grey: Grey, scale: float) -> Grey:
     return np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import CameraFit
-from agent.core.ranging.camera_model import UNBEND
+from agent.core.ranging.camera_model import UNBEND, CameraFit
 
 Array = NDArray[np.float64]
 

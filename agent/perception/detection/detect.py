@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import Colour
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.perception.detection import cone as cones
 from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED, ColourModel
 from agent.perception.detection.cone import Array, Cone

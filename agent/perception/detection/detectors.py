@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from agent.core.config import Colour, ConfigError, Fleet, Target
-from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.perception.detection.colour import NAMED, ColourModel, Sample, sampled
 from agent.perception.detection.colours_apart import Sought, mistaken_in, named_paint
 from agent.perception.detection.creature import STRONG, Hues, find_creature, named_hues, sampled_hues

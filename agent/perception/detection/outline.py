@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.perception.detection import cone as cones
 from agent.perception.detection.colour import weights
 from agent.perception.detection.cone import RAYS, Array, Cone

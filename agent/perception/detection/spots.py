@@ -51,7 +51,7 @@ def spots(picture: Picture, hue_rad: float) -> list[Spot]:
         scale = image.shape[1] / plane.shape[1], image.shape[0] / plane.shape[0]
         found += (one for one in _octave(plane, scale))
         if octave == 1:
-            found += _largest(plane, scale)
+            found += _largest_first(plane, scale)
         plane = np.asarray(cv2.resize(plane, (plane.shape[1] // 2, plane.shape[0] // 2), interpolation=cv2.INTER_AREA))
         octave += 1
     return _different(found)[:SPOTS]
@@ -77,7 +77,7 @@ def _octave(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
         yield from _outlined((mask == 2).view(np.uint8), (left, top), plane.shape, scale, height - floor)
 
 
-def _largest(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
     """The largest spot above a threshold for the whole picture: a ball that leaves little around itself."""
     low, high = float(plane.min()), float(plane.max())
     if high - low < MIN_CONTRAST:

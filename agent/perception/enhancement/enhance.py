@@ -110,9 +110,9 @@ def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
         return np.ascontiguousarray(rgb[:, :, ::-1])
 
     def estimate(image: Image) -> fast_enhance.Colours:
-        return fast_enhance.estimate(image, colours)
+        return fast_enhance.estimate_colours(image, colours)
 
-    return Enhancer("fast", lambda image: fast_enhance.apply(estimate(image), image), estimate)
+    return Enhancer("fast", lambda image: fast_enhance.apply_colours(estimate(image), image), estimate)
 
 
 def choose(

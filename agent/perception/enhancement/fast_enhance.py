@@ -47,7 +47,7 @@ class Colours(NamedTuple):
     size: tuple[int, int]  # width, height of the full frame, pixels
 
 
-def estimate(image: Image, network: Callable[[Image], Floats], small_px: int = SMALL_PX) -> Colours:
+def estimate_colours(image: Image, network: Callable[[Image], Floats], small_px: int = SMALL_PX) -> Colours:
     """`network` maps a picture (h, w, 3) uint8 to one of float32, full scale 1, both blue green red."""
     height, width = image.shape[:2]
     shrink = max(1.0, math.sqrt(height * width / small_px))
@@ -82,7 +82,7 @@ def red_share(guide: Floats, affine: Floats) -> np.float32:
     return np.float32(min(1.0, after[:2].max() / max(after[2], 1e-3)))
 
 
-def apply(colours: Colours, image: Image, origin: tuple[int, int] = (0, 0)) -> Image:
+def apply_colours(colours: Colours, image: Image, origin: tuple[int, int] = (0, 0)) -> Image:
     """A frame, or the part of one whose upper left pixel is `origin` (x, y), with its colours restored."""
     out = np.empty_like(image)
     _apply(colours.affine, colours.size[0], colours.size[1], np.ascontiguousarray(image), origin[0], origin[1], out)

@@ -87,7 +87,7 @@ class OnDemandEnhancer:
         if self._colours is None or self._colours.size != whole or self._age_ns(frame.t_ns) > OLD_NS:
             self.raw += 1
             return frame.image
-        return fast_enhance.apply(self._colours, frame.image, (frame.roi.x, frame.roi.y))
+        return fast_enhance.apply_colours(self._colours, frame.image, (frame.roi.x, frame.roi.y))
 
     def _due(self, t_ns: int) -> bool:
         return self._age_ns(t_ns) >= DUE_NS and self._clock() >= self._rest_s

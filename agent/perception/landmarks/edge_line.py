@@ -30,7 +30,7 @@ STEP_PX = 0.5
 WEAK = 0.35  # of the edge's median contrast: something lies over the edge there
 FEWEST = 14  # profiles that have the edge
 BURNT = 0.99  # of full light, in half of the paper beside the edge: what it was before the sensor's limit is lost
-ROUNDS, OUTLIER = 3, 2.5 * 1.48  # 1.48 medians of residuals are a standard deviation
+LINE_ROUNDS, OUTLIER = 3, 2.5 * 1.48  # 1.48 medians of residuals are a standard deviation
 FAINT, MARGIN_PX = 0.15, 0.75  # the blur ends where the mean gradient has fallen to this share, and so much beyond
 SHARP_PX2 = 1.0 / 12.0 + 1.0 / 6.0 + STEP_PX**2 / 12.0  # variance of a perfect edge: pixel, interpolation, step
 
@@ -169,7 +169,7 @@ def fit_line(points: Array, line: Array, off: Array, ranked: Array) -> None:
     point lies to the left of it.
     """
     n, limit = len(points), 0.0
-    for round_ in range(ROUNDS + 1):
+    for round_ in range(LINE_ROUNDS + 1):
         if round_:
             for p in range(n):
                 off[p] = abs(off[p])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.perception.landmarks.edge_line import Plane, fit_edge, room
 from agent.perception.landmarks.slopes import Array, cross, to_pixels
 

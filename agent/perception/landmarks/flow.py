@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Flow
 from agent.perception.landmarks.edge_line import Plane
 from agent.perception.landmarks.slopes import Array, to_slopes

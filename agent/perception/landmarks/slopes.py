@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import CameraFit
-from agent.core.ranging.camera_model import UNBEND
+from agent.core.ranging.camera_model import UNBEND, CameraFit
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import SeenTag, SeenTags
 from agent.perception.landmarks.edge_line import Plane
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes, module_px

@@ -9,7 +9,7 @@ from threading import Lock
 import numpy as np
 from msgspec.structs import replace
 
-from agent.core.ranging.calibration import CameraFit, FocusFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Flow, SeenTags, Sighting
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes

@@ -11,7 +11,7 @@ FRESH = 0.3  # weight of the newest step in the speed
 MAX_STEP = 0.5  # of the sides: its middle stays in the box in which it was expected; turning goldfish have 0.25
 FIRST_REACH = 0.6  # of the diagonal: how far from there something lost may be in the next frame
 MAX_GROWTH = 1.5  # of the area, from frame to frame
-SPREAD = 0.25  # of the diagonal: by so much more for each frame in which it was not seen
+MOTION_SPREAD = 0.25  # of the diagonal: by so much more for each frame in which it was not seen
 COASTS = 5  # frames for which an unseen thing is expected to keep its speed
 
 
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
     def reach_px(self) -> float:
         """How far from there its middle can be."""
         diagonal = math.hypot(self.box.width, self.box.height)
-        return (FIRST_REACH + SPREAD * self.unseen) * diagonal + math.hypot(*self.step_px) * self.unseen
+        return (FIRST_REACH + MOTION_SPREAD * self.unseen) * diagonal + math.hypot(*self.step_px) * self.unseen
 
     def reaches(self, box: Box) -> bool:
         return math.dist(self.expected.centre_px, box.centre_px) <= self.reach_px

@@ -15,7 +15,7 @@ from agent.perception.tracking.look_alikes import LookAlike, Seen, matched
 from agent.perception.tracking.motion import Motion
 
 EVERY = 15  # frames from one survey to the next: half a second
-KEPT = 8  # surveys that are remembered: 4 s
+CLUTTER_KEPT = 8  # surveys that are remembered: 4 s
 FADED = 0.1  # by so much less like the thing one that is still there may be
 
 
@@ -23,7 +23,7 @@ class Surveys:
     """What was like the thing and was not it, in the newest of the frames in which the whole picture was searched."""
 
     def __init__(self) -> None:
-        self._kept: deque[tuple[int, list[Seen]]] = deque(maxlen=KEPT)
+        self._kept: deque[tuple[int, list[Seen]]] = deque(maxlen=CLUTTER_KEPT)
 
     def due(self, frame: int) -> bool:
         return not self._kept or frame - self._kept[-1][0] >= EVERY

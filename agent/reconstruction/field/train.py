@@ -26,7 +26,7 @@ TONE_HUBER = 0.1
 RATES = {"planes": 2e-2, "net": 2e-3, "water": 5e-3, "sdf": 1.5e-4, "beta": 2e-3}
 LAST_RATE = 0.05  # of the rates at the end
 WARM_UP = 20  # steps
-SAMPLES = 8
+TRAIN_SAMPLES = 8
 BAND_M, WIDE_M = 10e-3, 25e-3  # half of what is sampled about a surface: at the end, and more at the start
 SEARCH = (64, 24)  # samples of a ray that nobody knows anything of: to find where, and to see
 ROUNDS, AGAIN_ROUNDS = 40, 10  # of tracing a pixel for the first time, and when it is known where it was
@@ -85,7 +85,7 @@ def learn(field: Field, views: Sequence[View], settings: FieldSettings, now_s: C
             met = trace(field, rays, start, ROUNDS if fresh else AGAIN_ROUNDS)
             met_m[chosen] = met
             half = BAND_M + WIDE_M * (1.0 - progress)
-            offsets = torch.rand((len(chosen), SAMPLES), generator=pick).to(device)
+            offsets = torch.rand((len(chosen), TRAIN_SAMPLES), generator=pick).to(device)
             seen = look(field, rays, (met - half).clamp_min(NEAREST_M), met + half, offsets)
             value = loss(seen, rays, true, settings.anchor)
         for group, rate in zip(optimiser.param_groups, base, strict=True):

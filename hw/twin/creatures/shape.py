@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw.twin.creatures.swimmer import Attitude
-from hw.twin.optics.view import FISH, Ellipsoid, Swimming
+from hw.twin.optics.view import FISH_MATERIALS, Ellipsoid, Swimming
 from hw.twin.physics.rotation import matrix, quaternion
 from hw.twin.scene import Creature, generator
 
@@ -45,7 +45,7 @@ PARTS = (
 def swimming(creature: Creature, attitude: Attitude, seed: int) -> Swimming:
     """The ellipsoids of a creature, world frame. Its pattern is its own, or that of whom it looks like."""
     across_m, up_m = _pattern_m(seed, creature.like or creature.name)
-    length_m, material = creature.length_m, FISH[creature.colour]
+    length_m, material = creature.length_m, FISH_MATERIALS[creature.colour]
     middle_m = np.array(attitude[:3])
     axes = np.asarray(matrix(quaternion(0.0, -attitude.pitch_rad, attitude.heading_rad)))
     parts = []

@@ -10,8 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta, structs
 
-from agent.core.config import Struct
-from agent.core.toml_files import convert, read_toml
+from agent.core.config import Struct, convert, read_toml
 
 TABLE = Path(__file__).with_suffix(".toml")
 

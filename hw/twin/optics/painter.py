@@ -20,7 +20,7 @@ from hw.twin.optics import texture
 from hw.twin.optics.defocus import blur, circles, margin
 from hw.twin.optics.exposure import Exposure, expose, gamma_curve, noise_key, normal_quantiles
 from hw.twin.optics.lamps.lit import LampTables, add_lamps, lamp_tables
-from hw.twin.optics.lamps.metering import COARSE, coarse, meter
+from hw.twin.optics.lamps.metering import METERING_STEP_PX, coarse, meter
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.motion import During, parts_of
 from hw.twin.optics.outline import Outline, outlines, swum_over
@@ -82,7 +82,7 @@ class Painter:
         known = self._scene.water
         if known.absorption_per_m is not None and known.scattering_per_m is not None:
             self._lamps = lamp_tables(known.absorption_per_m, known.scattering_per_m, self._tables)
-            if self._lens.width > 16 * COARSE:
+            if self._lens.width > 16 * METERING_STEP_PX:
                 others = (
                     self._scene,
                     self._tank,

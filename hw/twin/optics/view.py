@@ -19,14 +19,14 @@ Affine = NDArray[np.float64]  # (3, 4) rotation and shift
 
 HULL_RADII_M = (0.14, 0.14, 0.08)
 FACES = [MATERIALS.index(m) for m in (*[texture.WALL] * 4, texture.FLOOR, texture.SURFACE, texture.CHESSBOARD)]
-STONE, HULL = (MATERIALS.index(m) for m in (texture.STONE, texture.HULL))
+STONE_MATERIAL, HULL_MATERIAL = (MATERIALS.index(m) for m in (texture.STONE, texture.HULL))
 BALLS = {
     "red": MATERIALS.index(texture.RED_BALL),
     "orange": MATERIALS.index(texture.ORANGE_BALL),
     "yellow": MATERIALS.index(texture.YELLOW_BALL),
     "green": MATERIALS.index(texture.GREEN_BALL),
 }
-FISH = {
+FISH_MATERIALS = {
     "orange": MATERIALS.index(texture.ORANGE_FISH),
     "silver": MATERIALS.index(texture.SILVER_FISH),
     "brown": MATERIALS.index(texture.BROWN_FISH),
@@ -109,12 +109,12 @@ def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float,
             s.position_m,
             turned(s.turn_deg),
             s.radii_m,
-            BALLS[s.colour] if s.kind == "ball" else STONE,
+            BALLS[s.colour] if s.kind == "ball" else STONE_MATERIAL,
             cube=s.kind == "box",
         )
         for s in moment.solids
     ]
-    bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL) for h in moment.hulls]
+    bodies += [Ellipsoid(h.position_m, h.rotation, HULL_RADII_M, HULL_MATERIAL) for h in moment.hulls]
     bodies += [part for creature in moment.creatures for part in creature.parts]
     to_unit = [relative(b.rotation, b.position_m, camera) / np.array(b.radii_m)[:, None] for b in bodies]
     optics = (slope, *lens.centre_px, lens.k1, lens.k2, index**2, lens.port_gap_m)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agent.core.config import Body as Mounting
 from agent.core.config import Tank
 from hw.twin.physics.servo import STOP_MARGIN_DEG
-from hw.twin.physics.thruster import LAG_S
+from hw.twin.physics.thruster import THRUSTER_LAG_S
 from hw.twin.scene import generator
 
 # One record per robot, read by the compiled kernels. Vectors are body x, y, z; six-vectors add roll, pitch, yaw.
@@ -116,7 +116,7 @@ def draw_body(
     body["stagnation"] = 1.0
     body["neutral_us"] = rng.uniform(-NEUTRAL_SPREAD_US, NEUTRAL_SPREAD_US, 8)
     body["thrust_gain"] = about((1.0,) * 8, THRUST_SPREAD)
-    body["thrust_lag_s"] = LAG_S * rng.uniform(*LAG_FACTOR, 8)
+    body["thrust_lag_s"] = THRUSTER_LAG_S * rng.uniform(*LAG_FACTOR, 8)
 
     survey = generator(seed, robot, "survey")
     x_m, y_m, z_m, yaw_deg = start

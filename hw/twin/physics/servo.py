@@ -6,7 +6,7 @@ import math
 
 from hw.compiled import compiled
 
-LAG_S = 0.04
+SERVO_LAG_S = 0.04
 SLEW_DEG_S = 300.0  # 0.2 s per 60 deg, a usual figure of digital hobby servos
 PLAY_DEG = 0.5  # full width of the backlash: the camera hangs behind the motor by half of it
 STOP_MARGIN_DEG = 3.0  # mechanical stops lie outside the limits that the fleet file allows
@@ -18,7 +18,7 @@ def motor_deg_after(
 ) -> float:
     """Angle of the motor after dt_s of following the commanded nominal angle."""
     target = min(max(zero_deg + gain * nominal_deg, low_deg), high_deg)
-    move = (target - motor_deg) * (1.0 - math.exp(-dt_s / LAG_S))
+    move = (target - motor_deg) * (1.0 - math.exp(-dt_s / SERVO_LAG_S))
     return motor_deg + min(max(move, -SLEW_DEG_S * dt_s), SLEW_DEG_S * dt_s)
 
 

@@ -17,7 +17,7 @@ THRUST_N = np.array([-28.6, -19.0, -10.0, -3.2, 0.0, 0.0, 4.0, 12.4, 24.0, 36.4]
 
 STICTION_N = 0.05  # the rotor does not turn below this
 NEUTRAL_US = 1500.0
-LAG_S = 0.10  # a value of one simulator, not a measurement; body.py spreads it
+THRUSTER_LAG_S = 0.10  # a value of one simulator, not a measurement; body.py spreads it
 
 
 @compiled()

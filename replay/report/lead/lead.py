@@ -42,7 +42,7 @@ class Lead(NamedTuple):
 
 def lead(run: Run, survey: Surveyed | None) -> Lead:
     at_end = ends(run)
-    every = (_robot(run.fleet, name, run.timelines) for name in run.fleet.robot)
+    every = (_drawn_robot(run.fleet, name, run.timelines) for name in run.fleet.robot)
     robots = [robot for robot in every if robot is not None]
     things = [_thing(run, target, at_end) for target in run.fleet.target]
     shown = [thing for thing in things if thing.held or thing.truth_m is not None]
@@ -75,7 +75,7 @@ def _number(value: float | None, unit: float) -> str:
     return "-" if value is None else f"{unit * value:.1f}"
 
 
-def _robot(fleet: Fleet, name: str, timelines: Sequence[RobotTimeline]) -> Robot | None:
+def _drawn_robot(fleet: Fleet, name: str, timelines: Sequence[RobotTimeline]) -> Robot | None:
     """None of one that swims and never said where it is."""
     mine = [each for each in timelines if each.robot == name]
     states = sorted((row for each in mine for row in each.states), key=lambda row: row[0])

@@ -47,7 +47,7 @@ class Survey(NamedTuple):
 Ending = Literal["ended", "torn", "silent"]
 
 
-class Robot(NamedTuple):
+class RobotOutcome(NamedTuple):
     """How one robot fared."""
 
     ends_s: float
@@ -60,7 +60,7 @@ class Robot(NamedTuple):
 
 class Outcome(NamedTuple):
     fleet: tuple[str, ...]  # all robots of the fleet file
-    robots: Mapping[str, Robot]  # those that were heard
+    robots: Mapping[str, RobotOutcome]  # those that were heard
     targets: tuple[Found, ...]
     missing: tuple[str, ...] = ()  # of whom there should be something, and is nothing
     survey: Survey | None = None
@@ -132,7 +132,7 @@ def _survey(run: Run, found: Surveyed | None) -> Survey | None:
     )
 
 
-def _robot(timeline: RobotTimeline) -> Robot:
+def _robot(timeline: RobotTimeline) -> RobotOutcome:
     last = timeline.states[-1][1] if timeline.states else None
     warned: dict[str, None] = {}
     for _, line in timeline.log:
@@ -145,7 +145,7 @@ def _robot(timeline: RobotTimeline) -> Robot:
             warned.setdefault(fault_kind(line.text))
     faults = last.faults if last is not None else ()
     kinds = {fault_kind(fault) for fault in faults}
-    return Robot(
+    return RobotOutcome(
         ends_s=timeline.ends_s,
         starts=max(1, len(timeline.starts_s)),
         mode=last.mode if last is not None else "running",

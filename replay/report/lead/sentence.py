@@ -34,7 +34,7 @@ def sentence(about: Outcome) -> list[Part]:
     for found in about.targets:
         if about.survey is not None and not found.known_s:  # a survey looks for none
             continue
-        clauses.append(("good" if found.sigma_m else "bad", _found(found, about)))
+        clauses.append(("good" if found.sigma_m else "bad", _found_words(found, about)))
     return _one([*clauses, *_wrong(about)], about)
 
 
@@ -48,7 +48,7 @@ def _one(clauses: Sequence[tuple[Literal["", "good", "bad"], str]], about: Outco
     return parts
 
 
-def _found(found: Found, about: Outcome) -> str:
+def _found_words(found: Found, about: Outcome) -> str:
     if not found.known_s:
         return f"nobody found the {found.target} in {seconds(about.lasted_s)}"
     who = ", ".join(_who(found, about))

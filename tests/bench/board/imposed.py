@@ -8,8 +8,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
 from hw.twin.devices.cycle_times import TABLE, CycleTimes, Table, read_table
 from tests.bench.board import prices, sources
 from tests.bench.board.boots import ARMED, DISARMED

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from agent.capabilities.light.allocate import Scene
 from agent.capabilities.light.followers import best, view
-from agent.core.settings import Lighting, WaterOptics
+from agent.core.config import Lighting, WaterOptics
 from agent.perception.detection.creature import named_hues
 from agent.perception.detection.detectors import CreatureDetector
 from agent.process.fleet_files import fleet_file

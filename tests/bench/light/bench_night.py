@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.demo.summary import PASS_PERCENT
 from agent.process.fleet_files import fleet_file
 from agent.robot.fleet_reader import load_fleet

@@ -13,10 +13,9 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from agent.capabilities.swim.pursuit import carried_on
-from agent.core.config import Fleet
-from agent.core.estimation.choice import dynamics
-from agent.core.ranging.calibration import Calibration
-from agent.core.settings import Lighting, WaterOptics
+from agent.core.config import Fleet, Lighting, WaterOptics
+from agent.core.estimation.protocols import dynamics
+from agent.core.ranging.camera_model import Calibration
 from agent.process.fleet_files import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive

@@ -25,12 +25,11 @@ from agent.capabilities.survey.making import block_px, lens_of, sigma_of
 from agent.capabilities.survey.rays import place_m, rotation
 from agent.capabilities.survey.spots import frame_scene
 from agent.core.attitude import Attitude
-from agent.core.config import Fleet, Pose
-from agent.core.control.lens_positions import full_positions
+from agent.core.config import Fleet, Lighting, Pose, WaterOptics
+from agent.core.control.sweep import full_positions
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import h
-from agent.core.settings import Lighting, WaterOptics
 from agent.core.step_io import SweepPlan
 from agent.experiments.posed_robot import PosedRobot
 from agent.perception.clarity.block_sweep import BlockSweep

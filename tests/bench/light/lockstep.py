@@ -22,7 +22,7 @@ from msgspec.structs import replace
 
 from agent.core.codec import encode
 from agent.core.config import Fleet
-from agent.core.ranging.calibration import Calibration
+from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
 from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
 from agent.demo.history import History

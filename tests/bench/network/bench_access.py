@@ -22,8 +22,7 @@ import zenoh
 from msgspec.structs import replace
 
 from agent.core import topics
-from agent.core.config import Access, Fleet
-from agent.core.toml_files import dump
+from agent.core.config import Access, Fleet, dump
 from agent.demo.fleet import demo_fleet, listening
 from agent.ground.make import make_all
 from agent.process.certificates import certificate_file, issue, key_file, write

@@ -19,8 +19,7 @@ from typing import Any
 
 import msgspec
 
-from agent.core.config import Access
-from agent.core.toml_files import dump
+from agent.core.config import Access, dump
 from agent.demo.fleet import demo_fleet
 from agent.ground.make import make_all
 from agent.process.ports import free_ports

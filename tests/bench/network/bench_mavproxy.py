@@ -22,7 +22,7 @@ from typing import Any
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
 from agent.process.fleet_certificates import credentials

@@ -19,8 +19,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from agent.core.config import Access, Fleet
-from agent.core.toml_files import dump
+from agent.core.config import Access, Fleet, dump
 from agent.demo.fleet import demo_fleet
 from agent.ground.console import OrderConsole
 from agent.ground.make import make_all

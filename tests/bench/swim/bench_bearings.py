@@ -14,11 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.bearing import bearing
-from agent.core.estimation.dynamics import Dynamics, swimming
-from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
-from agent.core.estimation.track import Track, predict
-from agent.core.matrix import apply
+from agent.core.estimation.track import Dynamics, FixedLagFilter, Held, Track, predict, swimming
+from agent.core.linear_algebra import apply
+from agent.core.target_state import bearing
 from hw.twin.creatures.school import School
 from hw.twin.scene import Creature, load_scene
 

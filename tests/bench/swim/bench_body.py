@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.core.config import Goto, Pose, Trial
-from agent.core.ranging.calibration import BodyFit
+from agent.core.ranging.camera_model import BodyFit
 from agent.tools import body_fit
 from hw.twin.physics.forces import RING_M, RING_RAD
 from tests.bench.swim.drawn import MIDDLE, DrawnSwimmer, drawn, swimming

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core.angle import wrap
 from agent.core.config import Goto
+from agent.core.linear_algebra import wrap
 from tests.bench.swim.drawn import MIDDLE, drawn, swimming
 
 STILL = Goto(x_m=MIDDLE.x_m, y_m=MIDDLE.y_m, yaw_deg=MIDDLE.yaw_deg)

@@ -17,9 +17,9 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.capabilities.swim.event_ring import Event
-from agent.core.angle import wrap
 from agent.core.config import Behaviour, Fleet, Navigation, Pose, Twin
-from agent.core.ranging.calibration import BodyFit
+from agent.core.linear_algebra import wrap
+from agent.core.ranging.camera_model import BodyFit
 from agent.core.step_io import Inputs, SeenTags, SetPoint
 from agent.robot.core import Agent
 from hw.stm32.protocol import HostProtocol

@@ -5,8 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from agent.capabilities.light.followers import FAINT, PLAIN
-from agent.core.config import Follow, Look, Target
-from agent.core.settings import Lighting
+from agent.core.config import Follow, Lighting, Look, Target
 from agent.experiments.following.cases import LENGTH_M
 from agent.experiments.following.drawn_fish import DrawnFish
 from agent.experiments.navigation import basin

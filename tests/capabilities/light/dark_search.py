@@ -8,9 +8,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from agent.capabilities.light.search import SHOWS
-from agent.core.config import Fleet, Pose, Search
+from agent.core.config import Fleet, Lighting, Pose, Search
 from agent.core.messages import Vector
-from agent.core.settings import Lighting
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import PlanarBodies
 from hw.twin.scene import generator

@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.core.config import Fleet
-from agent.core.settings import Lighting
+from agent.core.config import Fleet, Lighting
 from agent.experiments.navigation.bodies import START_NS
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.reconstruction.drawn_scene import draw_scene
-from agent.experiments.reconstruction.swum import SurveyEyes, WideBodies, fleet_of
+from agent.experiments.reconstruction.swum import SurveyEyes, WideBodies, swimming_fleet
 from tests.capabilities.light.lit_swarm import HARBOUR
 
 
@@ -44,7 +43,7 @@ class DarkSurvey(Swimmers):
     """Three robots of the experiment's fleet, with lamps."""
 
     def __init__(self, seed: int, lighting: Lighting = HARBOUR, fleet: Fleet | None = None) -> None:
-        fleet = fleet or fleet_of(seed)
+        fleet = fleet or swimming_fleet(seed)
         lamps = {name: replace(robot, lamp=True) for name, robot in fleet.robot.items()}
         fleet = replace(fleet, robot=lamps, lighting=lighting)
         bodies = WideBodies(fleet)

@@ -16,8 +16,7 @@ from msgspec.structs import replace
 from agent.capabilities.light.allocate import Choice, Lamp, Scene
 from agent.capabilities.light.lamp import DARK_NS
 from agent.core.codec import encode
-from agent.core.config import Fleet
-from agent.core.settings import Lighting, WaterOptics
+from agent.core.config import Fleet, Lighting, WaterOptics
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
 from agent.demo.fleet import demo_fleet
 from agent.robot.core import Agent

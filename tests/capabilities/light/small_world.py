@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from agent.capabilities.light.lease import Party, ack_to, acquainted, ask, hear, lit_by, release, said_lease, tick
 from agent.capabilities.light.proof import Baseline, baseline, verdict
-from agent.core.words import LampNow, Lease, Light
+from agent.core.capability_messages import LampNow, Lease, Light
 
 STEP_NS, GUARD_NS = 50_000_000, 100_000_000
 HOLDS_S = 0.6  # twelve steps: some runs are still sweeping when it is over

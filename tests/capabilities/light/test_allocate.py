@@ -12,7 +12,7 @@ import pytest
 from agent.capabilities.light.allocate import GLARE_RAD, Lamp, Scene, allocate
 from agent.capabilities.light.information import worth
 from agent.capabilities.light.model import pair
-from agent.core.settings import Lighting, WaterOptics
+from agent.core.config import Lighting, WaterOptics
 from tests.places import ROOT
 
 COASTAL = Lighting(water=WaterOptics(absorption_per_m=(0.25, 0.18, 0.35), scattering_per_m=(0.22,) * 3))
@@ -82,7 +82,7 @@ def test_the_order_in_which_lamps_are_told_does_not_matter() -> None:
 def test_the_same_bytes_whatever_python_hashes_by() -> None:
     code = (
         "from agent.capabilities.light.allocate import Lamp, Scene, allocate\n"
-        "from agent.core.settings import Lighting, WaterOptics\n"
+        "from agent.core.config import Lighting, WaterOptics\n"
         "water = WaterOptics(absorption_per_m=(.5, .4, .4), scattering_per_m=(1.8,) * 3)\n"
         "seen = Scene((.5, 2., .5), (1., 0., 0.), (2., 2., .5), .07, 1169., 1.6)\n"
         "lamps = {f'r{k}': Lamp((2. - .4 * k, 2. + .3 * (-1)**k, .5)) for k in (4, 1, 3, 2)}\n"

@@ -9,11 +9,11 @@ from agent.capabilities.light.allocate import Choice
 from agent.capabilities.light.lease import Bound, Party
 from agent.capabilities.light.search import OWN_SCAN_NS, SHOWS, SHOWS_SIDE, SWIMS_NS, SwimSearch
 from agent.core.attitude import Attitude
+from agent.core.capability_messages import Lease
 from agent.core.codec import encode
 from agent.core.config import Target
-from agent.core.control.roam import Roam
-from agent.core.control.seek import Seek
-from agent.core.words import Lease
+from agent.core.control.search_pattern import Roam
+from agent.core.control.target_search import Seek
 from agent.experiments.navigation.bodies import START_NS
 from agent.robot.core import Agent
 from tests.capabilities.light.dark_fish import DarkFish

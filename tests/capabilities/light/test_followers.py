@@ -7,8 +7,8 @@ from random import Random
 
 from agent.capabilities.light.allocate import Scene
 from agent.capabilities.light.followers import HOLD_NS, MOST, Held, View, best, decided, followers, view
+from agent.core.config import Lighting, WaterOptics
 from agent.core.messages import Vector
-from agent.core.settings import Lighting, WaterOptics
 
 HARBOUR = Lighting(water=WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82,) * 3))
 COASTAL = Lighting(water=WaterOptics(absorption_per_m=(0.25, 0.18, 0.35), scattering_per_m=(0.22,) * 3))

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.capabilities.light.allocate import Lamp
 from agent.capabilities.light.frames import FrameScene, Spot, allocate_frame, glares, lit, log_js, shown
 from agent.capabilities.light.model import pair
-from agent.core.settings import Lighting, WaterOptics
+from agent.core.config import Lighting, WaterOptics
 
 HARBOUR = Lighting(water=WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82, 1.82, 1.82)))
 UP = (0.0, 0.0, 1.0)

@@ -17,7 +17,7 @@ from agent.capabilities.light.lease import (
     tick,
 )
 from agent.capabilities.light.proof import Baseline, Mark, Spoiled, baseline, verdict
-from agent.core.words import LampNow, Lease, LeaseAck, Light, light_fault
+from agent.core.capability_messages import LampNow, Lease, LeaseAck, Light, light_fault
 from tests.capabilities.light import small_world
 from tests.capabilities.light.small_world import World, after, start, straight
 

@@ -8,7 +8,7 @@ import pytest
 from agent.capabilities.light import model
 from agent.capabilities.light.orders import all_orders
 from agent.capabilities.light.phase import AT_180, phase
-from agent.core.settings import Beam, Lighting, WaterOptics
+from agent.core.config import Beam, Lighting, WaterOptics
 from agent.experiments.lighting import scattering as particles
 from agent.experiments.lighting.monte_carlo import Medium, scattered
 from agent.experiments.lighting.veil_nodes import beside

@@ -4,10 +4,10 @@ import pytest
 from msgspec.structs import replace
 
 from agent.capabilities.light.aside import whole
-from agent.capabilities.light.lamp import Lamp, cannot, command, warmed
+from agent.capabilities.light.lamp import LampControl, cannot, command, warmed
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import Eye
-from agent.core.ranging.cues import Outline
+from agent.core.ranging.fix import Outline
 from agent.core.ranging.focus import lens_position
 from agent.robot.light_rules import broken_light_rules
 from tests.capabilities.light.lit_swarm import HARBOUR, lit_fleet
@@ -42,7 +42,7 @@ def test_a_fleet_with_lamps_and_one_without_have_none() -> None:
 
 
 def test_a_turn_in_the_dark_is_no_change_of_light_and_takes_its_time() -> None:
-    lamp = command(Lamp((1500, 1500)), 0.0, (1900, 1500), 0)
+    lamp = command(LampControl((1500, 1500)), 0.0, (1900, 1500), 0)
     assert lamp.changes == 0 and lamp.steady(0)
     lit = command(lamp, 1.0, (1900, 1500), 0)
     assert lit.changes == 1 and not lit.steady(200_000_000) and lit.steady(500_000_000)
@@ -50,7 +50,7 @@ def test_a_turn_in_the_dark_is_no_change_of_light_and_takes_its_time() -> None:
 
 
 def test_a_lamp_warms_until_it_may_not_burn_and_cools_again() -> None:
-    lamp, now_ns = Lamp((1500, 1500), power=1.0), 0
+    lamp, now_ns = LampControl((1500, 1500), power=1.0), 0
     while not cannot(True, lamp, telemetry(0), False):
         now_ns += 10**9
         lamp = warmed(lamp, now_ns)
@@ -73,8 +73,8 @@ def test_a_lamp_warms_until_it_may_not_burn_and_cools_again() -> None:
     ],
 )
 def test_what_forbids_a_lamp_to_burn(about: dict, silent: bool, why: str) -> None:
-    assert cannot(True, Lamp((1500, 1500)), telemetry(0, **about), silent) == why
-    assert cannot(False, Lamp((1500, 1500)), telemetry(0, **about), silent) == "no lamp"
+    assert cannot(True, LampControl((1500, 1500)), telemetry(0, **about), silent) == why
+    assert cannot(False, LampControl((1500, 1500)), telemetry(0, **about), silent) == "no lamp"
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

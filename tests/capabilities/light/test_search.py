@@ -11,11 +11,11 @@ from agent.capabilities.light.allocate import Choice
 from agent.capabilities.light.lease import Bound, Mine, Party
 from agent.capabilities.light.search import OWN_ROUNDS, RANGES_M, SHOWN_NS, SHOWS, SWIMS_NS, LightSearch, SwimSearch
 from agent.core.attitude import Attitude
+from agent.core.capability_messages import Lease
 from agent.core.control.pointing import SEARCH_DEG
-from agent.core.control.roam import Roam
-from agent.core.control.seek import Seek
+from agent.core.control.search_pattern import Roam
+from agent.core.control.target_search import Seek
 from agent.core.step_io import Sighting
-from agent.core.words import Lease
 from tests.capabilities.light.dark_search import DarkSearch
 from tests.capabilities.light.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
 from tests.network.scripted_agent import CALIBRATION

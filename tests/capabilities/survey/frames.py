@@ -5,24 +5,24 @@ import numpy as np
 from agent.capabilities.survey.grid import Grid, grid_of
 from agent.capabilities.survey.making import lens_of, sigma_of
 from agent.capabilities.survey.rays import quaternion
-from agent.core.keyframe import Blocks, Frame, place_of, quantised
-from agent.core.ranging.calibration import Calibration
+from agent.core.capability_messages import Blocks, Frame, place_of, quantised
+from agent.core.ranging.camera_model import Calibration
 from agent.experiments.navigation.drawn_ball import FOCUS
-from agent.experiments.reconstruction.coverage import CAMERA, SIZE_M, SURFACE_M, eye_of, fleet_of, sigma_m
+from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, SURVEY_CAMERA, fleet_of, gimbal_eye, sigma_m
 from agent.experiments.reconstruction.drawn_scene import draw_scene, look
 
 FLEET = fleet_of()
 GRID: Grid = grid_of(FLEET)
 SCENE = draw_scene((SIZE_M[0], SIZE_M[1], SURFACE_M), 3)
-LENS, ROWS = lens_of(CAMERA, None)
-SIGMA = sigma_of(Calibration(robot="r1", made="", source="", focus=FOCUS, camera=CAMERA))
+LENS, ROWS = lens_of(SURVEY_CAMERA, None)
+SIGMA = sigma_of(Calibration(robot="r1", made="", source="", focus=FOCUS, camera=SURVEY_CAMERA))
 
 
 def frame(origin: str = "r1", number: int = 1, incarnation: int = 1, servos=(1500.0, 1300.0), seed: int = 0) -> Frame:
     """What that robot sees with its gimbal there, with noise."""
     rng = np.random.default_rng(seed)
-    eye = eye_of(FLEET, origin, servos)
-    seen = look(SCENE, np.array(eye.position_m), np.array(eye.rotation), CAMERA, LENS.block)
+    eye = gimbal_eye(FLEET, origin, servos)
+    seen = look(SCENE, np.array(eye.position_m), np.array(eye.rotation), SURVEY_CAMERA, LENS.block)
     sigma = sigma_m(np.minimum(seen.z_m, 5.0))
     shows = np.isfinite(seen.z_m) & (rng.random(seen.z_m.size) < 0.8)
     z = [float(d + s * rng.normal()) if ok else None for d, s, ok in zip(seen.z_m, sigma, shows, strict=True)]

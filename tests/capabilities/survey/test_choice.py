@@ -11,10 +11,10 @@ from agent.capabilities.survey.cast import gain
 from agent.capabilities.survey.evidence import CoverageMap, dose
 from agent.capabilities.survey.rays import place_m, rotation
 from agent.capabilities.survey.survey import APART_M, Surveyor
+from agent.core.capability_messages import Blocks, Frame, quantised
 from agent.core.config import Body, Navigation, Pose
-from agent.core.keyframe import Blocks, Frame, quantised
-from agent.core.ranging.calibration import Calibration
-from agent.experiments.reconstruction.coverage import CAMERA, PLACES, SIZE_M, SURFACE_M, fleet_of, sigma_m
+from agent.core.ranging.camera_model import Calibration
+from agent.experiments.reconstruction.coverage import PLACES, SIZE_M, SURFACE_M, SURVEY_CAMERA, fleet_of, sigma_m
 from agent.experiments.reconstruction.drawn_scene import draw_scene, look
 from tests.capabilities.survey.frames import GRID, LENS, ROWS, SIGMA
 from tests.known_lens import PLAIN
@@ -30,7 +30,7 @@ def where(k: int = 0, room=None) -> Where:
 def seen(scene, candidate: Candidate, number: int, rng) -> Frame:
     """What the sweep of a candidate would measure there."""
     view = candidate.view
-    found = look(scene, np.array(place_m(view.place)), np.array(rotation(view.turn)), CAMERA, LENS.block)
+    found = look(scene, np.array(place_m(view.place)), np.array(rotation(view.turn)), SURVEY_CAMERA, LENS.block)
     sigma = sigma_m(np.minimum(found.z_m, 5.0))
     noise = rng.normal(size=sigma.size)
     z = [float(d + s * e) if d < 1.6 else None for d, s, e in zip(found.z_m, sigma, noise, strict=True)]
@@ -107,7 +107,7 @@ def test_what_another_claims_is_no_gain_any_more():
 @pytest.fixture
 def surveyor() -> Surveyor:
     fleet = replace(fleet_of(), navigation=Navigation())
-    return Surveyor(fleet, "r1", Calibration(robot="r1", made="", source="", focus=PLAIN, camera=CAMERA), 1)
+    return Surveyor(fleet, "r1", Calibration(robot="r1", made="", source="", focus=PLAIN, camera=SURVEY_CAMERA), 1)
 
 
 def choose(surveyor: Surveyor, claims=(), others=()) -> None:

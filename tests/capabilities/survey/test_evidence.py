@@ -12,10 +12,9 @@ from agent.capabilities.survey.cast import beam, cast, expected, gain
 from agent.capabilities.survey.evidence import STARTS, CoverageMap, dose
 from agent.capabilities.survey.grid import Grid, information
 from agent.capabilities.survey.rays import along, block_slopes, quaternion, rotation
-from agent.core.claim import View
+from agent.core.capability_messages import SIGMAS_M, UNIT_M, Keyframe, View, measured, place_of, sigma_byte
 from agent.core.codec import encode
-from agent.core.keyframe import SIGMAS_M, UNIT_M, Keyframe, measured, place_of, sigma_byte
-from agent.experiments.reconstruction.coverage import CAMERA, eye_of
+from agent.experiments.reconstruction.coverage import SURVEY_CAMERA, gimbal_eye
 from agent.experiments.reconstruction.drawn_scene import look
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SCENE, SIGMA, drawn_frames, frame
 
@@ -81,10 +80,10 @@ def test_a_keyframe_fits_on_the_wire_and_quantising_costs_little():
 
 
 def test_pose_and_rays_survive_as_integers():
-    eye = eye_of(FLEET, "r2", (1320.0, 1210.0))
+    eye = gimbal_eye(FLEET, "r2", (1320.0, 1210.0))
     turn = rotation(quaternion(eye.rotation))
     assert np.abs(np.array(turn) - eye.rotation).max() < 1e-8
-    seen = look(SCENE, np.array(eye.position_m), np.array(eye.rotation), CAMERA, LENS.block)
+    seen = look(SCENE, np.array(eye.position_m), np.array(eye.rotation), SURVEY_CAMERA, LENS.block)
     slopes, ahead_m = block_slopes(LENS, len(seen.z_m)), LENS.ahead * UNIT_M
     start = np.array(place_of(eye.position_m)) * UNIT_M
     for k in np.flatnonzero(np.isfinite(seen.z_m))[::29]:
@@ -136,7 +135,7 @@ def test_rays_of_a_guess_meet_what_brute_force_meets():
 
 def test_gain_is_what_brute_force_says():
     known = map_of(FRAMES)
-    eye = eye_of(FLEET, "r4", (1450.0, 1280.0))
+    eye = gimbal_eye(FLEET, "r4", (1450.0, 1280.0))
     view = View(place_of(eye.position_m), quaternion(eye.rotation), LENS, ROWS, SIGMA)
     adds = expected(view, beam(LENS, ROWS), GRID, known.solid())
     goal = GRID.goal

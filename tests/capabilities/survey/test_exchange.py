@@ -8,10 +8,9 @@ from msgspec.structs import replace
 
 from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.exchange import Exchange, holdings
-from agent.core.claim import Claim, View
+from agent.core.capability_messages import MOST_NUMBER, Claim, Keyframe, View
 from agent.core.codec import Refusal, encode
 from agent.core.config import Fleet
-from agent.core.keyframe import MOST_NUMBER, Keyframe
 from agent.core.step_io import Heard, Inputs
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
 from agent.experiments.reconstruction.drawn_scene import draw_scene

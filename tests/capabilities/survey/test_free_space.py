@@ -9,7 +9,7 @@ from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.free_space import EVERY, FREE, crossed, is_free, passed
 from agent.capabilities.survey.grid import is_inner
 from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
-from agent.core.keyframe import UNIT_M, Frame, measured
+from agent.core.capability_messages import UNIT_M, Frame, measured
 from tests.capabilities.survey.frames import GRID, LENS, SCENE, drawn_frames
 
 FRAMES = drawn_frames(30)

@@ -7,11 +7,11 @@ import pytest
 from agent.capabilities.survey.candidates import Station, Where, view_of
 from agent.capabilities.survey.grid import FARTHEST_M, grid_of
 from agent.capabilities.survey.making import lens_of
-from agent.capabilities.survey.spots import ACROSS, DOWN, frame_scene
+from agent.capabilities.survey.spots import SPOTS_ACROSS, SPOTS_DOWN, frame_scene
 from agent.core.config import Body, Pose
-from agent.experiments.reconstruction.swum import WIDE, fleet_of
+from agent.experiments.reconstruction.swum import WIDE, swimming_fleet
 
-FLEET = fleet_of(1)
+FLEET = swimming_fleet(1)
 GRID = grid_of(FLEET)
 
 
@@ -25,10 +25,10 @@ def scene(tilt_deg: float, cells=None, stops=frozenset(), x_m=1.0):
 
 def test_of_a_view_of_the_floor_all_spots_lie_on_it_face_up_and_count() -> None:
     found = scene(-45.0)
-    assert len(found.spots) == ACROSS * DOWN
+    assert len(found.spots) == SPOTS_ACROSS * SPOTS_DOWN
     assert all(abs(spot.at_m[2]) < 1e-6 and spot.normal == (0.0, 0.0, 1.0) for spot in found.spots)
     near = [spot for spot in found.spots if math.dist(spot.at_m, found.camera_m) < FARTHEST_M]
-    assert sum(spot.blocks for spot in near) == pytest.approx(475 * len(near) / (ACROSS * DOWN), rel=0.02)
+    assert sum(spot.blocks for spot in near) == pytest.approx(475 * len(near) / (SPOTS_ACROSS * SPOTS_DOWN), rel=0.02)
     assert found.aim_m[2] == pytest.approx(0.0, abs=1e-6) and found.axis[2] < 0.0
 
 

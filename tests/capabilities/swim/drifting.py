@@ -10,9 +10,8 @@ from agent.capabilities.swim.corrections import RATE_RAD_S
 from agent.capabilities.swim.event_ring import EventRing, asked, fix, rate
 from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import FIRST_BIAS_RAD_S, Drift, begin
-from agent.core.angle import wrap
 from agent.core.estimation.interface import Posterior
-from agent.core.matrix import upper
+from agent.core.linear_algebra import upper, wrap
 
 S, H = 1_000_000_000, 0.02
 BALL = np.array([1.5, 1.0, 0.07])

@@ -5,10 +5,9 @@ from collections import deque
 import numpy as np
 from msgspec import UNSET
 
-from agent.core.angle import wrap
 from agent.core.config import Body, Fleet, Navigation, Pose, Robot, Tank, Target
-from agent.core.ranging.calibration import Calibration, CameraFit
-from agent.core.ranging.camera_model import gimbal_deg
+from agent.core.linear_algebra import wrap
+from agent.core.ranging.camera_model import Calibration, CameraFit, gimbal_deg
 from agent.core.step_io import Flow, Inputs, SeenTags
 from agent.robot.core import Agent
 from tests.capabilities.swim.planar_tank import Swimmer

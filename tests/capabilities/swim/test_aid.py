@@ -16,7 +16,7 @@ from agent.capabilities.swim.pose_filter import Drift, begin, keep_key
 from agent.core.codec import encode
 from agent.core.config import Pose
 from agent.core.estimation.interface import Posterior
-from agent.core.matrix import upper
+from agent.core.linear_algebra import upper
 from agent.core.step_io import SeenTags
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import START_NS, PlanarBodies

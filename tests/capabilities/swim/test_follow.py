@@ -9,8 +9,8 @@ from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import reference, start
 from agent.capabilities.swim.follow import place_around
 from agent.capabilities.swim.surroundings import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
-from agent.core.angle import wrap
 from agent.core.config import Follow, Look, Pose, Search
+from agent.core.linear_algebra import wrap
 from agent.core.target_state import TargetEstimate
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import PlanarBodies

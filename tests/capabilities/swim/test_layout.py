@@ -5,10 +5,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.capabilities.swim.layout import corners, markers, survey_jacobian
-from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank
-from agent.core.fleet_digest import common
+from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, common, dump
 from agent.core.ranging.camera_model import camera_pose, to_camera
-from agent.core.toml_files import dump
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.landmark_rules import broken_landmark_rules
 from tests.places import ROOT

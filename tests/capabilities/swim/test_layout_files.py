@@ -8,8 +8,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from agent.capabilities.swim.layout import axes
-from agent.core.config import ConfigError, Tag
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, Tag, dump
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 

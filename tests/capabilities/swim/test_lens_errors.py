@@ -6,7 +6,7 @@ import numpy as np
 from agent.capabilities.swim.projection import view
 from agent.capabilities.swim.tag_fix import tag_fix
 from agent.core.config import Body
-from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import SeenTag
 from agent.perception.landmarks.slopes import to_pixels, to_slopes
 from tests.capabilities.swim.tank_with_tags import MAP, VIEW, priors, sight

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from agent.capabilities.swim.neighbours import LONGEST_NS, SILENT_NS, Neighbours
 from agent.core.codec import Refusal, encode
-from agent.core.presence import Presence
+from agent.core.messages import Presence
 from agent.core.status import Status
 from agent.core.step_io import Heard
 from agent.core.topics import NEAR

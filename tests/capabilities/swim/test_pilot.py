@@ -22,8 +22,8 @@ from agent.capabilities.swim.pilot import (
 )
 from agent.capabilities.swim.pose_filter import begin
 from agent.capabilities.swim.surroundings import walled_in
-from agent.core.angle import wrap
 from agent.core.config import Behaviour, Goto, Hold, Orbit, Turn
+from agent.core.linear_algebra import wrap
 from tests.capabilities.swim.planar_tank import Fixes, Piloted, Swimmer
 
 S = 1_000_000_000

@@ -9,9 +9,9 @@ from msgspec import UNSET
 
 from agent.capabilities.swim.pursuit import carried_on
 from agent.core.config import Estimation, Follow, Hold, Look, Pose
-from agent.core.estimation.choice import PURSUIT_S, iteration_ns, pursued
-from agent.core.estimation.dynamics import ROLLING, swimming
 from agent.core.estimation.interface import NOTHING, Posterior
+from agent.core.estimation.protocols import PURSUIT_S, iteration_ns, pursued
+from agent.core.estimation.track import ROLLING, swimming
 from agent.core.ranging.focus import h
 from agent.core.target_state import grown
 from agent.experiments.navigation import basin

@@ -12,9 +12,9 @@ from agent.capabilities.swim.pilot import wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import Drift, begin
 from agent.capabilities.swim.tag_fix import TagFix, tag_fix
 from agent.capabilities.swim.tag_priors import priors
-from agent.core.angle import wrap
 from agent.core.attitude import Attitude
 from agent.core.config import Goto
+from agent.core.linear_algebra import wrap
 from tests.capabilities.swim.planar_tank import CYCLE_NS, Swimmer
 from tests.capabilities.swim.tank_with_tags import MAP, VIEW, sight
 

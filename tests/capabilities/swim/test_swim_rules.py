@@ -2,8 +2,7 @@
 
 import pytest
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
 from agent.robot.fleet_reader import load_fleet, with_behaviour
 from tests.places import ROOT
 

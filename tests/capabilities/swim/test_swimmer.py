@@ -10,8 +10,8 @@ from agent.capabilities.swim.localizer import LOST_M, UNSURE_DEG, UNSURE_M, with
 from agent.capabilities.swim.swimmer import ARRIVED_NS, BRAKES_NS
 from agent.core.codec import encode
 from agent.core.config import Goto, Limits, Look, Navigation, Orbit, Turn
-from agent.core.net import SURFACE_M
 from agent.core.step_io import Heard
+from agent.core.step_transaction import SURFACE_M
 from agent.robot.core import Agent
 from tests.capabilities.swim.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
 from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of

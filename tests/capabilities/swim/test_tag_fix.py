@@ -9,9 +9,8 @@ from agent.capabilities.swim.projection import by_survey, gaze, seen, slope
 from agent.capabilities.swim.tag_fix import HUBER, NoFix, TagFix, tag_fix
 from agent.capabilities.swim.tag_priors import Prior
 from agent.capabilities.swim.tag_priors import priors as known_before
-from agent.core.angle import wrap
 from agent.core.attitude import Attitude
-from agent.core.matrix import upper
+from agent.core.linear_algebra import upper, wrap
 from agent.core.step_io import SeenTag
 from tests.capabilities.swim.tank_with_tags import (
     BENT_PX,

@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.capabilities.swim.trial import COAST_NS, LEGS, Spin, Stage, trial
-from agent.core.angle import wrap
 from agent.core.config import Navigation, Trial
+from agent.core.linear_algebra import wrap
 from agent.robot.swim_rules import broken_swim_rules
 from tests.capabilities.swim.swimming_agent import CALIBRATION, InTank, fleet
 from tests.known_body import LIGHT

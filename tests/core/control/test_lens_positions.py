@@ -5,7 +5,7 @@ import itertools
 import pytest
 from msgspec.structs import replace
 
-from agent.core.control.lens_positions import full_positions, home_position, short_of_infinity
+from agent.core.control.sweep import full_positions, home_position, short_of_infinity
 from tests.known_lens import PLAIN
 
 FIT = replace(PLAIN, u_inf_m=0.0, lowest=200)

@@ -5,8 +5,8 @@ import pytest
 
 from agent.core.attitude import Attitude
 from agent.core.config import Body
-from agent.core.control.roam import FRAMES, Roam, all_around, spiral, view_deg
-from agent.core.control.seek import Seek
+from agent.core.control.search_pattern import FRAMES, Roam, all_around, spiral, view_deg
+from agent.core.control.target_search import Seek
 from agent.core.step_io import Sighting
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, fleet
 

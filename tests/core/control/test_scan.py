@@ -5,7 +5,7 @@ import numpy as np
 from agent.capabilities.swim.gaze import SWIFTEST_DEG_S
 from agent.capabilities.swim.scan import Scan
 from agent.core.config import Body
-from agent.core.control.roam import rows_deg
+from agent.core.control.search_pattern import rows_deg
 from tests.known_lens import CAMERA
 
 BODY, STEP_NS, START_NS = Body(), 50_000_000, 10**18

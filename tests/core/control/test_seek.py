@@ -3,7 +3,7 @@
 import pytest
 
 from agent.core.attitude import Attitude
-from agent.core.control.seek import LOST_NS, Seek
+from agent.core.control.target_search import LOST_NS, Seek
 from agent.core.ranging.camera_model import look_at
 from agent.core.step_io import Sighting
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.control.pointing import SLEW_US_PER_S
-from agent.core.control.servo_path import KEEP_NS, LAG_SIGMA_S, SERVO_LAG_S, THERE_US, ServoPath
+from agent.core.control.pointing import KEEP_NS, LAG_SIGMA_S, SERVO_LAG_S, SLEW_US_PER_S, THERE_US, ServoPath
 
 STEP_NS, FINE_S = 50_000_000, 5e-5
 START_NS = 10**18

@@ -5,8 +5,7 @@ import itertools
 import pytest
 from msgspec.structs import replace
 
-from agent.core.control.lens_positions import TRACK_STEPS, full_positions
-from agent.core.control.sweep import Measurement, Rejected, Sweep
+from agent.core.control.sweep import TRACK_STEPS, Measurement, Rejected, Sweep, full_positions
 from agent.core.step_io import Sighting, Telemetry
 from tests.known_lens import PLAIN
 

@@ -1,6 +1,6 @@
 """TargetScheduler of the camera: robots that share an index agree on whose turn it is, and nobody starves."""
 
-from agent.core.control.target_scheduler import PATIENCE, TURN, TargetScheduler
+from agent.core.control.target_search import PATIENCE, TURN, TargetScheduler
 
 THREE = ("ball", "buoy", "fish")
 

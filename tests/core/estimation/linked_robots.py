@@ -6,9 +6,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from agent.core.codec import decode, encode
 from agent.core.estimation.evidence import Evidence
-from agent.core.estimation.evidence_checks import Bounds
-from agent.core.estimation.interface import Prior
-from agent.core.estimation.mailbox import Mailbox
+from agent.core.estimation.evidence_table import Bounds
+from agent.core.estimation.interface import Mailbox, Prior
 from agent.core.messages import Estimate
 from agent.process.signing import signing
 from tests.sample_messages import estimate

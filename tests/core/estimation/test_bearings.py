@@ -8,16 +8,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.core.bearing import bearing
-from agent.core.estimation.dynamics import ROLLING, swimming
 from agent.core.estimation.evidence import Evidence
-from agent.core.estimation.evidence_checks import Bounds, sample_fault
-from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
-from agent.core.estimation.interface import Prior
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.estimation.track import Track, begin, correct, nis_of_bearing, predict, summed
-from agent.core.matrix import apply, times, upper
+from agent.core.estimation.evidence_table import Bounds, sample_fault
+from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.track import (
+    ROLLING,
+    FixedLagFilter,
+    Held,
+    Track,
+    begin,
+    correct,
+    nis_of_bearing,
+    predict,
+    summed,
+    swimming,
+)
+from agent.core.linear_algebra import apply, times, upper
 from agent.core.messages import Sample
+from agent.core.target_state import bearing
 from hw.twin.creatures.school import School
 from hw.twin.scene import Creature, load_scene
 from tests.core.estimation.linked_robots import SECOND_NS, Net, line

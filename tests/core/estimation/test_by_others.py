@@ -5,17 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from agent.core.authority import Authority
-from agent.core.estimation.evidence import Evidence
-from agent.core.estimation.evidence_checks import Bounds
-from agent.core.estimation.evidence_table import Table
+from agent.core.estimation.evidence import Evidence, StaticTarget
+from agent.core.estimation.evidence_table import Bounds, Table
 from agent.core.estimation.interface import Prior
-from agent.core.estimation.metropolis import Metropolis
-from agent.core.estimation.mode import Me
-from agent.core.estimation.paper import Paper
-from agent.core.estimation.static_target import StaticTarget
-from agent.core.matrix import upper
+from agent.core.estimation.modes import Me
+from agent.core.estimation.protocols import Metropolis, Paper
+from agent.core.linear_algebra import upper
 from agent.core.messages import Epoch, Gossip
+from agent.core.trust import Authority
 
 S = 1_000_000_000
 BALL = np.array([0.7, 0.5, 0.1])

@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.core.estimation.delivery_ledger import DIGEST_NS, LINES, DeliveryLedger
+from agent.core.estimation.modes import DIGEST_NS, LINES, DeliveryLedger
 from agent.core.messages import Holding
 
 OWN = ("r0", 1)

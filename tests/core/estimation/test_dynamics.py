@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from agent.core.estimation.dynamics import ROLLING, SMALL, Growth, growth, swimming
-from agent.core.estimation.track import Track, predict
+from agent.core.estimation.track import ROLLING, SMALL, Growth, Track, growth, predict, swimming
 
 FISH = swimming(0.2, 2.0)
 

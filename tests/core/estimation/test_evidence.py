@@ -14,8 +14,8 @@ import pytest
 from agent.core.codec import decode
 from agent.core.estimation.evidence import ENTRIES
 from agent.core.estimation.interface import Prior
-from agent.core.letters import Letter
 from agent.core.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding, Proposal
+from agent.core.trust import Letter
 from agent.experiments.localization.bounds import bound_m, central_m
 from agent.experiments.localization.graphs import graph
 from agent.experiments.localization.lockstep import Swarm, prior, symmetric

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agent.core.estimation import fuse as fusing
 from agent.core.estimation.fuse import AGREE, HIGH, LOW, TEMPER, Opinion, doubts, fuse
-from agent.core.matrix import inverse, upper
+from agent.core.linear_algebra import inverse, upper
 
 RNG = np.random.default_rng(5)
 

@@ -8,11 +8,9 @@ import pytest
 
 from agent.core.codec import Refusal, decode, encode
 from agent.core.estimation.evidence_table import INCARNATIONS
-from agent.core.estimation.interface import Prior
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.letters import Letter
+from agent.core.estimation.interface import Mailbox, Prior
 from agent.core.messages import Entry, Estimate, Gossip
-from agent.core.transit import CLOCKS_NS
+from agent.core.trust import CLOCKS_NS, Letter
 from tests.core.estimation.linked_robots import COV, NAMES, PUBLIC, SECOND_NS, SIGN, Net
 from tests.sample_messages import estimate
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.bearing import bearing
-from agent.core.estimation.line import chord, line, placed
-from agent.core.matrix import apply, inverse, upper
+from agent.core.estimation.track import chord, line, placed
+from agent.core.linear_algebra import apply, inverse, upper
+from agent.core.target_state import bearing
 
 TANK_M = (3.0, 2.0, 0.5)
 

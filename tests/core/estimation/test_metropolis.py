@@ -5,9 +5,8 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent.core.estimation.interface import Prior
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.estimation.metropolis import Metropolis
+from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.protocols import Metropolis
 from agent.experiments.localization.graphs import graph, metropolis_weights
 from agent.experiments.localization.lockstep import Swarm
 from tests.sample_messages import estimate

@@ -8,14 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.core.estimation.dynamics import ROLLING
-from agent.core.estimation.evidence_checks import Bounds
-from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.core.estimation.evidence_table import Bounds
 from agent.core.estimation.interface import Prior
-from agent.core.estimation.motion import BATCH, Innovation, Motion
-from agent.core.estimation.track import begin, correct, nis, predict
-from agent.core.estimation.window import WINDOW, Window
-from agent.core.matrix import apply, inverse, upper
+from agent.core.estimation.modes import BATCH, Innovation, Motion
+from agent.core.estimation.moving_target import WINDOW, Window
+from agent.core.estimation.track import ROLLING, FixedLagFilter, Held, begin, correct, nis, predict
+from agent.core.linear_algebra import apply, inverse, upper
 from agent.core.messages import MAX_PAYLOAD, Epoch, Sample
 from tests.core.estimation.linked_robots import NAMES, Net, line
 

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import InformationFilter, KalmanFilter
 
-from agent.core.estimation.dynamics import ROLLING
-from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
 from agent.core.estimation.fuse import Opinion, fuse
-from agent.core.estimation.track import begin, correct, nis, predict
-from agent.core.matrix import apply, inverse, invert, plus, times, upper
+from agent.core.estimation.track import ROLLING, FixedLagFilter, Held, begin, correct, nis, predict
+from agent.core.linear_algebra import apply, inverse, invert, plus, times, upper
 
 SECOND_NS = 1_000_000_000
 WEAK = 1e12  # prior information of an oracle that needs one, as a divisor: nothing, to nine digits

@@ -6,9 +6,8 @@ from random import Random
 import pytest
 
 from agent.core.codec import Refusal
-from agent.core.estimation.interface import Prior
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.estimation.paper import Paper
+from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.protocols import Paper
 from agent.core.messages import Estimate
 from tests.sample_messages import estimate
 

@@ -5,11 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.core.estimation.fuse import LOW, Opinion, doubts
+from agent.core.estimation.fuse import BOTH_LOW, LOW, Blocks, Opinion, distances2, doubts
+from agent.core.estimation.fuse import inverse as inverse_blocks
 from agent.core.estimation.track import begin, correct, predict
-from agent.core.estimation.track_distance import BOTH_LOW, Blocks, distances2
-from agent.core.estimation.track_distance import inverse as inverse_blocks
-from agent.core.matrix import apply, inverse, invert, upper
+from agent.core.linear_algebra import apply, inverse, invert, upper
 
 SECOND_NS = 1_000_000_000
 

@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Body, Pose
-from agent.core.ranging.calibration import at_lens_position
 from agent.core.ranging.camera_model import (
+    at_lens_position,
     camera_pose,
     centre_behind_skin_m,
     gimbal_deg,

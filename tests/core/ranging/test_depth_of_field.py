@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from agent.core.ranging.depth_of_field import depth_of_field_in_water_m, depth_of_field_m
+from agent.core.ranging.focus import depth_of_field_in_water_m, depth_of_field_m
 
 F, G, D = 3.6e-3, 2.0, 1.12e-6
 

@@ -7,14 +7,18 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Body, Pose, Target
-from agent.core.ranging import cues, fix
-from agent.core.ranging.calibration import Calibration, at_lens_position
-from agent.core.ranging.camera_model import Eye, camera_pose, centre_behind_skin_m, pixel, to_camera
-from agent.core.ranging.cues import NoRange, Outline
-from agent.core.ranging.fix import Fix, locate
-from agent.core.ranging.focus import lens_position
-from agent.core.ranging.lens_sag import UNKNOWN_SAG
-from agent.core.ranging.own_pose import OwnPose
+from agent.core.ranging import fix
+from agent.core.ranging.camera_model import (
+    Calibration,
+    Eye,
+    at_lens_position,
+    camera_pose,
+    centre_behind_skin_m,
+    pixel,
+    to_camera,
+)
+from agent.core.ranging.fix import Fix, NoRange, Outline, OwnPose, locate
+from agent.core.ranging.focus import UNKNOWN_SAG, lens_position
 from tests import known_lens
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0003)
@@ -103,14 +107,14 @@ def test_random_covariance_is_that_of_draws(cue, d, off):
     rng, here = np.random.default_rng(1), eye()
     outline, rho, _ = seen(here, d, off)
     ours = locate(KNOWN, here, outline, rho, 1.1, BALL, cue)
-    s_px = math.hypot(CAMERA.noise_px, cues.CENTRE_NOISE_PX)
+    s_px = math.hypot(CAMERA.noise_px, fix.CENTRE_NOISE_PX)
     gimbal, right, down = math.radians(CAMERA.noise_deg), *np.array(here.rotation).T[:2]
     places = []
     for e in rng.normal(0, 1, (DRAWS, 6)):
         there = turned(here, turn(right, gimbal * e[0]) @ turn(down, gimbal * e[1]), here.position_m)
         u, v = outline.centre_px
         look = outline._replace(
-            centre_px=(u + s_px * e[2], v + s_px * e[3]), radius_px=outline.radius_px + cues.EDGE_NOISE_PX * e[4]
+            centre_px=(u + s_px * e[2], v + s_px * e[3]), radius_px=outline.radius_px + fix.EDGE_NOISE_PX * e[4]
         )
         places.append(fixed_weights(there, look, rho + 1.1 * e[5], cue, ours))
     agree(matrix(ours.random_m2), np.array(places))
@@ -124,7 +128,7 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
     of_focus, (ff, fa, aa) = root(matrix(FOCUS.covariance)), CAMERA.scale_covariance
     of_scale = root(np.array([[ff, fa], [fa, aa]]))
     look_up = math.asin(here.rotation[2][2])
-    lens_sigma = FOCUS.width * math.hypot(UNKNOWN_SAG * math.sin(look_up), cues.WARMTH)
+    lens_sigma = FOCUS.width * math.hypot(UNKNOWN_SAG * math.sin(look_up), fix.WARMTH)
     angles = np.radians([fix.LEVEL_SIGMA_DEG, fix.LEVEL_SIGMA_DEG, fix.HEADING_SIGMA_DEG])
     place = np.array([fix.PLACE_SIGMA_M, fix.PLACE_SIGMA_M, fix.HEIGHT_SIGMA_M])
     places = []
@@ -137,7 +141,7 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
         grown, ahead = of_scale @ e[9:11]
         camera = replace(CAMERA, f_px=CAMERA.f_px * (1 + grown), ahead_m=CAMERA.ahead_m + ahead)
         ball = replace(BALL, radius_m=BALL.radius_m + BALL.radius_sigma_m * e[11])
-        look = outline._replace(radius_px=outline.radius_px + cues.EDGE_BIAS_PX * e[12])
+        look = outline._replace(radius_px=outline.radius_px + fix.EDGE_BIAS_PX * e[12])
         known = replace(KNOWN, focus=focus, camera=camera)
         places.append(fixed_weights(there, look, rho + lens_sigma * e[13], cue, ours, known, ball))
     agree(matrix(ours.systematic_m2), np.array(places))

@@ -7,10 +7,9 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Target
-from agent.core.ranging.calibration import CameraFit, FocusFit
-from agent.core.ranging.cues import focus_range
-from agent.core.ranging.focus import h, lens_position, phase_sigma
-from agent.core.ranging.lens_sag import UNKNOWN_SAG, TiltedPeak, at_tilt, with_sag
+from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.fix import focus_range
+from agent.core.ranging.focus import UNKNOWN_SAG, TiltedPeak, at_tilt, h, lens_position, phase_sigma, with_sag
 
 FIT = FocusFit(
     u_inf_m=-0.001,

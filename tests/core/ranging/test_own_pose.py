@@ -7,7 +7,7 @@ import pytest
 
 from agent.core.config import Body, Pose
 from agent.core.ranging.camera_model import camera_pose, to_world
-from agent.core.ranging.own_pose import TAU_OF_GAP, TAU_S, carried, kappa, longest_gap_s
+from agent.core.ranging.fix import TAU_OF_GAP, TAU_S, carried, kappa, longest_gap_s
 
 P = (4e-6, 1e-6, 2e-6, 9e-6, -3e-6, 2.5e-5)
 

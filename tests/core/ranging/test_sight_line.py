@@ -7,12 +7,9 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Body, Pose, Target
-from agent.core.estimation.dynamics import swimming
-from agent.core.estimation.fixed_lag_filter import FixedLagFilter, Held
+from agent.core.estimation.track import FixedLagFilter, Held, swimming
 from agent.core.ranging.camera_model import apply, camera_pose, pixel, to_camera
-from agent.core.ranging.cues import Outline
-from agent.core.ranging.own_pose import OwnPose
-from agent.core.ranging.sight_line import sight_line
+from agent.core.ranging.fix import Outline, OwnPose, sight_line
 from tests import known_lens
 
 BALL, BODY = Target(radius_m=0.07), Body(camera_m=(0.10, 0.02, -0.01))

@@ -7,11 +7,10 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Target
-from agent.core.ranging import cues
-from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.core.ranging.cues import NoRange, Outline, Range, distance, focus_range, fuse, size_range
-from agent.core.ranging.focus import lens_position
-from agent.core.ranging.lens_sag import UNKNOWN_SAG
+from agent.core.ranging import fix
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit
+from agent.core.ranging.fix import NoRange, Outline, Range, distance, focus_range, fuse, size_range
+from agent.core.ranging.focus import UNKNOWN_SAG, lens_position
 
 BALL = Target(radius_m=0.07, radius_sigma_m=0.0)
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5, lens=300.0, breathing=4.2e-5)
@@ -48,8 +47,8 @@ def test_the_cone_gives_the_distance_of_the_centre_at_every_lens_position(d, len
 def test_half_a_pixel_costs_what_the_geometry_says():
     """s_d = d^2 / (f R) s_r for a small ball."""
     at = size_range(CAMERA, outline(1.0), BALL)
-    assert math.sqrt(at.systematic_m2) == pytest.approx(1.0 / (1169 * 0.07) * cues.EDGE_BIAS_PX, rel=0.01)
-    assert math.sqrt(at.random_m2) == pytest.approx(1.0 / (1169 * 0.07) * cues.EDGE_NOISE_PX, rel=0.01)
+    assert math.sqrt(at.systematic_m2) == pytest.approx(1.0 / (1169 * 0.07) * fix.EDGE_BIAS_PX, rel=0.01)
+    assert math.sqrt(at.random_m2) == pytest.approx(1.0 / (1169 * 0.07) * fix.EDGE_NOISE_PX, rel=0.01)
 
 
 def test_an_edge_that_vision_is_unsure_of_counts_as_such():

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from agent.core.codec import Refusal, decode, encode
-from agent.core.matrix import semidefinite, trace
+from agent.core.linear_algebra import semidefinite, trace
 from agent.core.messages import Estimate, State, Vector
 from agent.core.step_io import Outputs
 from tests.fuzz.kernel.sizes import largest

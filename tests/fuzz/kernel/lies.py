@@ -8,7 +8,7 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
-from agent.core import signed
+from agent.core import trust
 from agent.core.messages import Entry, Epoch, Proposal, Sample
 from tests.fuzz.kernel import swarm
 from tests.fuzz.values import integer, number, of_type, text
@@ -149,9 +149,9 @@ class Theme:
         """The same with signatures on what is said under names whose keys the liar holds; a few are left out."""
         about = (honest["fleet"], honest["target"])
         for parts, kind, bytes_of in (
-            (gossip[1], Entry, signed.entry_bytes),
-            (gossip[2], Sample, signed.sample_bytes),
-            (gossip[4], Proposal, signed.proposal_bytes),
+            (gossip[1], Entry, trust.entry_bytes),
+            (gossip[2], Sample, trust.sample_bytes),
+            (gossip[4], Proposal, trust.proposal_bytes),
         ):
             for part in parts:
                 if part[0] not in self.held or self.rng.random() < 0.05:

@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.core import signed
+from agent.core import trust
 from agent.core.codec import encode
 from agent.core.config import Fleet, Protocol
 from agent.core.messages import Estimate, Gossip, Vector
@@ -188,13 +188,13 @@ def sign(said: Estimate, name: str) -> Estimate:
     about = (said.fleet, said.target)
     when = (*about, gossip.epoch)
     entries = [
-        replace(e, signature=key.sign(signed.entry_bytes(*when, e))) if e.origin == name else e for e in gossip.entries
+        replace(e, signature=key.sign(trust.entry_bytes(*when, e))) if e.origin == name else e for e in gossip.entries
     ]
     samples = [
-        replace(s, signature=key.sign(signed.sample_bytes(*when, s))) if s.origin == name else s for s in gossip.samples
+        replace(s, signature=key.sign(trust.sample_bytes(*when, s))) if s.origin == name else s for s in gossip.samples
     ]
     proposals = [
-        replace(p, signature=key.sign(signed.proposal_bytes(*about, p))) if p.proposer == name else p
+        replace(p, signature=key.sign(trust.proposal_bytes(*about, p))) if p.proposer == name else p
         for p in gossip.proposals
     ]
     parts = {"entries": tuple(entries), "samples": tuple(samples), "proposals": tuple(proposals)}

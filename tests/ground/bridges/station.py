@@ -5,7 +5,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import Fleet
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer
 from agent.ground.bridges.mavlink.gateway import Done, Gateway
 from agent.ground.bridges.mavlink.telling import Origin
 from agent.ground.console import Outcome

@@ -14,9 +14,8 @@ from cv2 import imencode
 from websockets.sync.client import ClientConnection, connect
 
 from agent.core.codec import encode
-from agent.core.config import Fleet, Pose, Robot, Target
+from agent.core.config import Fleet, Pose, Robot, Target, dump
 from agent.core.messages import Image, LogLine, Message, State
-from agent.core.toml_files import dump
 from agent.core.topics import Topic, key, match
 from agent.ground.page.board import Board
 from agent.ground.page.server import serving

@@ -7,8 +7,7 @@ from threading import Event
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import ConfigError
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, dump
 from agent.core.topics import STATE
 from agent.ground.page.command import run
 from tests.ground.page.shown import FLEET, NOW_NS, record, row, state

@@ -4,10 +4,9 @@ import json
 
 import pytest
 
-from agent.core.claim import Claim, Has, View
+from agent.core.capability_messages import TURN_ONE, Claim, Has, Lens, View
 from agent.core.codec import Refusal, encode
-from agent.core.keyframe import TURN_ONE, Lens
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer
 from agent.core.topics import ANSWER, CLAIM, IMAGE, LIGHT, LINK, LOG, NEAR, STATE
 from agent.ground.page.rows import Rows
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, received, row, state

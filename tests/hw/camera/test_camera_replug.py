@@ -1,7 +1,7 @@
 """A camera is pulled out and comes back as another node: the vision worker goes on by itself."""
 
 from agent.clock.clock import SystemClock
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import SweepPlan
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision

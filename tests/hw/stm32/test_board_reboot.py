@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 from msgspec.structs import replace
 
-from agent.core.toml_files import dump
+from agent.core.config import dump
 from agent.ground.board_reboot import reboot
 from agent.process.failure import Failed
 from hw.firmware import failsafe, wire

@@ -12,8 +12,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.clock.run_clock import RunClock
+from agent.core.config import dump
 from agent.core.step_io import Telemetry
-from agent.core.toml_files import dump
 from hw.firmware import failsafe
 from hw.stm32.driver import Stm32
 from hw.twin.faults import PowerCut, SerialUnplug

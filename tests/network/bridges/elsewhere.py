@@ -9,9 +9,8 @@ from pathlib import Path
 
 import zenoh
 
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate, Image
-from agent.core.toml_files import dump
 from agent.ground.bridges.outward import Language, run
 from agent.process.transport import Transport
 from tests.ground.bridges.states import state

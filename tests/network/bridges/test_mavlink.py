@@ -17,9 +17,8 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.codec import decode
-from agent.core.config import Fleet
-from agent.core.orders_words import Order
-from agent.core.toml_files import dump
+from agent.core.config import Fleet, dump
+from agent.core.messages import Order
 from agent.ground.bridges.mavlink.bridge import run
 from agent.ground.bridges.mavlink.telling import Origin
 from tests.network.conftest import unused_port

@@ -13,8 +13,7 @@ import pytest
 
 pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
 
-from agent.core.config import ConfigError, Fleet
-from agent.core.toml_files import dump
+from agent.core.config import ConfigError, Fleet, dump
 from agent.ground.bridges.outward import run
 from agent.ground.bridges.ros2.language import Ros2
 from tests.network.bridges.elsewhere import JPEG, PATIENCE_S, shown_elsewhere

@@ -11,8 +11,8 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from agent.clock.run_clock import RunClock
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.config import dump
+from agent.core.ranging.camera_model import Calibration
 from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
 from agent.process.run_folder import temporary_folder

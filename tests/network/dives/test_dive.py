@@ -19,12 +19,11 @@ import pytest
 
 from agent.clock.run_clock import RunClock
 from agent.core.codec import decode
-from agent.core.config import Access, Target
+from agent.core.config import Access, Target, dump
 from agent.core.messages import Estimate
-from agent.core.signed import entry_bytes, verify
 from agent.core.step_io import Inputs, Sighting
-from agent.core.toml_files import dump
 from agent.core.topics import STATE, TOPICS
+from agent.core.trust import entry_bytes, verify_signature
 from agent.process.launch import crew, wait_for
 from agent.process.run_folder import temporary_folder
 from agent.process.transport import Observer
@@ -97,7 +96,7 @@ def test_demo_signed_all_that_it_sent_and_left_no_private_key(run: Path) -> None
     for estimate in said:
         for entry in estimate.gossip.entries:
             signed = entry_bytes(estimate.fleet, estimate.target, estimate.gossip.epoch, entry)
-            assert verify(public[entry.origin], entry.signature, signed)
+            assert verify_signature(public[entry.origin], entry.signature, signed)
             origins.add(entry.origin)
     assert origins == set(public)
     assert not [path for path in run.rglob("*") if ".sign" in path.name]

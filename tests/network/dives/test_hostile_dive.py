@@ -18,9 +18,9 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.codec import encode
-from agent.core.estimation.mailbox import LATEST_T
+from agent.core.config import dump
+from agent.core.estimation.interface import LATEST_T
 from agent.core.messages import Entry, Epoch, Gossip, State
-from agent.core.toml_files import dump
 from agent.process.run_folder import temporary_folder
 from hw.firmware import wire
 from tests.dive_timing import timing

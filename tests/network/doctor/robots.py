@@ -8,9 +8,8 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from agent.core.config import Access, Fleet
+from agent.core.config import Access, Fleet, dump
 from agent.core.messages import NeighbourState, State
-from agent.core.toml_files import dump
 from agent.ground.make import make_all
 from agent.process.transport import Transport
 

@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Access
-from agent.core.toml_files import dump
+from agent.core.config import Access, dump
 from agent.ground.make import make_all
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import Swarm

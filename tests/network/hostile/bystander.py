@@ -15,9 +15,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from agent.core.codec import Refusal, decode
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate, State
-from agent.core.toml_files import dump
 from agent.core.topics import STATE
 from agent.process.router import run_router
 from agent.process.transport import Observer, Transport

@@ -18,10 +18,9 @@ from typing import NamedTuple
 import pytest
 
 from agent.core.codec import decode
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import State
 from agent.core.step_io import Inputs
-from agent.core.toml_files import dump
 from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
 from agent.process.transport import Observer

@@ -10,8 +10,7 @@ from msgspec.structs import replace
 from agent.core import topics
 from agent.core.codec import decode, encode, encoding
 from agent.core.config import Fleet, Navigation, Target
-from agent.core.messages import MAX_PAYLOAD, Estimate
-from agent.core.presence import Presence
+from agent.core.messages import MAX_PAYLOAD, Estimate, Presence
 from agent.core.topics import LINK
 from agent.process.inboxes import BURST, FASTEST_HZ, Inboxes
 from agent.process.transport import Transport

@@ -18,12 +18,11 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.codec import decode, encode
-from agent.core.config import Access, Fleet
+from agent.core.config import Access, Fleet, dump
 from agent.core.estimation.evidence_table import opinion
 from agent.core.estimation.fuse import Opinion, fuse
-from agent.core.matrix import apply, upper
+from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Gossip, State
-from agent.core.toml_files import dump
 from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
 from agent.experiments.localization.liar import told

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Fleet, Target
-from agent.core.toml_files import dump
+from agent.core.config import Fleet, Target, dump
 from tests.network.conftest import unused_port
 from tests.places import ROOT
 from tests.waiting import until

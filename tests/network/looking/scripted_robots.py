@@ -13,8 +13,7 @@ from msgspec import UNSET
 
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet
-from agent.core.messages import Estimate, Image, LogLine, NeighbourState, State
-from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.core.messages import MAX_ORDER, Answer, Estimate, Image, LogLine, NeighbourState, Order, State
 from agent.process.transport import Transport
 
 STEP_S = 0.05

@@ -12,9 +12,8 @@ import msgspec
 import pytest
 
 from agent.core.codec import decode
-from agent.core.config import Access, ConfigError, Fleet
+from agent.core.config import Access, ConfigError, Fleet, dump
 from agent.core.messages import State
-from agent.core.toml_files import dump
 from agent.ground.at_once import at_once, keys_of, load_fleets, recordings_of
 from agent.ground.make import make_all
 from agent.process.transport import Transport

@@ -11,9 +11,8 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.core.config import Fleet
+from agent.core.config import Fleet, dump
 from agent.core.messages import Image, LogLine, State
-from agent.core.toml_files import dump
 from agent.ground import snapshot
 from agent.ground.snapshot import hopeless, next_picture, target_table
 from agent.process.failure import Failed

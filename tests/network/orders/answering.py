@@ -6,8 +6,7 @@ from pathlib import Path
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.messages import State
-from agent.core.orders_words import Answer, Order
+from agent.core.messages import Answer, Order, State
 from agent.core.step_io import Ordered
 from agent.process.transport import Transport
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.core.toml_files import dump
+from agent.core.config import dump
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
 from agent.process.transport import Observer

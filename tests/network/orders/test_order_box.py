@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from agent.core import topics
 from agent.core.codec import decode, encode, encoding
 from agent.core.config import Access, ConfigError, Fleet
-from agent.core.orders_words import MAX_ORDER, Answer, Order
+from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
 from agent.process.order_box import WAITING

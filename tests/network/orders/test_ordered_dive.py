@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.codec import decode
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer
 from agent.core.step_io import Inputs, Outputs
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole

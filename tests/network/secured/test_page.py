@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Tank
-from agent.core.toml_files import dump
+from agent.core.config import Tank, dump
 from agent.process.robot_keys import VARIABLE
 from tests.network.conftest import unused_port
 from tests.network.looking.page_process import page_process

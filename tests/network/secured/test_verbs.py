@@ -13,10 +13,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Fleet, Tank
+from agent.core.config import Fleet, Tank, dump
 from agent.core.messages import Image, State
-from agent.core.ranging.calibration import Calibration
-from agent.core.toml_files import dump
+from agent.core.ranging.camera_model import Calibration
 from agent.process.agent_process import OPEN, load_setup
 from agent.process.robot_keys import VARIABLE
 from agent.process.transport import Transport

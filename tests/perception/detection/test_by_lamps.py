@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.lighting.dark_water import DarkWater, stand
 from agent.perception.detection.detect import LIMIT, find_ball
 from agent.perception.detection.detectors import BY_LAMPS

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.perception.detection.colour import Sample, sampled
 from agent.perception.detection.detect import find_ball, find_balls
 from tests.perception.painted import CAMERA, ball_frame, ball_light, defocus, expose, grain

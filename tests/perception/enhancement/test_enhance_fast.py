@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.enhancement.fast_enhance import Colours, apply, estimate, guided_filter, red_share
+from agent.perception.enhancement.fast_enhance import Colours, apply_colours, estimate_colours, guided_filter, red_share
 
 MATRIX = np.array([[1.1, 0.1, -0.1], [0.0, 0.8, 0.2], [-0.2, 0.3, 1.2]], np.float32)
 
@@ -29,12 +29,12 @@ def psnr(a, b):
 
 def test_one_matrix_for_all_pixels_is_found_again():
     image = scene()
-    assert psnr(apply(estimate(image, matrix), image), wanted(image)) > 45
+    assert psnr(apply_colours(estimate_colours(image, matrix), image), wanted(image)) > 45
 
 
 def test_edges_stay_as_sharp_as_in_the_frame():
     image = scene()
-    out = apply(estimate(image, matrix), image)
+    out = apply_colours(estimate_colours(image, matrix), image)
     small = cv2.resize(image, (192, 144), interpolation=cv2.INTER_AREA)
     blurred = np.clip(255 * cv2.resize(matrix(small), (640, 480), interpolation=cv2.INTER_LINEAR), 0, 255)
     edge = np.s_[100:261, 195:205]
@@ -43,16 +43,16 @@ def test_edges_stay_as_sharp_as_in_the_frame():
 
 def test_a_part_is_the_same_as_in_the_whole_frame():
     image = scene()
-    colours = estimate(image, lambda small: cv2.GaussianBlur(matrix(small), (0, 0), 9.0))
-    whole = apply(colours, image)
-    assert np.array_equal(apply(colours, image[96:200, 64:320], (64, 96)), whole[96:200, 64:320])
+    colours = estimate_colours(image, lambda small: cv2.GaussianBlur(matrix(small), (0, 0), 9.0))
+    whole = apply_colours(colours, image)
+    assert np.array_equal(apply_colours(colours, image[96:200, 64:320], (64, 96)), whole[96:200, 64:320])
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 50), (2, 3), (700, 3)])
 def test_small_and_thin_pictures(size):
     image = scene()[: size[0], : size[1]]
     image = np.resize(image, (*size, 3)).astype(np.uint8)
-    out = apply(estimate(image, matrix), image)
+    out = apply_colours(estimate_colours(image, matrix), image)
     assert out.shape == image.shape
     assert psnr(out, wanted(image)) > 30
 
@@ -67,8 +67,8 @@ def test_glitter_on_blue_water_does_not_come_out_red():
     """A balance of the whole picture takes the sea's blue for a tint, and paints what is white pink."""
     image = np.full((60, 80, 3), (140, 130, 30), np.uint8)
     image[:4] = (200, 190, 120)
-    pink = apply(Colours(affine := whitened(image), (80, 60)), image)[:4].reshape(-1, 3).mean(0)
-    white = apply(estimate(image, grey_world), image)
+    pink = apply_colours(Colours(affine := whitened(image), (80, 60)), image)[:4].reshape(-1, 3).mean(0)
+    white = apply_colours(estimate_colours(image, grey_world), image)
     assert pink[2] > pink[:2].max() + 30
     assert white[:4, :, 2].mean() <= white[:4, :, :2].mean((0, 1)).max() + 1
     assert red_share(image / np.float32(255), affine) < 0.9

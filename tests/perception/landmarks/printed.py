@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from tests.perception.painted import defocus
 
 SIZE_M = 0.08  # black edge to black edge

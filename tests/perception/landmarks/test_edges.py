@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.perception.landmarks.edge_line import fit_line
 from agent.perception.landmarks.edges import fit_corners, light_of_bytes, module_px
 from agent.perception.landmarks.slopes import to_pixels, to_slopes

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Flow
 from agent.perception.landmarks.flow import MOST, begin, flow, follow
 from tests.perception.landmarks.floor import frame, meet, pose, seen_from, texture

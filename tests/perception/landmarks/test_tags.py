@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.core.ranging.calibration import CameraFit, at_lens_position
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import SeenTags
 from agent.perception.landmarks.tags import find_tags, seen_tags
 from tests.perception.landmarks.printed import (

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from agent.core.ranging.calibration import CameraFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Sighting
 from agent.perception.landmarks.flow import OLDEST_NS

@@ -10,10 +10,9 @@ from msgspec.structs import replace
 from agent.clock.clock import StandingClock
 from agent.core.config import ConfigError, Fleet, Pose, Robot, Target
 from agent.core.control.sweep import Measurement, Sweep
-from agent.core.ranging.calibration import Calibration, CameraFit, FocusFit
-from agent.core.ranging.camera_model import Eye
+from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, FocusFit
 from agent.core.ranging.fix import BOX_NOISE, locate
-from agent.experiments.still_camera import StillCamera, View
+from agent.experiments.still_camera import StillCamera, TankView
 from agent.perception.clarity.clarity import tenengrad_blocks
 from agent.perception.clarity.region import around, box_clarity
 from agent.perception.detection.detectors import load_detectors
@@ -55,7 +54,7 @@ class Tank:
     def stand(self, distance_m: float, azimuth_deg: float = 0.0) -> None:
         a, down = math.radians(azimuth_deg), 0.06
         place = (STONE_M[0] - distance_m * math.cos(a), STONE_M[1] - distance_m * math.sin(a), STONE_M[2] + down)
-        self.camera.view = View(place, azimuth_deg, -math.degrees(math.atan2(down, distance_m)))
+        self.camera.view = TankView(place, azimuth_deg, -math.degrees(math.atan2(down, distance_m)))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +128,7 @@ def test_the_range_is_that_of_the_surface_in_the_box(tank, picture, models, dist
 def test_what_is_not_there_is_not_found(tank, picture):
     fleet_ = fleet(picture)
     detector = load_detectors(fleet_, tank.known.camera)["stone"]
-    tank.camera.view = View((0.3, 0.3, 0.12), -100.0)
+    tank.camera.view = TankView((0.3, 0.3, 0.12), -100.0)
     tank.camera.set_focus(400)
     assert detector.find(tank.camera.read(settle_s=0.2).image) is None
     vision = Vision(no_camera, fleet_, tank.known.camera, {"stone": detector}, StandingClock())

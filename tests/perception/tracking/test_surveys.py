@@ -6,7 +6,7 @@ from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import FOLLOWED, Follower
 from agent.perception.tracking.look_alikes import Seen
-from agent.perception.tracking.surveys import EVERY, KEPT, Surveys
+from agent.perception.tracking.surveys import CLUTTER_KEPT, EVERY, Surveys
 from tests.perception.tracking.test_loss import RED, around, picture, water
 
 __all__ = ["water"]  # the fixture
@@ -23,9 +23,9 @@ def test_clutter_that_comes_and_goes_has_to_be_surpassed_and_what_is_still_there
     assert surveys.surpass(1, [Seen(at(400), 0.88)]) == pytest.approx(0.65)
     assert surveys.surpass(1, [Seen(at(400), 0.7)]) == pytest.approx(0.9)  # it is another that is there now
     assert surveys.surpass(1, [Seen(at(402), 0.9), Seen(at(52), 0.6)]) == 0.0
-    for k in range(KEPT):
+    for k in range(CLUTTER_KEPT):
         surveys.add(EVERY * (k + 1), [])
-    assert surveys.surpass(EVERY * KEPT, []) == 0.0
+    assert surveys.surpass(EVERY * CLUTTER_KEPT, []) == 0.0
 
 
 def test_what_was_out_of_reach_when_it_was_lost_is_not_what_was_lost(water):

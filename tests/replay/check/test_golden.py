@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.codec import decode
-from agent.core.messages import Explain, LogLine, State
-from agent.core.orders_words import Answer
+from agent.core.messages import Answer, Explain, LogLine, State
 from agent.core.step_io import Outputs
 from agent.perception.rerun_vision import rerun_vision
 from agent.robot.desk import BROKE
@@ -121,11 +120,11 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
 MUTATIONS = {
     "agent.robot.core.LATEST_ITERATION": 1.4,
     "agent.robot.showing.STATE_NS": 250_000_000,
-    "agent.core.control.seek.CENTRED": 1.0,
+    "agent.core.control.target_search.CENTRED": 1.0,
     "agent.core.control.sweep.TRACK_SPAN": 1.6,
     "agent.core.control.pointing.SETTLE_NS": 10**6,
     "agent.core.estimation.fuse.AGREE": 1e6,
-    "agent.core.control.lens_positions.HOME": 0.7,
+    "agent.core.control.sweep.HOME": 0.7,
     "agent.core.status.NO_FRAMES_NS": 10**7,
 }
 
@@ -142,10 +141,10 @@ def test_a_changed_gain_in_a_copy_is_named_by_its_first_step_and_field(tmp_path:
 
     for package in ("agent", "replay"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    source = tmp_path / "agent" / "core" / "estimation" / "paper.py"
+    source = tmp_path / "agent" / "core" / "estimation" / "protocols.py"
     line = "alpha = 1.0 / (self.t + 1)"
-    assert source.read_text().count(line) == 1
-    source.write_text(source.read_text().replace(line, "alpha = 1.1 / (self.t + 1)"))
+    assert source.read_text().count(line) == 2  # the paper's protocol, and Metropolis weights after it
+    source.write_text(source.read_text().replace(line, "alpha = 1.1 / (self.t + 1)", 1))
     program = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
         "from pathlib import Path; import replay.check.check as c\n"

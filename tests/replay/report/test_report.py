@@ -12,9 +12,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.core.config import ConfigError, Target
+from agent.core.config import ConfigError, Target, dump
 from agent.core.messages import LogLine
-from agent.core.toml_files import dump
 from replay.check.black_box import open_boxes
 from replay.report.errors import error_table, relative_percent
 from replay.report.figures_posture import hover, thin

@@ -2,11 +2,11 @@
 
 import pytest
 
-from replay.report.lead.outcome import Found, Outcome, Robot, Survey
+from replay.report.lead.outcome import Found, Outcome, RobotOutcome, Survey
 from replay.report.lead.sentence import millimetres, plain, seconds, sentence
 
 FLEET = ("r1", "r2", "r3")
-HEARD = {name: Robot(60.0) for name in FLEET}
+HEARD = {name: RobotOutcome(60.0) for name in FLEET}
 SEEN = Found(
     "ball",
     seen_s={"r1": 8.2, "r2": 4.0, "r3": 9.0},
@@ -95,7 +95,7 @@ def test_a_survey_is_about_what_is_known(share: float, kind: str) -> None:
 
 def test_what_went_wrong_follows() -> None:
     def wrong(**robot: object) -> str:
-        return said(WELL._replace(robots={**HEARD, "r3": Robot(60.0)._replace(**robot)})).split(" mm off; ")[1]
+        return said(WELL._replace(robots={**HEARD, "r3": RobotOutcome(60.0)._replace(**robot)})).split(" mm off; ")[1]
 
     assert wrong(ends_s=40.0) == "r3 ended after 40 s of 60 s."
     assert wrong(ends_s=40.0, ending="silent") == "r3 fell silent after 40 s of 60 s."
@@ -105,18 +105,18 @@ def test_what_went_wrong_follows() -> None:
     assert wrong(starts=4) == "r3 started again 3 times."
     assert wrong(faults=("no frames",)) == "r3 ended with “no frames”."
     assert wrong(warned=("lens", "tilt", "clock")) == "r3 warned of “lens” and two more."
-    assert " off; " not in said(WELL._replace(robots={**HEARD, "r3": Robot(57.5)}))  # ended as the others did
+    assert " off; " not in said(WELL._replace(robots={**HEARD, "r3": RobotOutcome(57.5)}))  # ended as the others did
     assert {part.kind for part in sentence(WELL._replace(torn=("r1.mcap",)))} == {"good", "bad"}
 
 
 def test_what_went_wrong_with_several_stands_once() -> None:
-    about = WELL._replace(robots=dict.fromkeys(FLEET, Robot(60.0, faults=("no frames",))))
+    about = WELL._replace(robots=dict.fromkeys(FLEET, RobotOutcome(60.0, faults=("no frames",))))
     assert said(about).endswith("off; all three robots ended with “no frames”.")
 
 
 def test_of_a_run_it_says_what_is_missing_torn_and_why_it_did_not_pass() -> None:
     about = WELL._replace(
-        robots={"r1": Robot(60.0), "r3": Robot(60.0)},
+        robots={"r1": RobotOutcome(60.0), "r3": RobotOutcome(60.0)},
         missing=("r2",),
         torn=("r1.mcap", "r3.mcap"),
         verdict="fail",
@@ -142,7 +142,7 @@ def test_a_name_of_a_robot_is_not_made_a_capital() -> None:
     assert said(about).startswith("r2 found the ball")
     both = {"a": 1.0, "b": 2.0}
     found = SEEN._replace(seen_s=both, known_s=both, sigma_m={"a": 0.001})
-    pair = Outcome(("a", "b"), {name: Robot(1.0) for name in "ab"}, (found,))
+    pair = Outcome(("a", "b"), {name: RobotOutcome(1.0) for name in "ab"}, (found,))
     assert said(pair).startswith("Both robots saw the ball (a first")
 
 

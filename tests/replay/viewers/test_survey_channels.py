@@ -15,9 +15,8 @@ from agent.capabilities.survey.evidence import CoverageMap
 from agent.capabilities.survey.exchange import holdings
 from agent.capabilities.survey.grid import ONE
 from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
-from agent.core.claim import Claim, View
+from agent.core.capability_messages import UNIT_M, Claim, Frame, Keyframe, View, measured
 from agent.core.codec import encode
-from agent.core.keyframe import UNIT_M, Frame, Keyframe, measured
 from agent.core.messages import State, Whereabouts
 from agent.core.step_io import Outputs, SetPoint
 from replay.files.backlog import Entry

@@ -14,7 +14,7 @@ from replay.files.channels import VISION, entry_on
 from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read
 from replay.report.report import report
-from replay.viewers.whole_sweeps import SweepFrame, points, whole_sweeps
+from replay.viewers.whole_sweeps import SweepFrame, sweep_points, whole_sweeps
 from tests.perception.painted import PX_PER_POSITION, ball_light, defocus, expose
 from tests.replay.small_box import CALIBRATION, flat, write_box
 
@@ -54,7 +54,7 @@ def test_every_block_of_an_equally_far_picture_is_as_far(sweep: list[SweepFrame]
     assert known.mean() > 0.8
     assert np.median(found.range_m[known]) == pytest.approx(RANGE_M, rel=0.01)
     assert np.quantile(np.abs(found.range_m[known] / RANGE_M - 1), 0.9) < 0.03
-    places_m, colours = points(found, CALIBRATION.camera)
+    places_m, colours = sweep_points(found, CALIBRATION.camera)
     assert places_m.shape == colours.shape == (known.sum(), 3)
     # Where the target is in the map, the cloud is red; and it is about the optical axis.
     middle = np.abs(places_m[:, :2]).max(axis=1) < 0.02

@@ -262,5 +262,5 @@ def test_rerun_accepts_the_file_and_shows_each_channel_as_what_it_is(box: Path, 
 def test_the_rerun_layout_can_be_written_again(tmp_path: Path) -> None:
     if importlib.util.find_spec("rerun") is None:
         pytest.skip("rerun-sdk is not installed")
-    rerun_blueprint.write(tmp_path / "rerun.rbl")
+    rerun_blueprint.write_blueprint(tmp_path / "rerun.rbl")
     assert (tmp_path / "rerun.rbl").read_bytes()[:3] == b"RRF"

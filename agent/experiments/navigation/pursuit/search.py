@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from agent.core.angle import wrap
 from agent.core.config import Look, Pose, Search
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
@@ -19,12 +19,12 @@ from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.result import Row
 from hw.twin.scene import generator
 
-ROBOTS, FIND_S, SEARCH_S = 3, 12.0, 180.0
+SEARCH_ROBOTS, SEARCH_FIND_S, SEARCH_S = 3, 12.0, 180.0
 APART_M, CLEAR_M, BALL_M = 0.6, 0.35, 0.25  # of starts from each other and from walls; of the ball from walls
 BLIND_DEG, FAR_M = 40.0, 1.7  # a start sees within so much of straight ahead, and so far
 
 
-def search(seed: int, robots: int = ROBOTS, search_s: float = SEARCH_S) -> Row:
+def search(seed: int, robots: int = SEARCH_ROBOTS, search_s: float = SEARCH_S) -> Row:
     """s: from when the first robot swims until any has measured the ball, None if that does not happen; least_m:
     between any two; told: share of robots that know it 5 s later."""
     poses, ball_m = starts(seed)
@@ -39,7 +39,7 @@ def search(seed: int, robots: int = ROBOTS, search_s: float = SEARCH_S) -> Row:
     )
     bodies = PlanarBodies(fleet)
     swimmers = Swimmers(fleet, bodies, ball_m)
-    for _ in range(round(FIND_S * 20.0)):
+    for _ in range(round(SEARCH_FIND_S * 20.0)):
         swimmers.step()
         if any(swimmers.swims(name) for name in names):
             break
@@ -64,10 +64,10 @@ def starts(seed: int) -> tuple[list[Pose], Vector]:
     rng = generator(seed, "search")
     low, high = np.full(2, CLEAR_M), np.array(TANK.size_m[:2]) - CLEAR_M
     while True:
-        places = rng.uniform(low, high, (ROBOTS, 2))
-        yaws = rng.uniform(-math.pi, math.pi, ROBOTS)
+        places = rng.uniform(low, high, (SEARCH_ROBOTS, 2))
+        yaws = rng.uniform(-math.pi, math.pi, SEARCH_ROBOTS)
         ball = rng.uniform(BALL_M, np.array(TANK.size_m[:2]) - BALL_M)
-        apart = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(ROBOTS, 1)]
+        apart = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(SEARCH_ROBOTS, 1)]
         way = ball - places
         off = [abs(wrap(math.atan2(y, x) - yaw)) for (x, y), yaw in zip(way.tolist(), yaws.tolist(), strict=True)]
         hidden = (np.array(off) > math.radians(BLIND_DEG)) | (np.linalg.norm(way, axis=1) > FAR_M)

@@ -10,18 +10,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from agent.core.angle import wrap
-from agent.core.estimation.interface import Posterior, Prior, Update, Word
-from agent.core.estimation.mailbox import Mailbox
-from agent.core.letters import Letter
+from agent.core.estimation.interface import Mailbox, Posterior, Prior, Update, Word
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Estimate, Vector
+from agent.core.trust import Letter
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.navigation.bodies import START_NS
 from agent.experiments.navigation.drawn_ball import Pillar
 
 TURNS_S, TURNS_RAD_S = 1.5, 1.2  # how long its turning is alike, and how fast it is (rms over a root second)
 SHY_M, AWAY_RAD_S = 0.45, 1.5  # from a wall, and how fast it turns away there
-CLEAR_M = 0.25  # it comes no nearer to one
+WALL_M = 0.25  # it comes no nearer to one
 BEFORE_M, BODY_M = 0.3, 0.08  # from a pillar: there it turns aside, and it comes no nearer
 HEIGHT_M = 0.25  # above the floor
 STEP_S = 0.05
@@ -45,7 +44,7 @@ class Wanderer:
             turn = math.copysign(AWAY_RAD_S, inwards) if near and abs(inwards) > 0.5 else rate
             heading += STEP_S * (turn + sum(_aside(pillar, x, y, heading) for pillar in pillars))
             x, y = (
-                min(max(at + STEP_S * speed_m_s * way, CLEAR_M), side - CLEAR_M)
+                min(max(at + STEP_S * speed_m_s * way, WALL_M), side - WALL_M)
                 for at, way, side in zip((x, y), (math.cos(heading), math.sin(heading)), TANK.size_m, strict=False)
             )
             for pillar in pillars:

@@ -17,7 +17,7 @@ ELECTRONS = 3.4e5  # of a pixel for each W/m2/sr in a colour, exposed for FRAME_
 MAX_GAIN = 8.0  # analogue; in front of the converter, so that the converter's share of the read noise falls
 LEVEL, BRIGHTEST = 0.8, 0.99  # of full scale, for the brightest 1 % of the picture's pixels in any colour
 SHORTEST_NS = 20_000
-COARSE = 16  # pixels of a frame, each way, in one of the picture that is metered
+METERING_STEP_PX = 16  # pixels of a frame, each way, in one of the picture that is metered
 
 
 def meter(radiance: Floats) -> Exposure:
@@ -32,7 +32,10 @@ def meter(radiance: Floats) -> Exposure:
 
 def coarse(lens: Lens) -> Lens:
     """The same camera with pixels so large."""
-    x, y = ((c + 0.5) / COARSE - 0.5 for c in lens.centre_px)
+    x, y = ((c + 0.5) / METERING_STEP_PX - 0.5 for c in lens.centre_px)
     return lens._replace(
-        pixel_m=lens.pixel_m * COARSE, width=lens.width // COARSE, height=lens.height // COARSE, centre_px=(x, y)
+        pixel_m=lens.pixel_m * METERING_STEP_PX,
+        width=lens.width // METERING_STEP_PX,
+        height=lens.height // METERING_STEP_PX,
+        centre_px=(x, y),
     )

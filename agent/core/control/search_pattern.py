@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from agent.core.config import Body
-from agent.core.ranging.calibration import CameraFit
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import CameraFit
+from agent.core.step_transaction import Revertible
 
 Ways = tuple[tuple[float, float], ...]  # pan and tilt, degrees
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from msgspec.structs import replace
 
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Pose, Robot
 from agent.core.control.pointing import Pointing, Search, off_centre_px, reachable
-from agent.core.control.roam import Roam
+from agent.core.control.search_pattern import Roam
 from agent.core.control.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.core.messages import Vector
-from agent.core.ranging.calibration import Calibration
-from agent.core.ranging.camera_model import Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
-from agent.core.savepoint import Revertible
+from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
+from agent.core.step_transaction import Revertible
 
 CENTRED = 0.09  # share of the image width: nearer to the middle than this, the gimbal stays still
 IN_VIEW_NS = 600_000_000  # two frames between sweeps
@@ -225,3 +226,46 @@ class Seek(Revertible):
             for memory in self._memory.values():
                 memory.seen = None  # its pixel belongs to the old direction
             self.pointing.aim(goal_us, now_ns)
+
+
+# @@ target_scheduler
+# Which of several targets the camera looks at.
+#
+# A camera looks at one target at a time, and only the target that is looked at iterates. The rule: a turn lasts until
+# the target's iteration index passes a multiple of TURN; then the target with the lowest index is next, in the order
+# of the fleet file where they are equal. The index is one that all robots of a swarm share (a robot that is behind
+# adopts that of its neighbours), so all of them look at the same target at the same time, from their different sides,
+# without having to ask: each target's valid set is as large as it can be.
+#
+# What nobody has seen yet has its turns like the others; the camera then rests where the fleet file's `look` points.
+#
+# No target starves. A turn ends after TURN iterations, whatever the camera sees. And should indices that come from
+# elsewhere keep a target from ever being the lowest (a neighbour that knows one target only drives that one), who has
+# been passed over for PATIENCE turns of each of the others is next.
+
+TURN = 5  # iterations: one goes by while the gimbal turns, and a search looks in two directions
+PATIENCE = 2
+
+
+class TargetScheduler(Revertible):
+    """Whose turn it is."""
+
+    def __init__(self, targets: tuple[str, ...]) -> None:
+        """There must be a target. The first has the first turn."""
+        self.target = targets[0]
+        self._waits = dict.fromkeys(targets, 0)  # turns of others since its own; keys in the order of the fleet file
+        self._ends_at = TURN
+
+    def next(self, t: Mapping[str, int], pursued: str | None = None) -> str:
+        """Whose turn it is now; asked when no measurement is under way. `t`: the iteration index of each target.
+        pursued: a target that the camera goes with, and takes no turns meanwhile."""
+        if pursued is not None:
+            self.target = pursued
+        if pursued is not None or len(self._waits) == 1 or t[self.target] < self._ends_at:
+            return self.target
+        longest = max(self._waits, key=lambda name: self._waits[name])  # the first of equals
+        overdue = self._waits[longest] > PATIENCE * (len(self._waits) - 1)
+        self.target = longest if overdue else min(self._waits, key=lambda name: t[name])
+        self._waits = {name: 0 if name == self.target else waited + 1 for name, waited in self._waits.items()}
+        self._ends_at = (t[self.target] // TURN + 1) * TURN
+        return self.target
