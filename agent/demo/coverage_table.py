@@ -6,7 +6,7 @@ from msgspec import UNSET
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from agent.capabilities.survey.rays import place_m, rotation
+from agent.capabilities.survey.coverage_map import place_m, rotation
 from agent.core.capability_messages import Claim, View, holds
 from agent.core.messages import State
 from agent.core.status import fault_kind

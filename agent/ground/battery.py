@@ -6,7 +6,7 @@ module whose parameter `battery_min_mV` was changed surfaces by that one, which 
 
 from __future__ import annotations
 
-from agent.capabilities.light.lamp import EMPTY_V
+from agent.capabilities.light.allocate import EMPTY_V
 from hw.firmware.parameters import NAMES, TABLE
 
 NEAR_V = EMPTY_V

@@ -9,8 +9,8 @@ from __future__ import annotations
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from agent.capabilities.light.conduct import lights_of
-from agent.capabilities.survey.conduct import Conduct
+from agent.capabilities.light.lights import lights_of
+from agent.capabilities.survey.survey import Conduct
 from agent.capabilities.swim.pose_filter import Belief
 from agent.capabilities.swim.pursuit import Pursuit
 from agent.capabilities.swim.swimmer import Swimmer, pose_of

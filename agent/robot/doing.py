@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.capabilities.light.lamp import OrderedLight
+from agent.capabilities.light.allocate import OrderedLight
 from agent.capabilities.light.lights import Lights
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.codec import Refusal

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from agent.capabilities.swim.layout_files import landmarks_of
+from agent.capabilities.swim.landmarks import landmarks_of
 from agent.core.config import Behaviour, ConfigError, Fleet, Robot, Struct, Target, convert, explain, read_toml
 from agent.robot.fleet_rules import broken_rules
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from msgspec import UNSET
 
 from agent.capabilities.light.lights import Lights
-from agent.capabilities.survey.conduct import Conduct
-from agent.capabilities.swim.neighbours import Neighbours
+from agent.capabilities.survey.survey import Conduct
+from agent.capabilities.swim.deconfliction import Neighbours
 from agent.core.codec import Refusal, decode
 from agent.core.config import Tank
 from agent.core.estimation.evidence_table import inside, is_covariance

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from agent.capabilities.swim.layout import axes, corners
-from agent.capabilities.swim.on_face import OFF_M, plane
+from agent.capabilities.swim.landmarks import OFF_M, axes, corners, plane
 from agent.core.config import Landmarks, Tag, Tank
 
 MODULES = 8  # black edge to black edge of the family 36h11; a white border of one belongs around it

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 
-from agent.capabilities.swim.barrier import MARGIN_M, WALL_M
+from agent.capabilities.swim.pilot import MARGIN_M, WALL_M
 from agent.core.config import Behaviour, Fleet, Follow, Goto, Orbit, Robot, Search, Survey, Trial
 
 ROUNDING_M = 1e-9  # what a centre less its radius may lack

@@ -8,8 +8,8 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import Event
+from agent.capabilities.swim.pose_filter import Hull
 from agent.core.config import ConfigError
 from agent.core.ranging.camera_model import BodyFit
 from agent.process.failure import Failed

@@ -15,10 +15,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.capabilities.swim.body_model import Hull, Wrench
-from agent.capabilities.swim.corrections import RATE_RAD_S, add_rate
 from agent.capabilities.swim.event_ring import Event
-from agent.capabilities.swim.pose_filter import BIAS, GAIN, Belief, Drift, begin, predict
+from agent.capabilities.swim.pose_filter import (
+    BIAS,
+    GAIN,
+    RATE_RAD_S,
+    Belief,
+    Drift,
+    Hull,
+    Wrench,
+    add_rate,
+    begin,
+    predict,
+)
 from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import BodyFit
 from agent.tools.fit import CalibrationRefused

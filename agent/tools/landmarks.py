@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from agent.capabilities.swim.on_face import on_face
+from agent.capabilities.swim.landmarks import on_face
 from agent.core.config import ConfigError, Fleet, Landmarks, Tag
 from agent.process.failure import Failed
 from agent.process.progress import with_bar

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.capabilities.swim.layout import ORDER
-from agent.capabilities.swim.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, FOUND_PX, OFFSET_PX, STRETCH
+from agent.capabilities.swim.landmarks import ORDER
+from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, FOUND_PX, OFFSET_PX, STRETCH
 from agent.core.step_io import SeenTag
 from agent.perception.landmarks.slopes import Array
 from agent.tools.rotation import crossed, turn_of, turned_by

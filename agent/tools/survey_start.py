@@ -13,8 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from agent.capabilities.swim.layout import axes, corners
-from agent.capabilities.swim.on_face import on_face, plane
+from agent.capabilities.swim.landmarks import axes, corners, on_face, plane
 from agent.core.config import ConfigError, Tag, Tank
 from agent.core.step_io import SeenTag
 from agent.perception.landmarks.slopes import Array

@@ -15,7 +15,7 @@ from agent.core.step_io import SweepOutcome
 from replay.report.page_template import Row, Table
 from replay.report.robot_timeline import RobotTimeline
 
-SPOILED = "spoiled: "  # agent.capabilities.light.conduct writes it
+SPOILED = "spoiled: "  # agent.capabilities.light.lights writes it
 FREE = "0.75"  # of a lamp that is its own robot's
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.survey.evidence import CoverageMap
-from agent.capabilities.survey.grid import grid_of
+from agent.capabilities.survey.coverage_map import CoverageMap, grid_of
 from agent.core.capability_messages import Frame, holds
 from agent.core.codec import decode
 from agent.core.config import Fleet

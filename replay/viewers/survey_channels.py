@@ -12,9 +12,16 @@ from typing import Any
 import numpy as np
 from msgspec import UNSET
 
-from agent.capabilities.survey.evidence import CoverageMap, Key
-from agent.capabilities.survey.grid import ONE, grid_of
-from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
+from agent.capabilities.survey.coverage_map import (
+    ONE,
+    CoverageMap,
+    Key,
+    along,
+    block_slopes,
+    grid_of,
+    place_m,
+    rotation,
+)
 from agent.core.capability_messages import (
     TURN_ONE,
     UNIT_M,

@@ -5,9 +5,8 @@ import io
 import msgspec
 from rich.console import Console
 
-from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.coverage_map import CoverageMap, along, place_m, rotation
 from agent.capabilities.survey.exchange import holdings
-from agent.capabilities.survey.rays import along, place_m, rotation
 from agent.core.capability_messages import Claim, View
 from agent.core.messages import Whereabouts
 from agent.demo.coverage import SurveyWatch

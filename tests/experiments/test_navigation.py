@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.layout import markers
-from agent.capabilities.swim.planes import odometry
+from agent.capabilities.swim.landmarks import markers
+from agent.capabilities.swim.plane_odometry import odometry
 from agent.capabilities.swim.projection import view
-from agent.capabilities.swim.tag_fix import Map, tag_fix, whole
-from agent.capabilities.swim.tag_priors import priors
+from agent.capabilities.swim.tag_fix import Map, priors, tag_fix, whole
 from agent.core.attitude import Attitude
 from agent.core.config import Pose
 from agent.core.linear_algebra import wrap

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from agent.capabilities.swim.layout import axes
+from agent.capabilities.swim.landmarks import axes
 from agent.core.config import Landmarks, Tag, Tank
 from agent.core.step_io import SeenTag
 from agent.tools.survey_bundle import SurveyFrame

@@ -9,8 +9,8 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import asked, fix
+from agent.capabilities.swim.pose_filter import Hull
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import BodyFit, load_calibration
 from agent.process.failure import Failed

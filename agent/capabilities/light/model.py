@@ -9,10 +9,85 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from agent.capabilities.light.orders import all_orders
-from agent.capabilities.light.phase import phase
+from agent.capabilities.light.veil_table import ANGLE_DEG, LOG_TIMES, RATIO, SCATTERING_SHARE, TAU
 from agent.core.config import Beam, Lighting, WaterOptics
 from agent.core.messages import Vector
+
+# @@ phase
+# Into which directions particles scatter light: Fournier and Forand, Proc. SPIE 2258 (1994), 194-201.
+#
+# With the index and the slope of sizes below 0.018 of it goes backwards, the mean of Petzold's measurements.
+
+INDEX, SLOPE = 1.10, 3.5835  # of the particles, relative to water; of the power law of their sizes
+NU = (3.0 - SLOPE) / 2.0
+AT_180 = 4.0 / (3.0 * (INDEX - 1.0) ** 2)  # d of the paper at 180 degrees
+FORWARD_RAD = 1e-6  # nearer to straight on is as good as straight on, where the formula has no limit
+NEAR_ONE = 1e-5  # of d, where the formula is 0/0; its neighbours stand for it
+
+
+def phase(angle_rad: float) -> float:
+    """Share of scattered light per steradian at `angle_rad` from its way; 1 in the integral over the sphere."""
+    half = math.sin(0.5 * max(angle_rad, FORWARD_RAD))
+    square = half * half
+    d = AT_180 * square
+    if abs(d - 1.0) < NEAR_ONE:
+        d = 1.0 + NEAR_ONE
+    power = math.pow(d, NU)
+    front = NU * (1.0 - d) - (1.0 - power) + (d * (1.0 - power) - NU * (1.0 - d)) / square
+    far = math.pow(AT_180, NU)
+    cosine = 1.0 - 2.0 * square
+    back = (1.0 - far) / (16.0 * math.pi * (AT_180 - 1.0) * far) * (3.0 * cosine * cosine - 1.0)
+    return front / (4.0 * math.pi * (1.0 - d) ** 2 * power) + back
+
+
+# @@ orders
+# Veil of all orders of scattering over that of a single one, by a table of Monte Carlo.
+#
+# Lengths count in scattering lengths, so that a table in (b times distance, share of scattering in attenuation,
+# angle, ratio of distances) holds for every water. veil_table.py says how it was made.
+
+
+def all_orders(depth_m: float, ahead_m: float, aside_m: float, water: WaterOptics) -> tuple[float, float, float]:
+    """Factor on model.single_veil for each colour. depth_m: camera to target; the lamp, aimed at the target, is so far
+    ahead of the camera and beside its axis. Beyond the table's ends its last values hold."""
+    range_m = math.hypot(depth_m - ahead_m, aside_m)
+    angle_deg = math.degrees(math.atan2(aside_m, depth_m - ahead_m))
+    at_angle = _between(ANGLE_DEG, angle_deg)
+    at_ratio = _between(RATIO, range_m / depth_m)
+    blue, green, red = (
+        _times(b * depth_m, b / (a + b), at_angle, at_ratio)
+        for a, b in zip(water.absorption_per_m, water.scattering_per_m, strict=True)
+    )
+    return blue, green, red
+
+
+def _times(tau: float, share: float, at_angle: tuple[int, float], at_ratio: tuple[int, float]) -> float:
+    thin = min(tau / TAU[0], 1.0)  # in water so clear there is but one order
+    corners = (_between(TAU, tau), _between(SCATTERING_SHARE, share), at_angle, at_ratio)
+    total = 0.0
+    for corner in range(16):
+        weight, index = 1.0, 0
+        for axis, ((i, part), size) in enumerate(zip(corners, SIZES, strict=True)):
+            up = corner >> axis & 1
+            weight *= part if up else 1.0 - part
+            index = index * size + i + up
+        total += weight * LOG_TIMES[index]
+    return math.exp(total * thin)
+
+
+def _between(nodes: tuple[float, ...], x: float) -> tuple[int, float]:
+    """Index of the node below, and how far x is towards the next, 0 to 1."""
+    for i in range(len(nodes) - 2):
+        if x < nodes[i + 1]:
+            break
+    else:
+        i = len(nodes) - 2
+    return i, min(max((x - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0), 1.0)
+
+
+SIZES = (len(TAU), len(SCATTERING_SHARE), len(ANGLE_DEG), len(RATIO))
+
+# @@ model
 
 Colours = tuple[float, float, float]
 

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.capabilities.light.aim import aim_of, looked_at
-from agent.capabilities.light.follow_light import Wish
-from agent.capabilities.light.lamp import LENDS_BELOW, LampControl, OrderedLight, cannot, command, load, warmed
-from agent.capabilities.light.lease import Bound, Party, lit_by
+from agent.capabilities.light.allocate import (
+    LENDS_BELOW,
+    LampControl,
+    OrderedLight,
+    aim_of,
+    cannot,
+    command,
+    load,
+    looked_at,
+    warmed,
+)
+from agent.capabilities.light.followers import Wish
+from agent.capabilities.light.lease import Bound, Party, Phase, Spoiled, Talk, lit_by
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.capability_messages import LampNow, Why
+from agent.core.capability_messages import LampNow, Lease, Why
 from agent.core.config import Fleet, Lighting
 from agent.core.control.target_search import Seek
-from agent.core.messages import Vector
+from agent.core.messages import LampState, Vector
 from agent.core.step_transaction import Revertible
 
 AWAKE_NS = 1_000_000_000  # after a start nobody knows how the module's lamp burned before
@@ -175,3 +184,118 @@ class OwnLamp(Revertible):
     def _speed_m_s(self, now_ns: int) -> float:
         here = None if self._swimmer is None else self._swimmer.localizer.at(now_ns)
         return 0.0 if here is None else max(abs(here.x[3]), abs(here.x[4]))
+
+
+# @@ onlookers
+# A robot's lamp and whose light it is, for whoever looks.
+
+
+def lamp_state(party: Party, own: LampNow, spoiled: int) -> LampState:
+    """spoiled: own sweeps so far in which a lamp changed."""
+    holder: str | None = None
+    lease, lamps = 0, tuple[str, ...]()
+    if party.bound is not None:
+        holder, lease = party.bound.holder, party.bound.lease.number
+        lamps = tuple(name for name, power in party.bound.lease.lamps if power > 0.0)
+    elif party.mine is not None:
+        holder, lease, lamps = party.me, party.mine.lease.number, lit_by(party)
+    return LampState(
+        power=own.power,
+        pan_deg=own.pan_deg,
+        tilt_deg=own.tilt_deg,
+        phase=party.phase,
+        holder=holder,
+        lease=lease,
+        lamps=lamps,
+        load=own.load,
+        spoiled=spoiled,
+    )
+
+
+# @@ turn
+# A robot's turns at the light, whatever it wants it for: when it may ask, how long it may look, what became of it.
+
+LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
+MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed
+AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that gave nothing, the next time twice as long
+RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
+
+
+class Turn(Revertible):
+    """Of one robot of a fleet with [lighting], between steps."""
+
+    def __init__(self, talk: Talk, own: OwnLamp) -> None:
+        self.talk, self.own = talk, own
+        self.granted_ns = self._served_ns = self._retry_ns = 0
+        self.swept = False  # a sweep began by the lease
+        self.judging = False  # one has ended whose light is not known to have stayed
+        self.spoiled = 0  # sweeps so far whose light did not
+        self._fruitless = 0  # leases in a row without one
+        self.assumed, self.burned = tuple[str, ...](), tuple[str, ...]()  # whose lamps a sweep took to, and that did
+
+    @property
+    def phase(self) -> Phase:
+        return self.talk.party.phase
+
+    def tick(self, now_ns: int) -> bool:
+        """Leases end and are granted; returns whether the own one has lasted for too long without a sweep."""
+        self._served_ns = self._served_ns or now_ns
+        before = self.phase
+        self.talk.tick(now_ns)
+        phase = self.phase
+        if phase == "holds" != before:
+            self.granted_ns, self.swept = now_ns, False
+        elif phase == "free" and before == "asks":
+            self._retry_ns = now_ns + RETRY_NS
+        return phase == "holds" and not self.swept and now_ns - self.granted_ns > LOOK_NS
+
+    def idle(self, now_ns: int) -> bool:
+        """It may ask."""
+        known = now_ns >= self._retry_ns and self.talk.acquainted(now_ns)
+        return self.phase == "free" and known and not self.judging
+
+    def rests(self, now_ns: int) -> bool:
+        """All lamps that this robot knows of are at rest, its own by the own lease."""
+        return self.own.by_own_lease and self.talk.rests(self.own.now, now_ns)
+
+    def ask(self, lease: Lease, now_ns: int) -> None:
+        self.talk.ask(lease, now_ns)
+
+    def waited_ns(self, now_ns: int) -> int:
+        return now_ns - self._served_ns
+
+    def began(self, now_ns: int) -> None:
+        """A sweep begins with this step."""
+        self.talk.begin(self.own.now, now_ns)
+        self.swept = True
+        self.assumed, self.burned = lit_by(self.talk.party), self.talk.burned(self.own.now)
+
+    def ended(self, now_ns: int) -> None:
+        """Its last frame is in."""
+        self.judging = True
+        self.talk.end(now_ns)
+
+    def verdict(self, now_ns: int) -> Spoiled | bool | None:
+        """What became of the sweep that ended: True, it counts; None: not known yet. The lease ends with it."""
+        if (found := self.talk.verdict(self.own.now, now_ns)) is None:
+            return None
+        self.judging = False
+        if isinstance(found, Spoiled):
+            self.spoiled += 1
+        else:
+            self._fruitless = 0
+        return found
+
+    def over(self, now_ns: int) -> None:
+        """The own lease is at its end."""
+        if self.talk.party.mine is not None:
+            self._served_ns = now_ns
+            self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
+        self.talk.release()
+        self.swept = False
+
+    def fail(self, now_ns: int) -> None:
+        """The own lease showed nothing: the next one has more time to come, for others are waiting."""
+        self._fruitless += 1
+        self.over(now_ns)
+        self._retry_ns = now_ns + min(AGAIN_NS << min(self._fruitless, 9), LONGEST_AGAIN_NS)

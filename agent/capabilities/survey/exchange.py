@@ -14,7 +14,7 @@ from __future__ import annotations
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.capabilities.survey.evidence import CoverageMap, Key
+from agent.capabilities.survey.coverage_map import CoverageMap, Key
 from agent.core.capability_messages import SHORT_MASK, Claim, Frame, Has, Keyframe, View, claim_fault, frame_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet

@@ -7,9 +7,13 @@ wants to be gives the view up after a while and chooses another.
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from agent.capabilities.light.frames import FrameScene
+from msgspec import UNSET, UnsetType
+
+from agent.capabilities.light.allocate import FrameScene
+from agent.capabilities.light.lease import Spoiled
+from agent.capabilities.light.target_light import ViewLight
 from agent.capabilities.survey.candidates import (
     CANDIDATES,
     Ahead,
@@ -20,20 +24,127 @@ from agent.capabilities.survey.candidates import (
     ahead,
     better,
     drawn,
+    frame_scene,
 )
-from agent.capabilities.survey.evidence import CoverageMap
-from agent.capabilities.survey.grid import grid_of
-from agent.capabilities.survey.making import block_px, frame_of, lens_of, sigma_of
-from agent.capabilities.survey.spots import frame_scene
-from agent.capabilities.swim.barrier import MARGIN_M, WALL_M, Planar
-from agent.core.capability_messages import MOST_NUMBER, UNIT_M, Frame, View
+from agent.capabilities.survey.coverage_map import (
+    SIGMA_AT_M,
+    SIGMA_UNIT_MM,
+    CoverageMap,
+    block_slopes,
+    grid_of,
+    quaternion,
+)
+from agent.capabilities.survey.exchange import Exchange
+from agent.capabilities.swim.pilot import MARGIN_M, WALL_M, Planar
+from agent.capabilities.swim.swimmer import Swimmer, pose_of
+from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.capability_messages import (
+    BEND_ONE,
+    MOST_BLOCKS,
+    MOST_NUMBER,
+    PX_ONE,
+    UNIT_M,
+    Blocks,
+    Claim,
+    Frame,
+    Keyframe,
+    Lens,
+    View,
+    place_of,
+    quantised,
+)
+from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet, Pose, Survey
 from agent.core.control.sweep import full_positions, home_position
+from agent.core.control.target_search import Seek
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, Eye
-from agent.core.step_io import BlockPeaks, SweepPlan
+from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, to_world
+from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
+from agent.core.status import Status
+from agent.core.step_io import BlockPeaks, Heard, SweepPlan
 from agent.core.step_transaction import Revertible
+from agent.core.topics import CLAIM, KEYFRAME
+
+# @@ making
+# The clarity peaks of a sweep's blocks, and where the camera was, as a keyframe.
+
+ACROSS, DOWN = 25, 19
+HULL_M, HULL_HIGH_M = 0.21, 0.12  # around a robot's centre: its ring and hull, and what neither knows of where it is
+NOISIER = 1.4  # than the grid alone are blocks of a robot that sways: 1.3 to 1.5 in the twin
+
+
+def block_px(camera: CameraFit) -> int:
+    """Side of the blocks of a picture: as many as a keyframe can hold."""
+    side = max(camera.width_px // ACROSS, camera.height_px // DOWN, 8)
+    while (camera.width_px // side) * (camera.height_px // side) > MOST_BLOCKS:
+        side += 1
+    return side
+
+
+def lens_of(camera: CameraFit, lens_position: float | None) -> tuple[Lens, int]:
+    """Where the blocks of a picture look, and how many rows of them there are; blocks begin at the upper left."""
+    side, at = block_px(camera), at_lens_position(camera, lens_position)
+    # A pixel's centre is a whole number, the corner of the first block half a pixel before.
+    lens = Lens(
+        round(at.f_px * PX_ONE),
+        round((at.cx_px + 0.5) * PX_ONE),
+        round((at.cy_px + 0.5) * PX_ONE),
+        round(at.bend * BEND_ONE),
+        round(at.ahead_m / UNIT_M),
+        side,
+        camera.width_px // side,
+    )
+    return lens, camera.height_px // side
+
+
+def sigma_of(calibration: Calibration) -> int:
+    """What is expected of a block's depth at SIGMA_AT_M, in units of SIGMA_UNIT_MM: by the grid of its pixels, the
+    lens's noise, and the calibration."""
+    fit, side = calibration.focus, block_px(calibration.camera)
+    variance = range_variance(fit, lens_position(fit, SIGMA_AT_M), phase_sigma(fit.width, side * side))
+    return min(max(round(NOISIER * 1000.0 * math.sqrt(sum(variance)) / SIGMA_UNIT_MM), 1), 10**5)
+
+
+def frame_of(
+    peaks: BlockPeaks,
+    eye: Eye,
+    hulls_m: tuple[Vector, ...],
+    calibration: Calibration,
+    origin: str,
+    incarnation: int,
+    number: int,
+) -> Frame | None:
+    """The keyframe of one sweep; None where no block has a depth. What is seen where another robot is (hulls_m) is that
+    robot, which is elsewhere soon, and left out."""
+    lens, rows = lens_of(calibration.camera, peaks.focus)
+    if (peaks.cols, peaks.block_px, peaks.rows) != (lens.cols, lens.block, rows):
+        return None
+    forward = eye.rotation[2][2]  # of the optical axis upwards
+    fit = at_tilt(calibration.focus, math.asin(min(max(forward, -1.0), 1.0)))
+    count = lens.cols * rows
+    slopes, ahead_m = block_slopes(lens, lens.cols * rows), lens.ahead * UNIT_M
+    depths: list[float | None] = [None] * count
+    sigmas = [0.0] * count
+    for k, position, sigma in peaks.peaks:
+        if k < count and (z_m := h(fit, position)) is not None:
+            x, y = slopes[k]
+            there = to_world(eye, (x * (z_m - ahead_m), y * (z_m - ahead_m), z_m))
+            if any(_is_at(there, hull_m) for hull_m in hulls_m):
+                continue
+            depths[k], sigmas[k] = z_m, math.sqrt(sum(range_variance(fit, position, sigma)))
+    if all(z_m is None for z_m in depths):
+        return None
+    packed = quantised(Blocks(lens.cols, tuple(depths), tuple(sigmas)))
+    place, turn = place_of(eye.position_m), quaternion(eye.rotation)
+    return Frame(origin, incarnation, number, place, turn, lens, *packed)
+
+
+def _is_at(place_m: Vector, hull_m: Vector) -> bool:
+    return math.dist(place_m[:2], hull_m[:2]) < HULL_M and abs(place_m[2] - hull_m[2]) < HULL_HIGH_M
+
+
+# @@ survey
 
 Phase = Literal["choose", "go", "look", "sweep", "done"]
 
@@ -233,3 +344,144 @@ class Surveyor(Revertible):
             for j in range(max(j0 - reach, 1), min(j0 + reach, ny - 2) + 1)
             for i in range(max(i0 - reach, 1), min(i0 + reach, nx - 2) + 1)
         )
+
+
+# @@ conduct
+# A survey as part of a robot's step: who swims where, where the camera looks, what is taken in and told.
+#
+# Of a fleet without [coverage] it does nothing; of a robot with another behaviour than `survey` it keeps the map, and
+# passes on what others saw.
+
+STILL_M_S, STILL_RAD_S = 0.03, math.radians(3.0)  # a sweep takes seconds, and its frames have to lie on each other
+STEADY_NS = 300_000_000  # of a gimbal at rest, and of a body that a turn of it moved
+
+
+class Swept(NamedTuple):
+    """What a sweep showed, and from where."""
+
+    peaks: BlockPeaks
+    eye: Eye | None  # None: nobody knows well enough
+    hulls_m: tuple[Vector, ...]  # of other robots, world frame
+
+
+class Conduct(Revertible):
+    """Of one robot, between steps."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        name: str,
+        calibration: Calibration,
+        incarnation: int,
+        swimmer: Swimmer | None,
+        light: ViewLight,
+    ) -> None:
+        self._fleet, self._name, self._swimmer, self._light = fleet, name, swimmer, light
+        self._swept: Swept | None = None  # a sweep that is over, and may not count
+        self.surveyor = None if fleet.coverage is None else Surveyor(fleet, name, calibration, incarnation)
+        self.exchange = None if self.surveyor is None else Exchange(fleet, name, incarnation, self.surveyor.known)
+
+    def hear(self, heard: Heard, accepted: frozenset[int]) -> None:
+        """A payload on a key of a survey's. Raises Refusal where it is not believed."""
+        if self.exchange is None:
+            raise Refusal("fleet file", "it surveys, and our file has no [coverage]; give all robots the same file")
+        if heard.topic == CLAIM.name:
+            claim = decode(heard.payload, Claim, CLAIM.limit, accepted)
+            self.exchange.hear_claim(heard.src, claim, heard.arrived_ns)
+        else:
+            said = decode(heard.payload, Keyframe, KEYFRAME.limit, accepted)
+            self.exchange.hear_keyframe(heard.src, said, heard.arrived_ns)
+
+    def see(
+        self, blocks: tuple[BlockPeaks, ...], attitude: AttitudeLog, seek: Seek, status: Status, now_ns: int
+    ) -> None:
+        """What sweeps showed that ended since the last step."""
+        if (surveyor := self.surveyor) is None:
+            return
+        for peaks in blocks:
+            if surveyor.awaits(peaks) and self._swept is None:
+                self._swept = Swept(peaks, self._eye(peaks.t_ns, attitude, seek), self._hulls())
+                self._light.ended(now_ns)
+        if self._swept is not None and (found := self._light.verdict(now_ns)) is not None:
+            swept, self._swept = self._swept, None
+            if isinstance(found, Spoiled):
+                surveyor.give_up(now_ns)
+                status.log.note("info", f"view {swept.peaks.sweep} was spoiled: {found.reason}", now_ns)
+            elif (made := surveyor.see(swept.peaks, swept.eye, swept.hulls_m, now_ns)) is None:
+                status.log.note("info", f"view {swept.peaks.sweep} gave no keyframe", now_ns)
+            else:
+                share = round(100 * surveyor.known.share())
+                status.log.note("info", f"keyframe {made.number}, {share} % of the tank is known", now_ns)
+        if self._swept is None and surveyor.missed(now_ns):
+            self._light.missed(now_ns)
+            status.log.note("warning", "a view's sweep did not end in time", now_ns)
+        seek.surveys = surveyor.phase == "sweep"
+
+    def act(self, seek: Seek, level: Attitude | None, status: Status, now_ns: int) -> tuple[bool, SweepPlan | None]:
+        """Whether the camera is a survey's now, and the plan of a sweep that shall begin."""
+        surveyor, exchange = self.surveyor, self.exchange
+        if surveyor is None or exchange is None or surveyor.done or seek.pointing.goal_us is None:
+            return False, None
+        if seek.measuring and not seek.surveys:  # of a target, from before it knew how it swims
+            return False, None
+        pose, rests = seek.pose, True
+        if self._swimmer is not None:
+            here = self._swimmer.here
+            if here is None or not self._swimmer.under_way:
+                return False, None
+            rests = math.hypot(here.x[3], here.x[4]) < STILL_M_S and abs(here.x[5]) < STILL_RAD_S
+        claims = tuple(view for _, view in exchange.claims(now_ns))
+        surveyor.choose(pose, claims, self._others(exchange, now_ns), now_ns)
+        surveyor.swim(pose, rests, now_ns)
+        if surveyor.done:
+            status.log.note("info", "the survey is over: all that was asked for is known", now_ns)
+            return False, None
+        if surveyor.phase != "look" or level is None:
+            return True, None
+        seek.look(*surveyor.gimbal_deg(pose), now_ns)
+        rests = rests and seek.pointing.steady(now_ns - STEADY_NS)
+        if rests and not self._light.lets(surveyor, seek, level, now_ns):
+            return True, None
+        plan = surveyor.sweep(rests, now_ns)
+        seek.surveys = plan is not None
+        if plan is not None:
+            self._light.began(now_ns)
+        return True, plan
+
+    def goal(self) -> tuple[tuple[float, float], float] | None:
+        """Where a robot that swims shall be, and how turned; None: where it is."""
+        station = None if self.surveyor is None else self.surveyor.station
+        return None if station is None else (station.place_m, station.yaw)
+
+    def say(self, now_ns: int) -> tuple[tuple[Claim, ...] | UnsetType, tuple[Keyframe, ...] | UnsetType]:
+        """What is told to neighbours in this step."""
+        if self.surveyor is None or self.exchange is None:
+            return UNSET, UNSET
+        self.exchange.end_step()
+        claims = self.exchange.say(self.surveyor.view, self.surveyor.until_ns(now_ns), now_ns)
+        return claims or UNSET, self.exchange.send(now_ns) or UNSET
+
+    def _others(self, exchange: Exchange, now_ns: int) -> tuple[tuple[float, float], ...]:
+        """Places of robots that swim and claim no view."""
+        if self._swimmer is None:
+            return ()
+        claiming = {name for name, _ in exchange.claims(now_ns)}
+        return tuple(place[:2] for place in self._swimmer.company.neighbours.places(claiming))
+
+    def _hulls(self) -> tuple[Vector, ...]:
+        """Where other robots are, world frame: as they say, or where they are moored."""
+        surface_m = self._fleet.tank.surface_m
+        if self._swimmer is not None:
+            return tuple((x, y, surface_m - depth) for x, y, depth in self._swimmer.company.neighbours.places())
+        others = (robot for name, robot in self._fleet.robot.items() if name != self._name)
+        return tuple((robot.pose.x_m, robot.pose.y_m, surface_m - robot.depth_m) for robot in others)
+
+    def _eye(self, t_ns: int, attitude: AttitudeLog, seek: Seek) -> Eye | None:
+        """Where the camera was; None: nobody knows well enough."""
+        level = attitude.at(t_ns)
+        if level is None:
+            return None
+        if self._swimmer is None:
+            return seek.eye(level)
+        known = self._swimmer.localizer.of_sample(t_ns, t_ns)
+        return None if known is None else seek.eye(level, pose_of(known[0]))

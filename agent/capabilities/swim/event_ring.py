@@ -13,10 +13,21 @@ from collections import deque
 from itertools import islice
 from typing import Literal, NamedTuple
 
-from agent.capabilities.swim.basin import Basin, kept_in
-from agent.capabilities.swim.body_model import Hull, Wrench
-from agent.capabilities.swim.corrections import add_fix, add_flow, add_rate, add_sighting
-from agent.capabilities.swim.pose_filter import Belief, Drift, ask, keep_key, predict
+from agent.capabilities.swim.pose_filter import (
+    Basin,
+    Belief,
+    Drift,
+    Hull,
+    Wrench,
+    add_fix,
+    add_flow,
+    add_rate,
+    add_sighting,
+    ask,
+    keep_key,
+    kept_in,
+    predict,
+)
 from agent.core.messages import Symmetric, Vector
 from agent.core.step_transaction import Revertible
 

@@ -10,30 +10,172 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.swim.aid import Aid, Seen, offset_m
-from agent.capabilities.swim.barrier import STILL as AT_REST
-from agent.capabilities.swim.basin import basin
-from agent.capabilities.swim.body_model import Hull, Wrench
-from agent.capabilities.swim.defocus import readable
+from msgspec import UNSET
+
+from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, flow, rate
-from agent.capabilities.swim.first_fix import first_fix
-from agent.capabilities.swim.gimbal_log import Gimbal
-from agent.capabilities.swim.gyro import Rate
-from agent.capabilities.swim.layout import markers
-from agent.capabilities.swim.planes import by_things, odometry
-from agent.capabilities.swim.pose_filter import Belief, Drift, begin, learnt
-from agent.capabilities.swim.projection import view
-from agent.capabilities.swim.tag_fix import Map, TagFix, tag_fix, whole
-from agent.capabilities.swim.tag_priors import TURNING_DEG, Priors, priors, wake_rad
+from agent.capabilities.swim.landmarks import markers
+from agent.capabilities.swim.pilot import STILL as AT_REST
+from agent.capabilities.swim.plane_odometry import by_things, odometry
+from agent.capabilities.swim.pose_filter import Belief, Drift, Hull, Wrench, basin, begin, learnt
+from agent.capabilities.swim.projection import readable, view
+from agent.capabilities.swim.tag_fix import (
+    TURNING_DEG,
+    Map,
+    Priors,
+    TagFix,
+    first_fix,
+    priors,
+    tag_fix,
+    wake_rad,
+    whole,
+)
 from agent.core.attitude import Attitude
-from agent.core.config import Fleet
+from agent.core.config import Body, Fleet
+from agent.core.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing, ServoPath, Stand
 from agent.core.estimation.interface import Posterior, Prior
 from agent.core.linear_algebra import minus, plus, times
 from agent.core.messages import Vector, Whereabouts
-from agent.core.ranging.camera_model import BodyFit, Calibration
+from agent.core.ranging.camera_model import BodyFit, Calibration, CameraFit, gimbal_deg
 from agent.core.ranging.fix import MEMORY_S, Fix, OwnPose, carried, kappa, longest_gap_s
-from agent.core.step_io import Flow, SeenTags
+from agent.core.step_io import Flow, SeenTags, Telemetry
 from agent.core.step_transaction import Revertible
+
+# @@ gyro
+# Whether a module's gyro can be believed: what it says is checked before it becomes a measurement.
+#
+# A gyro that works is never still: its noise is a few of the wire's steps, so that a value which comes again and
+# again for a second is no measurement. One at the end of its scale turns faster than it can say.
+
+FULL_SCALE_RAD_S = math.radians(249.0)  # of 250 deg/s, hw/firmware/gyro.py
+LATE_NS = 10_000_000  # its low-pass of 25 Hz, and half a cycle of 10 ms until it is told
+STUCK_NS, STUCK_READINGS = 1_000_000_000, 10
+SILENT_NS = 1_000_000_000  # without a reading that can be used: nothing to be told of a lost frame or two
+
+
+class Rate(NamedTuple):
+    """A yaw rate that can be believed, and when it was so."""
+
+    t_ns: int
+    rad_s: float
+
+
+class Gyro(Revertible):
+    """Of one robot of a fleet that has them."""
+
+    def __init__(self) -> None:
+        self._value: float | None = None  # newest, whatever it is worth
+        self._same_ns: int | None = None  # since when it is this one
+        self._same = 0  # readings
+        self._good_ns: int | None = None  # of the newest that could be used, or of the first telemetry
+        self._wrong = ""  # with the newest reading
+
+    def read(self, telemetry: Telemetry) -> Rate | None:
+        """What one telemetry frame says; None: nothing that can be used."""
+        rate, t_ns = telemetry.rate_rad_s, telemetry.t_ns
+        if self._good_ns is None:
+            self._good_ns = t_ns
+        if rate is UNSET:
+            self._value, self._wrong = None, "no reading; fit one, or write gyro = false"
+            return None
+        if rate != self._value or self._same_ns is None:
+            self._value, self._same_ns, self._same = rate, t_ns, 0
+        self._same += 1
+        self._wrong = self._what_is_wrong(rate, t_ns - self._same_ns)
+        if self._wrong:
+            return None
+        self._good_ns = t_ns
+        return Rate(t_ns - LATE_NS, rate)
+
+    def _what_is_wrong(self, rate_rad_s: float, same_for_ns: int) -> str:
+        if abs(rate_rad_s) >= FULL_SCALE_RAD_S:
+            return "at the end of its scale"
+        if same_for_ns >= STUCK_NS and self._same >= STUCK_READINGS:
+            return f"stuck at {math.degrees(rate_rad_s):.2f} deg/s"
+        return ""
+
+    def fault(self, now_ns: int) -> str | None:
+        """What to tell people; None while it works, or telemetry has just begun."""
+        if not self._wrong or self._good_ns is None or now_ns - self._good_ns < SILENT_NS:
+            return None
+        return f"gyro: {self._wrong}"
+
+
+# @@ gimbal_log
+# Where the camera's gimbal pointed at a given time of the last seconds, and how sure that is.
+#
+# Tags tell the camera's heading whatever the gimbal does, so a frame that was exposed while the gimbal settles says
+# as well as any where the robot is, and its yaw as well as the gimbal is known. Servos do not say where they are:
+# what counts is when they were told (control/pointing.py), first to a little below the goal, then to the goal; or
+# each step to another angle (control/servo_path.py).
+
+TURNS = 16  # that are remembered: more than a key frame's four seconds hold
+REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)
+
+
+class Gimbal(NamedTuple):
+    deg: tuple[float, float]  # pan and tilt as the servos really do them
+    rests: bool  # False: it settles still, and may be off by some tenths of a degree
+    tracks: bool = False  # it goes with a target, and its play is taken up to no side
+    lag_sigma_deg: float = 0.0  # and while it turns, by what its servos' lag leaves open
+
+
+class Turn(NamedTuple):
+    """What the gimbal was told once."""
+
+    told_ns: int
+    leg_ns: int  # when the last leg begins, from below the goal
+    goal_us: tuple[int, int]
+
+
+class GimbalLog(Revertible):
+    """Of one robot's camera."""
+
+    def __init__(self, camera: CameraFit, body: Body) -> None:
+        self._camera, self._body = camera, body
+        self._turns: deque[Turn] = deque(maxlen=TURNS)
+        self._path, self._tracked = ServoPath(), False
+
+    def add(self, pointing: Pointing) -> None:
+        """Take note of where it is told to turn now."""
+        if pointing.goal_us is None:
+            return
+        if pointing.tracks:
+            if not self._tracked:
+                self._path.begin(self._turns[-1].goal_us if self._turns else pointing.goal_us)
+            self._path.add(pointing.told_ns, pointing.goal_us)
+        elif not self._turns or self._turns[-1].told_ns != pointing.told_ns:
+            turn = Turn(pointing.told_ns, pointing.last_leg_ns, pointing.goal_us)
+            self._turns.append(turn)
+        self._tracked = pointing.tracks
+
+    def at(self, t_ns: int) -> Gimbal | None:
+        """None: it was on its way, or that was too long ago."""
+        turn = next((turn for turn in reversed(self._turns) if turn.told_ns <= t_ns), None)
+        stand = self._path.at(t_ns)
+        if stand is not None and (turn is None or stand.told_ns > turn.told_ns):
+            return self._on_path(stand)
+        return None if turn is None else self._in(turn, t_ns)
+
+    def _on_path(self, stand: Stand) -> Gimbal | None:
+        """Where it had come to on its way from set-point to set-point."""
+        if math.isinf(stand.sigma_us):
+            return None
+        sigma_deg = stand.sigma_us / self._body.servo_us_per_deg
+        return Gimbal(gimbal_deg(self._camera, self._body, stand.us), False, True, sigma_deg)
+
+    def _in(self, turn: Turn, t_ns: int) -> Gimbal | None:
+        pan_us, tilt_us = turn.goal_us
+        if t_ns < turn.leg_ns:
+            begins_ns, pan_us, tilt_us = turn.leg_ns - APPROACH_NS, pan_us - PLAY_US, tilt_us - PLAY_US
+        else:
+            begins_ns = turn.leg_ns
+        if t_ns < begins_ns + LAG_NS:
+            return None
+        return Gimbal(gimbal_deg(self._camera, self._body, (pan_us, tilt_us)), t_ns >= turn.leg_ns + REST_NS)
+
+
+# @@ localizer
 
 STILL: Wrench = (*AT_REST, 0.0)
 UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks

@@ -14,19 +14,92 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.swim.body_model import (
-    STEP_NS,
-    TETHER_N,
-    TETHER_NM,
-    ZERO_N,
-    ZERO_NM,
-    Hull,
-    Motion,
-    Wrench,
-    motion,
-)
-from agent.core.linear_algebra import ZERO, Rows, wrap
+from agent.core.linear_algebra import ZERO, Rows, cholesky, dot, lower_inverse, wrap
 from agent.core.messages import Symmetric, Vector
+
+# @@ body_model
+# How a robot moves in the plane under the forces that it was asked for: constants, and one small step.
+#
+# x, y and velocity in the world frame; force and moment in the body frame (forward, left, anticlockwise). Thrusters
+# follow with a lag of first order, drag is linear and quadratic; what pushes besides (tether, current) is an
+# acceleration d.
+
+OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mass; drag may be half or twice as large
+OF_TURN = 0.05  # of the moment, what its own gain, which is learnt, leaves: no two thrusters have the same lag
+ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are alike
+
+# An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
+# four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
+ZERO_N, ZERO_NM = 0.12, 0.03
+TETHER_N, TETHER_NM = 0.15, 0.004  # what is left of one whose thrusters stand still: its tether pulls
+
+Wrench = tuple[float, float, float]  # N forward, N left, N m
+
+STEP_NS = 20_000_000  # no longer: what drag and turn change over it is neglected to first order
+
+
+class Hull(NamedTuple):
+    """Constants of a robot of 30 cm with its added mass; each may be half or twice as large."""
+
+    mass_kg: float = 6.0
+    drag: float = 2.0  # N s/m
+    drag2: float = 20.0  # N s^2/m^2
+    inertia_kgm2: float = 0.09
+    turn_drag: float = 0.03  # N m s
+    turn_drag2: float = 0.10  # N m s^2
+    lag_s: float = 0.115  # of the thrusters
+
+
+class Motion(NamedTuple):
+    """Accelerations over one step, and how they change with what they depend on."""
+
+    force: Wrench  # that acts at the end of the step
+    ax: float
+    ay: float
+    turn: float  # rad/s^2
+    damping: float  # -da/dv, 1/s
+    turn_damping: float
+    ax_by_yaw: float
+    ay_by_yaw: float
+    turn_by: tuple[float, float, float, float, float]  # yaw, v_x, v_y, Munk's difference, gain of the yaw moment
+    doubt: float  # sigma of the acceleration, m/s^2, for what thrust and drag are not known to
+    turn_doubt: float  # rad/s^2
+
+
+def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h: float) -> Motion:
+    """What a step of h seconds does from state = (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi, munk, gain, ...).
+
+    Of a body that swims aslant, added mass that differs aside and ahead makes a moment: Munk's, that difference times
+    both speeds.
+    """
+    _, _, psi, vx, vy, r, dx, dy, dpsi, munk_kg, gain = state[:11]
+    reached = 1.0 - math.exp(-h / hull.lag_s)
+    share = 1.0 - hull.lag_s * reached / h  # of the way to what is asked, on average over the step
+    ahead, left, moment = (f + (u - f) * share for f, u in zip(force, asked, strict=True))
+    c, s = math.cos(psi), math.sin(psi)
+    px, py = (c * ahead - s * left) / hull.mass_kg, (s * ahead + c * left) / hull.mass_kg
+    k, k_r = damping(hull, math.sqrt(vx * vx + vy * vy)), turn_damping(hull, r)
+    f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
+    spin = moment / hull.inertia_kgm2
+    doubt = math.hypot(OF_THRUST * math.hypot(px, py), OF_DRAG * k * math.hypot(vx, vy))
+    turn_doubt = math.hypot(OF_TURN * spin, OF_DRAG * k_r * r, ARM_M * math.hypot(ahead, left) / hull.inertia_kgm2)
+    u, v, bent = c * vx + s * vy, c * vy - s * vx, munk_kg / hull.inertia_kgm2
+    ax, ay, turn = px - k * vx + dx, py - k * vy + dy, (1.0 + gain) * spin - bent * u * v - k_r * r + dpsi
+    by_speed = -bent * (c * v - s * u), -bent * (s * v + c * u)
+    turn_by = (bent * (u * u - v * v), *by_speed, -u * v / hull.inertia_kgm2, spin)
+    return Motion((f, g, n), ax, ay, turn, k, k_r, -py, px, turn_by, doubt, turn_doubt)
+
+
+def damping(hull: Hull, speed_m_s: float) -> float:
+    """Deceleration by drag, for each m/s, 1/s."""
+    return (hull.drag + hull.drag2 * speed_m_s) / hull.mass_kg
+
+
+def turn_damping(hull: Hull, rate_rad_s: float) -> float:
+    return (hull.turn_drag + hull.turn_drag2 * abs(rate_rad_s)) / hull.inertia_kgm2
+
+
+# @@ pose_filter
 
 FIRST_BIAS_RAD_S = math.radians(0.6)
 # Variances of v, r and d before anything was learnt: who was lost swims on for a while, and spins.
@@ -202,3 +275,188 @@ def has_gyro(belief: Belief) -> bool:
 
 def frozen(rows: Sequence[Sequence[float]]) -> Covariance:
     return tuple(tuple(row) for row in rows)
+
+
+# @@ corrections
+# What is measured of a pose filter's state, one at a time: landmarks, odometry since a key frame, a gyro's rate, a
+# target at rest.
+#
+# An observation that one honest one in a thousand would be is refused.
+
+GATE = 16.27  # NIS of three numbers: one in a thousand is larger
+REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
+RATE_RAD_S = math.radians(0.3)  # noise of the gyro
+YAW_KNOWN_RAD = math.radians(5.0)  # beyond, what a yaw does to a place is not linear: a sighting would lend false trust
+
+Sparse = tuple[tuple[int, float], ...]  # a row of H: (index, weight) where it is not zero
+
+
+def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Belief:
+    """Corrected by a fix of now; one that cannot be is refused, and after five in a row it all starts again from it."""
+    xx, xy, xp, yy, yp, pp = fluctuates
+    H = ((0, 1.0),), ((1, 1.0),), ((2, 1.0),)
+    misses = pose[0] - belief.x[0], pose[1] - belief.x[1], wrap(pose[2] - belief.x[2])
+    corrected = _correct(belief, H, misses, ((xx, xy, xp), (xy, yy, yp), (xp, yp, pp)))
+    if corrected.nis <= GATE:
+        return corrected._replace(refused=0, stays=stays)
+    if belief.refused + 1 < REFUSALS:
+        return belief._replace(refused=belief.refused + 1, nis=corrected.nis)
+    again = learnt(belief, begin(belief.t_ns, pose, fluctuates, stays, has_gyro(belief)))
+    return again._replace(force=belief.force, asked=belief.asked, restarts=belief.restarts + 1, nis=corrected.nis)
+
+
+def add_flow(belief: Belief, since_ns: int, moved: Vector, covariance: Symmetric) -> Belief:
+    """Corrected by odometry: (x, y, yaw) of now, in the frame that the body had at the key frame exposed at since_ns.
+
+    Of a key frame that was let go it says nothing any more.
+    """
+    if belief.key_ns != since_ns:
+        return belief
+    n = own(belief)
+    key_x, key_y, key_psi = belief.x[n:]
+    c, s = math.cos(key_psi), math.sin(key_psi)
+    east, north = belief.x[0] - key_x, belief.x[1] - key_y
+    ahead, left = c * east + s * north, c * north - s * east
+    H = (
+        ((0, c), (1, s), (n, -c), (n + 1, -s), (n + 2, left)),
+        ((0, -s), (1, c), (n, s), (n + 1, -c), (n + 2, -ahead)),
+        ((2, 1.0), (n + 2, -1.0)),
+    )
+    turned = wrap(belief.x[2] - key_psi)
+    misses = moved[0] - ahead, moved[1] - left, wrap(moved[2] - turned)
+    xx, xy, xp, yy, yp, pp = covariance
+    corrected = _correct(belief, H, misses, ((xx, xy, xp), (xy, yy, yp), (xp, yp, pp)))
+    return corrected if corrected.nis <= GATE else belief._replace(nis=corrected.nis)
+
+
+def add_rate(belief: Belief, rate_rad_s: float) -> Belief:
+    """Corrected by a gyro's yaw rate of now."""
+    H = (((5, 1.0), (BIAS, 1.0)),)
+    return _correct(belief, H, (rate_rad_s - belief.x[5] - belief.x[BIAS],), ((RATE_RAD_S * RATE_RAD_S,),))
+
+
+def add_sighting(belief: Belief, offset_m: Vector, noise_m2: Symmetric) -> Belief:
+    """With a target at rest seen now: the first sighting puts its place into the state, later ones correct both.
+
+    offset_m: ahead and to the left of the robot as its yaw has it, and the height in the world; noise_m2: of that, in
+    the world. One while the yaw is poorly known says nothing.
+    """
+    if belief.P[2][2] > YAW_KNOWN_RAD * YAW_KNOWN_RAD:
+        return belief
+    c, s = math.cos(belief.x[2]), math.sin(belief.x[2])
+    east, north = c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]
+    seen_m = belief.x[0] + east, belief.x[1] + north, offset_m[2]
+    xx, xy, xz, yy, yz, zz = noise_m2
+    R = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    n = own(belief)
+    if belief.has_target:
+        H = ((n - 3, 1.0), (0, -1.0), (2, north)), ((n - 2, 1.0), (1, -1.0), (2, -east)), ((n - 1, 1.0),)
+        misses = [place - belief.x[n - 3 + k] for k, place in enumerate(seen_m)]
+        corrected = _correct(belief, H, misses, R)
+        return corrected if corrected.nis <= GATE else belief._replace(nis=corrected.nis)
+    G: tuple[Sparse, ...] = ((0, 1.0), (2, -north)), ((1, 1.0), (2, east)), ()
+    cross = [[_along(g, row) for row in belief.P] for g in G]  # 3 x n
+    middle = [[_along(g, row) + r for g, r in zip(G, noise, strict=True)] for row, noise in zip(cross, R, strict=True)]
+    rows = [(*row[:n], *column, *row[n:]) for row, column in zip(belief.P, zip(*cross, strict=True), strict=True)]
+    new = [(*row[:n], *block, *row[n:]) for row, block in zip(cross, middle, strict=True)]
+    P = frozen([*rows[:n], *new, *rows[n:]])
+    return belief._replace(x=(*belief.x[:n], *seen_m, *belief.x[n:]), P=P, has_target=True)
+
+
+def _correct(belief: Belief, H: Sequence[Sparse], misses: Sequence[float], R: Covariance) -> Belief:
+    """Joseph's form: P stays positive whatever is rounded off."""
+    P = belief.P
+    HP = [[_along(h, row) for row in P] for h in H]
+    S = [[_along(h, hp) + r for h, r in zip(H, noise, strict=True)] for hp, noise in zip(HP, R, strict=True)]
+    L = cholesky(S)
+    if L is None:
+        raise ValueError("the covariance of the pose is not positive")
+    W = lower_inverse(L)
+    nis = dot(misses, [dot(row, misses) for row in W])
+    K = [[dot(row, column) for row in W] for column in zip(*HP, strict=True)]  # n x m
+    x = [a + dot(gain, misses) for a, gain in zip(belief.x, K, strict=True)]
+    x[2] = wrap(x[2])
+    columns = tuple(zip(*K, strict=True))
+    rows: list[tuple[float, ...]] = []
+    for i, (before, gain) in enumerate(zip(P, K, strict=True)):
+        kept = _less(before, gain, HP)  # row i of (I - K H) P
+        # ... (I - K H)' + K R K': what H sees of it, less the noise that K lets in, goes by the gains.
+        pulls = [_along(h, kept) - dot(gain, noise) for h, noise in zip(H, R, strict=True)]
+        kept = _less(kept, pulls, columns)
+        rows.append((*[row[i] for row in rows], *kept[i:]))  # symmetric to the bit
+    return belief._replace(x=tuple(x), P=tuple(rows), nis=nis)
+
+
+def _along(h: Sparse, row: Sequence[float]) -> float:
+    """h row"""
+    total = 0.0
+    for i, weight in h:
+        total += weight * row[i]
+    return total
+
+
+def _less(row: Sequence[float], weights: Sequence[float], rows: Sequence[Sequence[float]]) -> list[float]:
+    """row - sum of weights times rows; there are three of these, or one."""
+    if len(rows) == 1:
+        return [a - weights[0] * b for a, b in zip(row, rows[0], strict=True)]
+    (p, q, r), (b, c, d) = weights, rows
+    return [a - p * i - q * j - r * k for a, i, j, k in zip(row, b, c, d, strict=True)]
+
+
+# @@ basin
+# Where a robot's centre can be: inside the tank, and no nearer to a wall than its hull lets it.
+#
+# A pose filter knows forces, not walls: who is pulled against one while no landmark is in sight believes to swim on
+# into it, ever faster. So a belief whose mean has come beyond a wall is cut off there: of the Gaussian only the part
+# within counts, and mean and covariance of that part are the belief from then on (Simon and Simon 2010, truncation of
+# the density). That is done where the mean is beyond and not at every moment: the wall says the same thing each time,
+# and the same thing counted again and again would make a robot sure that it is nowhere near.
+
+HULL_M = 0.14  # from its centre to a wall that it leans against
+FARTHEST = 3.0  # sigmas beyond: what is farther out was believed wrong, and tells nothing of how wrong
+
+Side = tuple[float, float]  # from, to, m
+
+
+class Basin(NamedTuple):
+    """Where the centre may be."""
+
+    x_m: Side
+    y_m: Side
+
+
+def basin(tank_m: Sequence[float]) -> Basin:
+    """Of a tank of that length and breadth."""
+    length_m, breadth_m = tank_m[:2]
+    return Basin((HULL_M, length_m - HULL_M), (HULL_M, breadth_m - HULL_M))
+
+
+def kept_in(belief: Belief, within: Basin) -> Belief:
+    """The belief, cut off at the walls that its mean is beyond."""
+    for k, (least_m, most_m) in enumerate(within):
+        if belief.x[k] < least_m:
+            belief = _cut_off(belief, k, least_m, 1.0)
+        elif belief.x[k] > most_m:
+            belief = _cut_off(belief, k, most_m, -1.0)
+    return belief
+
+
+def _cut_off(belief: Belief, k: int, wall_m: float, inwards: float) -> Belief:
+    """Given that coordinate k is at the wall or on its inner side; inwards: 1 where that is greater, else -1.
+
+    Of a unit Gaussian that part which is more than z has the mean h(z), its hazard, and the variance
+    1 + z h - h h. All else of the state follows by how it goes along with that coordinate.
+    """
+    variance = belief.P[k][k]
+    sigma = math.sqrt(variance)
+    z = min(inwards * (wall_m - belief.x[k]) / sigma, FARTHEST)
+    hazard = math.sqrt(2.0 / math.pi) * math.exp(-0.5 * z * z) / math.erfc(z / math.sqrt(2.0))
+    moved_m = wall_m + inwards * sigma * (hazard - z) - belief.x[k]
+    lost = hazard * (hazard - z)  # share of the variance
+    gain = [row[k] / variance for row in belief.P]
+    x = tuple(a + g * moved_m for a, g in zip(belief.x, gain, strict=True))
+    P = tuple(
+        tuple(p - (g * h) * (lost * variance) for p, h in zip(row, gain, strict=True))
+        for row, g in zip(belief.P, gain, strict=True)
+    )
+    return belief._replace(x=(*x[:2], wrap(x[2]), *x[3:]), P=P)

@@ -11,14 +11,157 @@ target in view waits where it is, for a sweep wants a robot at rest.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.swim.barrier import Planar
-from agent.capabilities.swim.lanes import cell, lanes
-from agent.capabilities.swim.pilot import Reference
-from agent.capabilities.swim.surroundings import Surroundings, facing, known, within_walls
+from agent.capabilities.swim.pilot import MARGIN_M, STILL, WALL_M, Planar, Reference
 from agent.core.config import Search
+from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
+from agent.core.target_state import TargetEstimate
+
+# @@ lanes
+# A robot's part of the tank, and lanes through it.
+
+Polygon = tuple[Planar, ...]  # convex, anticlockwise
+
+
+def cell(here_m: Planar, others_m: Sequence[Planar], tank_m: Planar) -> Polygon:
+    """All places where a robot may swim that are nearer to it than to any other; empty where there is none."""
+    clear_m = WALL_M + MARGIN_M
+    length, breadth = (max(side - clear_m, clear_m) for side in tank_m)
+    part: Polygon = ((clear_m, clear_m), (length, clear_m), (length, breadth), (clear_m, breadth))
+    for other in others_m:
+        x, y = other[0] - here_m[0], other[1] - here_m[1]
+        middle = x * (here_m[0] + other[0]) / 2.0 + y * (here_m[1] + other[1]) / 2.0
+        part = _cut(part, (x, y), middle)
+    return part
+
+
+def lanes(part: Polygon, lane_m: float, here_m: Planar) -> tuple[Planar, ...]:
+    """Ends of lanes along the longer side of a part, in the order in which they are swum, to and fro, from the end
+    that is nearest. From a lane somebody sees half of lane_m to either side, and so much beyond its ends."""
+    if len(part) < 3:
+        return ()
+    spans = [max(point[axis] for point in part) - min(point[axis] for point in part) for axis in (0, 1)]
+    along = 0 if spans[0] >= spans[1] else 1
+    count = max(math.ceil(spans[1 - along] / lane_m), 1)
+    first = min(point[1 - along] for point in part)
+    found = []
+    for k in range(count):
+        level = first + (k + 0.5) * spans[1 - along] / count
+        low, high = _crossing(part, along, level)
+        trim = min(0.5 * lane_m, 0.5 * (high - low))
+        found.append((_at(along, low + trim, level), _at(along, high - trim, level)))
+    return _to_and_fro(found, here_m)
+
+
+def _to_and_fro(found: Sequence[tuple[Planar, Planar]], here_m: Planar) -> tuple[Planar, ...]:
+    """One lane this way, the next one back; of the four ways to begin that with the nearest end."""
+    ways = []
+    for ordered in (found, found[::-1]):
+        for turned in (0, 1):
+            turns = (lane if (k + turned) % 2 == 0 else lane[::-1] for k, lane in enumerate(ordered))
+            ways.append([end for lane in turns for end in lane])
+    best = min(ways, key=lambda way: math.dist(way[0], here_m))
+    return tuple(end for k, end in enumerate(best) if k == 0 or end != best[k - 1])
+
+
+def _cut(part: Polygon, normal: Planar, most: float) -> Polygon:
+    """What of a convex part has normal . p <= most (Sutherland and Hodgman 1974)."""
+    kept: list[Planar] = []
+    for k, b in enumerate(part):
+        a = part[k - 1]
+        over_a, over_b = (normal[0] * p[0] + normal[1] * p[1] - most for p in (a, b))
+        if over_a * over_b < 0.0:
+            share = over_a / (over_a - over_b)
+            kept.append((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
+        if over_b <= 0.0:
+            kept.append(b)
+    return tuple(kept)
+
+
+def _crossing(part: Polygon, along: int, level: float) -> tuple[float, float]:
+    """From where to where a line along an axis is within the part."""
+    hits = []
+    for k, b in enumerate(part):
+        a = part[k - 1]
+        low, high = min(a[1 - along], b[1 - along]), max(a[1 - along], b[1 - along])
+        if low <= level <= high and high > low:
+            share = (level - a[1 - along]) / (b[1 - along] - a[1 - along])
+            hits.append(a[along] + share * (b[along] - a[along]))
+    return (min(hits), max(hits)) if hits else (part[0][along], part[0][along])
+
+
+def _at(along: int, far: float, level: float) -> Planar:
+    return (far, level) if along == 0 else (level, far)
+
+
+# @@ surroundings
+# What a behaviour may know beside the robot's pose: the tank, the target it is about, and who else is about that.
+
+SEEN_NS = 20_000_000_000  # a glance at landmarks takes seconds, and targets take turns: unseen for longer is unknown
+ANYWHERE_M = 0.5  # sigma of a target that nobody sees: too much water to look at from one place
+GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
+# Of a wall ahead: from nearer no whole landmark fits into the picture, or one, and there is little else to go by.
+SIGHT_M = 0.8
+SPEED_NS = 3_000_000_000  # unseen for so long, a target that moved may have turned
+
+
+def known(target: TargetEstimate | None, now_ns: int) -> bool:
+    """Whether anybody has seen it of late, and it cannot be anywhere by now."""
+    if target is None:
+        return False
+    unseen_ns = now_ns - target.seen_ns
+    return unseen_ns <= SPEED_NS or (unseen_ns <= SEEN_NS and target.sigma_m < ANYWHERE_M)
+
+
+def velocity_m_s(target: TargetEstimate, now_ns: int) -> Planar:
+    """Over ground, as long as somebody sees that it still moves so."""
+    return (target.v_m_s[0], target.v_m_s[1]) if now_ns - target.seen_ns <= SPEED_NS else STILL
+
+
+class Surroundings(NamedTuple):
+    """At one moment."""
+
+    tank_m: Planar  # length and breadth
+    speed_m_s: float  # that the robot may swim at
+    velocity_m_s: Planar = STILL  # at which it swims now, world frame
+    target: TargetEstimate | None = None  # None: nobody ever said where it is
+    swims: bool = False  # the target that it is about, by itself
+    sees: bool = False  # the robot's own camera has the target in view
+    looks: bool = False  # its gaze still goes round where the target was last
+    fellows_m: tuple[Planar, ...] = ()  # robots that say they do the same about the same target
+    screens_m: tuple[Planar, ...] = ()  # what hid the target lately, about there
+    robots_m: tuple[Planar, ...] = ()  # all that say where they are
+    station: tuple[Planar, float] | None = None  # where a survey looks from, and how it is turned there, rad
+
+
+def within_walls(place_m: Planar, tank_m: Planar) -> Planar:
+    """The nearest place that a robot may be told to swim to."""
+    clear_m = WALL_M + MARGIN_M
+    x, y = (min(max(at, clear_m), max(side - clear_m, clear_m)) for at, side in zip(place_m, tank_m, strict=True))
+    return x, y
+
+
+def walled_in(place_m: Planar, yaw: float, tank_m: Planar) -> bool:
+    """Whether who looks that way from there has a wall before it."""
+    return sight_m(place_m, yaw, tank_m) < SIGHT_M
+
+
+def sight_m(place_m: Planar, yaw: float, tank_m: Planar) -> float:
+    """How far it is to the wall, that way from there."""
+    ways = zip(place_m, (math.cos(yaw), math.sin(yaw)), tank_m, strict=True)
+    return min((side - at if way > 0.0 else at) / abs(way) if way else math.inf for at, way, side in ways)
+
+
+def facing(yaw: float, bearing: float) -> float:
+    """The yaw nearest to the wanted one from which the gimbal reaches what is at that bearing."""
+    off = wrap(bearing - yaw)
+    return yaw if abs(off) <= GIMBAL_RAD else wrap(bearing - math.copysign(GIMBAL_RAD, off))
+
+
+# @@ search
 
 REACHED_M = 0.06  # of an end of a lane: nobody has to be there exactly
 MIDDLE_M = 0.3  # of the tank: nearer, it is on no side

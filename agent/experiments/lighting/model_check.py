@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.capabilities.light import model
-from agent.capabilities.light.orders import all_orders
+from agent.capabilities.light.model import all_orders
 from agent.clock import machine
 from agent.core.config import Beam, WaterOptics
 from agent.experiments.lighting.dark_water import INDEX, RADIUS_M, WATERS, DarkWater, stand

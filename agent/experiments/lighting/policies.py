@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.capabilities.light.allocate import allocate
-from agent.capabilities.light.information import Worth, worth
+from agent.capabilities.light.allocate import Worth, allocate, worth
 from agent.capabilities.light.model import Pair, pair
 from agent.experiments.lighting.dark_water import DarkWater, Stand, lamps_of
 

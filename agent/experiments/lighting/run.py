@@ -12,8 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 import numpy as np
 
-from agent.capabilities.light.allocate import dazzles
-from agent.capabilities.light.information import WORST_MM
+from agent.capabilities.light.allocate import WORST_MM, dazzles
 from agent.experiments.lighting.bars import missed
 from agent.experiments.lighting.dark_water import WATERS, DarkWater, Stand, Swept, lamp_place, stand
 from agent.experiments.lighting.model_check import model_check

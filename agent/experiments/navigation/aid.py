@@ -14,13 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.capabilities.swim.aid import Aid, Seen, offset_m
-from agent.capabilities.swim.body_model import Hull
-from agent.capabilities.swim.corrections import RATE_RAD_S
+from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, rate
 from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
 from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
-from agent.capabilities.swim.pose_filter import Belief, Drift, begin
+from agent.capabilities.swim.pose_filter import RATE_RAD_S, Belief, Drift, Hull, begin
 from agent.core.estimation.evidence_table import Table
 from agent.core.estimation.fuse import fuse
 from agent.core.estimation.interface import Posterior, Prior

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.capabilities.swim.tag_noise import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
+from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Flow, SeenTag, SeenTags

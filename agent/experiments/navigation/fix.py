@@ -13,11 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.capabilities.swim.defocus import readable
-from agent.capabilities.swim.layout import markers
-from agent.capabilities.swim.projection import view
-from agent.capabilities.swim.tag_fix import Map, TagFix, tag_fix
-from agent.capabilities.swim.tag_priors import priors
+from agent.capabilities.swim.landmarks import markers
+from agent.capabilities.swim.projection import readable, view
+from agent.capabilities.swim.tag_fix import Map, TagFix, priors, tag_fix
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Pose
 from agent.core.linear_algebra import wrap

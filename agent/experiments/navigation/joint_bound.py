@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.swim.first_fix import first_fix
-from agent.capabilities.swim.layout import markers
-from agent.capabilities.swim.planes import odometry
+from agent.capabilities.swim.landmarks import markers
+from agent.capabilities.swim.plane_odometry import odometry
 from agent.capabilities.swim.projection import View, view
-from agent.capabilities.swim.tag_fix import Map, NoFix, TagFix, tag_fix, whole
-from agent.capabilities.swim.tag_priors import Priors, priors
+from agent.capabilities.swim.tag_fix import Map, NoFix, Priors, TagFix, first_fix, priors, tag_fix, whole
 from agent.core.config import Fleet, Pose
 from agent.core.linear_algebra import ZERO
 from agent.core.messages import Symmetric

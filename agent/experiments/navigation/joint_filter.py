@@ -14,8 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.capabilities.swim.body_model import STEP_NS, Hull, Wrench, motion
-from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, Drift
+from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, STEP_NS, Drift, Hull, Wrench, motion
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.fix import Fix

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.capabilities.swim.body_model import Wrench
+from agent.capabilities.swim.pose_filter import Wrench
 from agent.core.attitude import Attitude
 from agent.core.ranging.camera_model import gimbal_deg
 from agent.core.step_io import Flow, SeenTags, Sighting, SweepOutcome

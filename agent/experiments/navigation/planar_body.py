@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent.capabilities.swim.body_model import Hull
+from agent.capabilities.swim.pose_filter import Hull
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from msgspec import UNSET
 
-from agent.capabilities.survey.evidence import CoverageMap
-from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, STEEPEST, grid_of
-from agent.capabilities.survey.making import block_px
+from agent.capabilities.survey.coverage_map import FARTHEST_M, NEAREST_M, STEEPEST, CoverageMap, grid_of
+from agent.capabilities.survey.survey import block_px
 from agent.core.capability_messages import Claim, Keyframe
 from agent.core.codec import encode
 from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target

@@ -13,9 +13,8 @@ import math
 import msgspec
 import numpy as np
 
-from agent.capabilities.survey.evidence import CoverageMap
-from agent.capabilities.survey.grid import STEEPEST, grid_of
-from agent.capabilities.survey.making import NOISIER
+from agent.capabilities.survey.coverage_map import STEEPEST, CoverageMap, grid_of
+from agent.capabilities.survey.survey import NOISIER
 from agent.core.config import Coverage, Fleet, Pose, Survey
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import lens_position, phase_sigma

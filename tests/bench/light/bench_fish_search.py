@@ -27,7 +27,7 @@ def run() -> dict[str, dict[str, Any]]:
 
 def searched(seed: int, after_s: float) -> tuple[float, int]:
     """When one of them saw it, s, and how many looks were by lent light until then."""
-    with patch("agent.capabilities.light.search.OWN_SCAN_NS", round(after_s * 1e9)):
+    with patch("agent.capabilities.light.light_request.OWN_SCAN_NS", round(after_s * 1e9)):
         world = DarkFish(seed, SPEED_M_S, SEARCH_S + 1.0)
         while not (world.saw and any(world.saw[-1])) and world.seconds < SEARCH_S:
             world.step()

@@ -15,15 +15,10 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.capabilities.light.aim import AHEAD_M, Aim, aim_of
-from agent.capabilities.light.allocate import Lamp
-from agent.capabilities.light.frames import FrameChoice, FrameScene, allocate_frame
-from agent.capabilities.survey.candidates import Best, Candidate, Where, ahead, better, drawn
-from agent.capabilities.survey.evidence import CoverageMap
-from agent.capabilities.survey.grid import FARTHEST_M, NEAREST_M, Grid, grid_of
-from agent.capabilities.survey.making import block_px, lens_of, sigma_of
-from agent.capabilities.survey.rays import place_m, rotation
-from agent.capabilities.survey.spots import frame_scene
+from agent.capabilities.light.allocate import AHEAD_M, Aim, FrameChoice, FrameScene, Lamp, aim_of, allocate_frame
+from agent.capabilities.survey.candidates import Best, Candidate, Where, ahead, better, drawn, frame_scene
+from agent.capabilities.survey.coverage_map import FARTHEST_M, NEAREST_M, CoverageMap, Grid, grid_of, place_m, rotation
+from agent.capabilities.survey.survey import block_px, lens_of, sigma_of
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Lighting, Pose, WaterOptics
 from agent.core.control.sweep import full_positions

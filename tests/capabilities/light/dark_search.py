@@ -7,7 +7,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from agent.capabilities.light.search import SHOWS
+from agent.capabilities.light.light_request import SHOWS
 from agent.core.config import Fleet, Lighting, Pose, Search
 from agent.core.messages import Vector
 from agent.experiments.navigation import basin

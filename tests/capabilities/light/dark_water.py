@@ -12,8 +12,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from agent.capabilities.light.aim import aim_of
-from agent.capabilities.light.information import worth
+from agent.capabilities.light.allocate import aim_of, worth
 from agent.capabilities.light.model import beam_share, pair
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Pose

@@ -13,8 +13,7 @@ from unittest.mock import patch
 
 from msgspec.structs import replace
 
-from agent.capabilities.light.allocate import Choice, Lamp, Scene
-from agent.capabilities.light.lamp import DARK_NS
+from agent.capabilities.light.allocate import DARK_NS, Choice, Lamp, Scene
 from agent.core.codec import encode
 from agent.core.config import Fleet, Lighting, WaterOptics
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
@@ -136,7 +135,7 @@ class LitSwarm:
             self.robots[name] = Robot(self, name)
 
     def run(self, seconds: float) -> None:
-        with patch("agent.capabilities.light.choose.allocate", lend_all):
+        with patch("agent.capabilities.light.allocate.allocate", lend_all):
             for _ in range(round(seconds * 1e9) // STEP_NS):
                 self.step()
 

@@ -10,8 +10,20 @@ from collections.abc import Iterator
 from itertools import product
 from typing import NamedTuple
 
-from agent.capabilities.light.lease import Party, ack_to, acquainted, ask, hear, lit_by, release, said_lease, tick
-from agent.capabilities.light.proof import Baseline, baseline, verdict
+from agent.capabilities.light.lease import (
+    Baseline,
+    Party,
+    ack_to,
+    acquainted,
+    ask,
+    baseline,
+    hear,
+    lit_by,
+    release,
+    said_lease,
+    tick,
+    verdict,
+)
 from agent.core.capability_messages import LampNow, Lease, Light
 
 STEP_NS, GUARD_NS = 50_000_000, 100_000_000

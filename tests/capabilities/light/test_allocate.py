@@ -9,8 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from agent.capabilities.light.allocate import GLARE_RAD, Lamp, Scene, allocate
-from agent.capabilities.light.information import worth
+from agent.capabilities.light.allocate import GLARE_RAD, Lamp, Scene, allocate, worth
 from agent.capabilities.light.model import pair
 from agent.core.config import Lighting, WaterOptics
 from tests.places import ROOT

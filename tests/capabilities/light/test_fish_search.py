@@ -7,7 +7,7 @@ import pytest
 
 from agent.capabilities.light.allocate import Choice
 from agent.capabilities.light.lease import Bound, Party
-from agent.capabilities.light.search import OWN_SCAN_NS, SHOWS, SHOWS_SIDE, SWIMS_NS, SwimSearch
+from agent.capabilities.light.light_request import OWN_SCAN_NS, SHOWS, SHOWS_SIDE, SWIMS_NS, SwimSearch
 from agent.core.attitude import Attitude
 from agent.core.capability_messages import Lease
 from agent.core.codec import encode
@@ -55,7 +55,7 @@ def test_a_creature_has_to_show_by_more_light_than_a_ball() -> None:
 
 def test_a_fish_is_searched_by_all_where_it_is_lit_and_the_light_is_over_when_it_is_seen() -> None:
     """In this world r1 has the light, by r3's lamp, when the fish comes into view 4.3 s after the start."""
-    with patch("agent.capabilities.light.search.OWN_SCAN_NS", 0):
+    with patch("agent.capabilities.light.light_request.OWN_SCAN_NS", 0):
         world = DarkFish(123, 0.15, 10.0)
         again = Agent(world.fleet, "r1", world.calibrations["r1"], START_NS)
         holds, off_deg = [False], list[float]()

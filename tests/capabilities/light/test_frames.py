@@ -6,8 +6,7 @@ import math
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.light.allocate import Lamp
-from agent.capabilities.light.frames import FrameScene, Spot, allocate_frame, glares, lit, log_js, shown
+from agent.capabilities.light.allocate import FrameScene, Lamp, Spot, allocate_frame, glares, lit, log_js, shown
 from agent.capabilities.light.model import pair
 from agent.core.config import Lighting, WaterOptics
 

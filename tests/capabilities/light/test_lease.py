@@ -6,17 +6,21 @@ import pytest
 
 from agent.capabilities.light.lease import (
     GONE_NS,
+    Baseline,
+    Mark,
     Party,
+    Spoiled,
     ack_to,
     acquainted,
     ask,
+    baseline,
     hear,
     lit_by,
     release,
     said_lease,
     tick,
+    verdict,
 )
-from agent.capabilities.light.proof import Baseline, Mark, Spoiled, baseline, verdict
 from agent.core.capability_messages import LampNow, Lease, LeaseAck, Light, light_fault
 from tests.capabilities.light import small_world
 from tests.capabilities.light.small_world import World, after, start, straight

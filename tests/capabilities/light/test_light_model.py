@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from agent.capabilities.light import model
-from agent.capabilities.light.orders import all_orders
-from agent.capabilities.light.phase import AT_180, phase
+from agent.capabilities.light.model import AT_180, all_orders, phase
 from agent.core.config import Beam, Lighting, WaterOptics
 from agent.experiments.lighting import scattering as particles
 from agent.experiments.lighting.monte_carlo import Medium, scattered

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.capabilities.light.aside import SCATTERS, WANDERS_PX
+from agent.capabilities.light.target_light import SCATTERS, WANDERS_PX
 from agent.core.control.sweep import Measurement
 from agent.core.ranging.camera_model import Eye, camera_pose
 from agent.core.ranging.fix import CENTRE_NOISE_PX, Outline

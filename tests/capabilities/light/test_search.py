@@ -9,7 +9,15 @@ from msgspec.structs import replace
 
 from agent.capabilities.light.allocate import Choice
 from agent.capabilities.light.lease import Bound, Mine, Party
-from agent.capabilities.light.search import OWN_ROUNDS, RANGES_M, SHOWN_NS, SHOWS, SWIMS_NS, LightSearch, SwimSearch
+from agent.capabilities.light.light_request import (
+    OWN_ROUNDS,
+    RANGES_M,
+    SHOWN_NS,
+    SHOWS,
+    SWIMS_NS,
+    LightSearch,
+    SwimSearch,
+)
 from agent.core.attitude import Attitude
 from agent.core.capability_messages import Lease
 from agent.core.control.pointing import SEARCH_DEG
@@ -236,7 +244,7 @@ def test_what_one_that_swims_glimpsed_by_anothers_light_is_its_next_place_at_onc
 
 @pytest.mark.slow
 def test_three_that_swim_have_looks_lit_and_hold_still_meanwhile() -> None:
-    with patch("agent.capabilities.light.search.OWN_ROUNDS", 0):
+    with patch("agent.capabilities.light.light_request.OWN_ROUNDS", 0):
         world, moved = DarkSearch(0), []
         for _ in range(240):
             world.step()

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from agent.capabilities.survey.grid import Grid, grid_of
-from agent.capabilities.survey.making import lens_of, sigma_of
-from agent.capabilities.survey.rays import quaternion
+from agent.capabilities.survey.coverage_map import Grid, grid_of, quaternion
+from agent.capabilities.survey.survey import lens_of, sigma_of
 from agent.core.capability_messages import Blocks, Frame, place_of, quantised
 from agent.core.ranging.camera_model import Calibration
 from agent.experiments.navigation.drawn_ball import FOCUS

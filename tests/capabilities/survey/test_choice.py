@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.survey.candidates import TILTS_DEG, Ahead, Candidate, Where, ahead, better, drawn
-from agent.capabilities.survey.cast import gain
-from agent.capabilities.survey.evidence import CoverageMap, dose
-from agent.capabilities.survey.rays import place_m, rotation
+from agent.capabilities.survey.candidates import TILTS_DEG, Ahead, Candidate, Where, ahead, better, drawn, gain
+from agent.capabilities.survey.coverage_map import CoverageMap, dose, place_m, rotation
 from agent.capabilities.survey.survey import APART_M, Surveyor
 from agent.core.capability_messages import Blocks, Frame, quantised
 from agent.core.config import Body, Navigation, Pose

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.survey.cast import beam, cast, expected, gain
-from agent.capabilities.survey.evidence import STARTS, CoverageMap, dose
-from agent.capabilities.survey.grid import Grid, information
-from agent.capabilities.survey.rays import along, block_slopes, quaternion, rotation
+from agent.capabilities.survey.candidates import beam, cast, expected, gain
+from agent.capabilities.survey.coverage_map import (
+    STARTS,
+    CoverageMap,
+    Grid,
+    along,
+    block_slopes,
+    dose,
+    information,
+    quaternion,
+    rotation,
+)
 from agent.core.capability_messages import SIGMAS_M, UNIT_M, Keyframe, View, measured, place_of, sigma_byte
 from agent.core.codec import encode
 from agent.experiments.reconstruction.coverage import SURVEY_CAMERA, gimbal_eye

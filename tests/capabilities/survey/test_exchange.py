@@ -6,7 +6,7 @@ import random
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.coverage_map import CoverageMap
 from agent.capabilities.survey.exchange import Exchange, holdings
 from agent.core.capability_messages import MOST_NUMBER, Claim, Keyframe, View
 from agent.core.codec import Refusal, encode

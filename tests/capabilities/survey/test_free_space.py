@@ -5,10 +5,19 @@ import random
 import numpy as np
 from msgspec.structs import replace
 
-from agent.capabilities.survey.evidence import CoverageMap
-from agent.capabilities.survey.free_space import EVERY, FREE, crossed, is_free, passed
-from agent.capabilities.survey.grid import is_inner
-from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
+from agent.capabilities.survey.coverage_map import (
+    EVERY,
+    FREE,
+    CoverageMap,
+    along,
+    block_slopes,
+    crossed,
+    is_free,
+    is_inner,
+    passed,
+    place_m,
+    rotation,
+)
 from agent.core.capability_messages import UNIT_M, Frame, measured
 from tests.capabilities.survey.frames import GRID, LENS, SCENE, drawn_frames
 

@@ -4,10 +4,9 @@ import math
 
 import pytest
 
-from agent.capabilities.survey.candidates import Station, Where, view_of
-from agent.capabilities.survey.grid import FARTHEST_M, grid_of
-from agent.capabilities.survey.making import lens_of
-from agent.capabilities.survey.spots import SPOTS_ACROSS, SPOTS_DOWN, frame_scene
+from agent.capabilities.survey.candidates import SPOTS_ACROSS, SPOTS_DOWN, Station, Where, frame_scene, view_of
+from agent.capabilities.survey.coverage_map import FARTHEST_M, grid_of
+from agent.capabilities.survey.survey import lens_of
 from agent.core.config import Body, Pose
 from agent.experiments.reconstruction.swum import WIDE, swimming_fleet
 

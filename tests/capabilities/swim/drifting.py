@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 
-from agent.capabilities.swim.aid import Aid, Seen, offset_m
-from agent.capabilities.swim.body_model import Hull, motion
-from agent.capabilities.swim.corrections import RATE_RAD_S
+from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.event_ring import EventRing, asked, fix, rate
 from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
-from agent.capabilities.swim.pose_filter import FIRST_BIAS_RAD_S, Drift, begin
+from agent.capabilities.swim.pose_filter import FIRST_BIAS_RAD_S, RATE_RAD_S, Drift, Hull, begin, motion
 from agent.core.estimation.interface import Posterior
 from agent.core.linear_algebra import upper, wrap
 

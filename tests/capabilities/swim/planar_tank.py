@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
 from agent.capabilities.swim.pilot import wanted_velocity, wrench
-from agent.capabilities.swim.pose_filter import Drift, begin
+from agent.capabilities.swim.pose_filter import Drift, Hull, begin
 from agent.experiments.navigation.planar_body import PlanarBody
 
 Swimmer = PlanarBody

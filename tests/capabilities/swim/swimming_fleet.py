@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from msgspec.structs import replace
 
-from agent.capabilities.swim.body_model import Hull
+from agent.capabilities.swim.pose_filter import Hull
 from agent.core.codec import encode
 from agent.core.config import Fleet, Goto, Link, Pose
 from agent.core.step_io import Heard

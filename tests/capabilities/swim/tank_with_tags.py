@@ -3,10 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from agent.capabilities.swim.layout import markers
+from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.projection import View
-from agent.capabilities.swim.tag_fix import Map
-from agent.capabilities.swim.tag_priors import Prior, Priors
+from agent.capabilities.swim.tag_fix import Map, Prior, Priors
 from agent.core.config import Landmarks
 from agent.core.step_io import SeenTag
 from agent.experiments.navigation.basin import TAG_M, TANK, tags

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from msgspec import UNSET
 
-from agent.capabilities.swim import corrections
-from agent.capabilities.swim.aid import Aid, Seen, aided, offset_m
-from agent.capabilities.swim.body_model import Hull
-from agent.capabilities.swim.corrections import add_sighting
+from agent.capabilities.swim import pose_filter
+from agent.capabilities.swim.aided_pose import Aid, Seen, aided, offset_m
 from agent.capabilities.swim.event_ring import EventRing, asked, fix, flow, rate
-from agent.capabilities.swim.pose_filter import Drift, begin, keep_key
+from agent.capabilities.swim.pose_filter import Drift, Hull, add_sighting, begin, keep_key
 from agent.core.codec import encode
 from agent.core.config import Pose
 from agent.core.estimation.interface import Posterior
@@ -141,7 +139,7 @@ def test_it_is_as_good_as_it_says_and_better_than_nothing() -> None:
 
 
 def test_without_the_gate_of_yaw_it_boasts(monkeypatch) -> None:
-    monkeypatch.setattr(corrections, "YAW_KNOWN_RAD", math.pi)
+    monkeypatch.setattr(pose_filter, "YAW_KNOWN_RAD", math.pi)
     rows = [row for seed in range(5) for row in drifted(seed, 6.0, 60.0, yaw_sigma=math.radians(20.0))]
     assert np.mean([row[2] for row in rows if row[2] is not None]) > 4.0
     monkeypatch.undo()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.capabilities.swim.barrier import (
+from agent.capabilities.swim.pilot import (
     APART_1_S,
     BRAKE_M_S2,
     DELAY_S,
@@ -20,16 +20,17 @@ from agent.capabilities.swim.barrier import (
     TARGET_M,
     WALL_M,
     Disc,
+    Reference,
     approach_m_s,
     clear_of,
     nearest,
     robot,
     safe_velocity,
     walls,
+    wanted_velocity,
+    wrench,
 )
-from agent.capabilities.swim.body_model import Hull
-from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
-from agent.capabilities.swim.pose_filter import begin
+from agent.capabilities.swim.pose_filter import Hull, begin
 from tests.capabilities.swim.planar_tank import Swimmer
 
 KNOWN = (0.0, 0.0, 0.0)

@@ -5,10 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.basin import HULL_M, Basin, basin, kept_in
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
-from agent.capabilities.swim.pose_filter import Drift, begin
+from agent.capabilities.swim.pose_filter import HULL_M, Basin, Drift, Hull, basin, begin, kept_in
 from tests.capabilities.swim.planar_tank import Swimmer
 
 S, MS = 1_000_000_000, 1_000_000

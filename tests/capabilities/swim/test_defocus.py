@@ -3,7 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.defocus import WIDTH_PX, readable
+from agent.capabilities.swim.projection import WIDTH_PX, readable
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import SeenTag
 from tests.capabilities.swim.tank_with_tags import VIEW

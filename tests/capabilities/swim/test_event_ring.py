@@ -4,9 +4,8 @@ import random
 
 import numpy as np
 
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import KEEP_NS, RING_NS, EventRing, asked, fix, flow, rate
-from agent.capabilities.swim.pose_filter import Drift, begin
+from agent.capabilities.swim.pose_filter import Drift, Hull, begin
 
 HULL, DRIFT = Hull(), Drift(doubt_s=0.0)
 R = (1e-5, 1e-6, 2e-7, 2e-5, -1e-6, 4e-6)

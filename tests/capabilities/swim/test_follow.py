@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.barrier import WALL_M
-from agent.capabilities.swim.behaviour import reference, start
-from agent.capabilities.swim.follow import place_around
-from agent.capabilities.swim.surroundings import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
+from agent.capabilities.swim.behaviour import place_around, reference, start
+from agent.capabilities.swim.pilot import WALL_M
+from agent.capabilities.swim.search import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
 from agent.core.config import Follow, Look, Pose, Search
 from agent.core.linear_algebra import wrap
 from agent.core.target_state import TargetEstimate

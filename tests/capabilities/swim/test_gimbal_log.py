@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.capabilities.swim.gimbal_log import LAG_NS, REST_NS, GimbalLog
+from agent.capabilities.swim.localizer import LAG_NS, REST_NS, GimbalLog
 from agent.core.config import Body
 from agent.core.control.pointing import APPROACH_NS, PLAY_US, Pointing
 from agent.core.ranging.camera_model import servos_us

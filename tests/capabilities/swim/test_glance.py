@@ -5,9 +5,7 @@ from itertools import pairwise
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.facing import facing
-from agent.capabilities.swim.glance import SEARCH_DEG, WAIT_NS, Glance, Sure
-from agent.capabilities.swim.layout import markers
+from agent.capabilities.swim.landmarks import SEARCH_DEG, WAIT_NS, Glance, Sure, facing, markers
 from agent.core.attitude import Attitude
 from agent.core.config import Body, Landmarks, Pose, Tag
 

@@ -7,7 +7,7 @@ import pytest
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.capabilities.swim.gyro import LATE_NS, SILENT_NS, Gyro, Rate
+from agent.capabilities.swim.localizer import LATE_NS, SILENT_NS, Gyro, Rate
 from agent.capabilities.swim.pose_filter import BIAS
 from agent.core.config import Navigation
 from tests.capabilities.swim.swimming_agent import InTank, fleet

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.layout import corners, markers, survey_jacobian
+from agent.capabilities.swim.landmarks import corners, markers, survey_jacobian
 from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, common, dump
 from agent.core.ranging.camera_model import camera_pose, to_camera
 from agent.robot.fleet_reader import load_fleet

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from agent.capabilities.swim.layout import axes
+from agent.capabilities.swim.landmarks import axes
 from agent.core.config import ConfigError, Tag, dump
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.body_model import Hull
-from agent.capabilities.swim.gimbal_log import Gimbal
-from agent.capabilities.swim.localizer import UNSURE_DEG, UNSURE_M, Carriage, Localizer, foresees, within
-from agent.capabilities.swim.pose_filter import Drift, begin, predict
+from agent.capabilities.swim.localizer import UNSURE_DEG, UNSURE_M, Carriage, Gimbal, Localizer, foresees, within
+from agent.capabilities.swim.pose_filter import Drift, Hull, begin, predict
 from agent.core.attitude import Attitude
 from agent.core.config import Camera
 from agent.core.step_io import SeenTags

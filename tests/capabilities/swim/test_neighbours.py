@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.neighbours import LONGEST_NS, SILENT_NS, Neighbours
+from agent.capabilities.swim.deconfliction import LONGEST_NS, SILENT_NS, Neighbours
 from agent.core.codec import Refusal, encode
 from agent.core.messages import Presence
 from agent.core.status import Status

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from agent.capabilities.swim.behaviour import MOST_TURNED_RAD, reference, start
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.pilot import (
     FORCE_N,
     LEAD,
@@ -20,8 +19,8 @@ from agent.capabilities.swim.pilot import (
     wanted_velocity,
     wrench,
 )
-from agent.capabilities.swim.pose_filter import begin
-from agent.capabilities.swim.surroundings import walled_in
+from agent.capabilities.swim.pose_filter import Hull, begin
+from agent.capabilities.swim.search import walled_in
 from agent.core.config import Behaviour, Goto, Hold, Orbit, Turn
 from agent.core.linear_algebra import wrap
 from tests.capabilities.swim.planar_tank import Fixes, Piloted, Swimmer

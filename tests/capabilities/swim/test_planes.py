@@ -5,10 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.body_model import Hull
-from agent.capabilities.swim.corrections import add_flow
-from agent.capabilities.swim.planes import FEWEST, meets, odometry
-from agent.capabilities.swim.pose_filter import Drift, begin, keep_key, predict
+from agent.capabilities.swim.plane_odometry import FEWEST, meets, odometry
+from agent.capabilities.swim.pose_filter import Drift, Hull, add_flow, begin, keep_key, predict
 from agent.capabilities.swim.projection import upright
 from tests.capabilities.swim.tank_with_tags import HALF, TANK_M, VIEW, project
 

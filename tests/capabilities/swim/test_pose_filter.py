@@ -5,9 +5,25 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag, solve_discrete_are
 
-from agent.capabilities.swim.body_model import STEP_NS, TETHER_NM, ZERO_N, ZERO_NM, Hull
-from agent.capabilities.swim.corrections import RATE_RAD_S, REFUSALS, add_fix, add_flow, add_rate
-from agent.capabilities.swim.pose_filter import BIAS, FIRST_LEARNT, Drift, ask, begin, keep_key, predict
+from agent.capabilities.swim.pose_filter import (
+    BIAS,
+    FIRST_LEARNT,
+    RATE_RAD_S,
+    REFUSALS,
+    STEP_NS,
+    TETHER_NM,
+    ZERO_N,
+    ZERO_NM,
+    Drift,
+    Hull,
+    add_fix,
+    add_flow,
+    add_rate,
+    ask,
+    begin,
+    keep_key,
+    predict,
+)
 from agent.core.linear_algebra import wrap
 
 HULL, DRIFT = Hull(), Drift(doubt_s=0.0)  # the oracles know the model

@@ -6,10 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import reference, start
-from agent.capabilities.swim.lanes import cell, lanes
-from agent.capabilities.swim.surroundings import SEEN_NS, Surroundings
+from agent.capabilities.swim.pilot import WALL_M
+from agent.capabilities.swim.search import SEEN_NS, Surroundings, cell, lanes
 from agent.core.config import Look, Pose, Search
 from agent.core.target_state import TargetEstimate
 from agent.experiments.navigation import basin

@@ -5,13 +5,10 @@ import math
 import numpy as np
 
 from agent.capabilities.swim.behaviour import reference, start
-from agent.capabilities.swim.body_model import Hull
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
-from agent.capabilities.swim.first_fix import first_fix
 from agent.capabilities.swim.pilot import wanted_velocity, wrench
-from agent.capabilities.swim.pose_filter import Drift, begin
-from agent.capabilities.swim.tag_fix import TagFix, tag_fix
-from agent.capabilities.swim.tag_priors import priors
+from agent.capabilities.swim.pose_filter import Drift, Hull, begin
+from agent.capabilities.swim.tag_fix import TagFix, first_fix, priors, tag_fix
 from agent.core.attitude import Attitude
 from agent.core.config import Goto
 from agent.core.linear_algebra import wrap

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.company import pace
+from agent.capabilities.swim.deconfliction import pace
 from agent.capabilities.swim.event_ring import RING_NS
 from agent.capabilities.swim.localizer import LOST_M, UNSURE_DEG, UNSURE_M, within
 from agent.capabilities.swim.swimmer import ARRIVED_NS, BRAKES_NS

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.first_fix import first_fix
-from agent.capabilities.swim.layout import survey_jacobian
+from agent.capabilities.swim.landmarks import survey_jacobian
 from agent.capabilities.swim.projection import by_survey, gaze, seen, slope
-from agent.capabilities.swim.tag_fix import HUBER, NoFix, TagFix, tag_fix
-from agent.capabilities.swim.tag_priors import Prior
-from agent.capabilities.swim.tag_priors import priors as known_before
+from agent.capabilities.swim.tag_fix import HUBER, NoFix, Prior, TagFix, first_fix, tag_fix
+from agent.capabilities.swim.tag_fix import priors as known_before
 from agent.core.attitude import Attitude
 from agent.core.linear_algebra import upper, wrap
 from agent.core.step_io import SeenTag

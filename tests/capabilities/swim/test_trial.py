@@ -6,7 +6,7 @@ from itertools import groupby
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.swim.trial import COAST_NS, LEGS, Spin, Stage, trial
+from agent.capabilities.swim.behaviour import COAST_NS, LEGS, Spin, Stage, trial
 from agent.core.config import Navigation, Trial
 from agent.core.linear_algebra import wrap
 from agent.robot.swim_rules import broken_swim_rules

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.gaze import LOST_NS, PERIOD_S, SIGMAS, SWIFTEST_DEG_S, Gaze, across, own_part, triangle
+from agent.capabilities.swim.pursuit import LOST_NS, PERIOD_S, SIGMAS, SWIFTEST_DEG_S, Gaze, across, own_part, triangle
 
 S, START_NS = 1_000_000_000, 10**18
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from agent.capabilities.swim.gaze import SWIFTEST_DEG_S
-from agent.capabilities.swim.scan import Scan
+from agent.capabilities.swim.pursuit import SWIFTEST_DEG_S, Scan
 from agent.core.config import Body
 from agent.core.control.search_pattern import rows_deg
 from tests.known_lens import CAMERA

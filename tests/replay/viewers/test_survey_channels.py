@@ -11,10 +11,8 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from msgspec import UNSET
 
-from agent.capabilities.survey.evidence import CoverageMap
+from agent.capabilities.survey.coverage_map import ONE, CoverageMap, along, block_slopes, place_m, rotation
 from agent.capabilities.survey.exchange import holdings
-from agent.capabilities.survey.grid import ONE
-from agent.capabilities.survey.rays import along, block_slopes, place_m, rotation
 from agent.core.capability_messages import UNIT_M, Claim, Frame, Keyframe, View, measured
 from agent.core.codec import encode
 from agent.core.messages import State, Whereabouts

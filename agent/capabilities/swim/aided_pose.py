@@ -21,11 +21,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.capabilities.swim.basin import Basin
-from agent.capabilities.swim.body_model import Hull
-from agent.capabilities.swim.corrections import GATE
 from agent.capabilities.swim.event_ring import RING_NS, Event, EventRing, sighting
-from agent.capabilities.swim.pose_filter import Belief, Drift
+from agent.capabilities.swim.pose_filter import GATE, Basin, Belief, Drift, Hull
 from agent.core.estimation.interface import Posterior
 from agent.core.linear_algebra import apply, dot, inverse, plus, quadratic, wrap
 from agent.core.messages import Symmetric, Vector
