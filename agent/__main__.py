@@ -29,9 +29,8 @@ from agent.cli import (
     seeing,
 )
 from agent.core.config import ConfigError
-from agent.process.failure import Failed
-from agent.process.parent_watch import exit_with_parent
-from agent.process.stop_signal import leave
+from agent.process.command import Failed
+from agent.process.launch import exit_with_parent, leave
 from hw.camera.camera import CameraError
 
 app = typer.Typer(

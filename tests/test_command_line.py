@@ -15,10 +15,8 @@ from typer.testing import CliRunner
 
 import agent
 from agent.__main__ import app, main
-from agent.process.failure import Failed
-from agent.process.launch import Child, Crew, crew, wait_for
-from agent.process.ports import free_ports
-from agent.process.run_folder import temporary_folder
+from agent.process.command import Failed, temporary_folder
+from agent.process.launch import Child, Crew, crew, free_ports, wait_for
 from tests.waiting import until
 
 TANK = str(Path(agent.__file__).parent / "fleets" / "tank.toml")
@@ -204,11 +202,11 @@ def test_processes_end_with_a_command_that_is_killed() -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
 def test_one_that_hangs_when_its_parent_is_gone_ends_too(tmp_path: Path) -> None:
-    child = "import signal, time, agent.process.parent_watch as w; w.GRACE_S = 0.2\n"
+    child = "import signal, time, agent.process.launch as w; w.GRACE_S = 0.2\n"
     child += "signal.signal(15, lambda *_: print(15)); w.exit_with_parent()\n"
     child += "while True: time.sleep(60)"
     parent = (
-        "import subprocess, sys, time, agent.process.parent_watch as w; watch = w.watched_by_us()\n"
+        "import subprocess, sys, time, agent.process.launch as w; watch = w.watched_by_us()\n"
         f"subprocess.Popen([sys.executable, '-c', {child!r}], pass_fds=(watch.given,), env=watch.environment())\n"
         "time.sleep(60)"
     )

@@ -3,7 +3,7 @@
 import threading
 
 from agent.core.messages import LogLine, NeighbourState, State
-from agent.process.console_log import AGAIN_NS, ConsoleLog, standing
+from agent.process.command import AGAIN_NS, ConsoleLog, standing
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from agent.core.codec import encode
 from agent.core.messages import LogLine
 from agent.core.step_io import Heard
-from agent.ground.decoder import decode
+from agent.ground.schemas import decode
 
 
 def test_a_message_is_one_line_of_json() -> None:

@@ -14,11 +14,9 @@ from agent.__main__ import app, command_line
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import Calibration
 from agent.demo.fleet import demo_fleet
-from agent.process import stop_signal
-from agent.process.failure import Failed
-from agent.process.fleet_files import shipped_names
-from agent.process.ports import free_ports
-from agent.process.run_folder import new_recording, temporary_folder
+from agent.process import launch
+from agent.process.command import Failed, new_recording, shipped_names, temporary_folder
+from agent.process.launch import free_ports
 from tests.known_lens import TWIN, TWIN_CAMERA
 
 WITHOUT_VIEW = pytest.mark.skipif(not importlib.util.find_spec("foxglove"), reason="the extra `view` is not installed")
@@ -50,7 +48,7 @@ def test_what_runs_until_it_is_ended_may_be_ended(
         Path("calibration").mkdir()
         known = Calibration(robot="r1", made="2026-01-01", source="a test", focus=TWIN, camera=TWIN_CAMERA)
         Path("calibration/r1.toml").write_text(dump(known))
-        monkeypatch.setattr(stop_signal, "_asked", [signal.SIGTERM])  # it came while the command was starting
+        monkeypatch.setattr(launch, "_asked", [signal.SIGTERM])  # it came while the command was starting
         port = str(free_ports(1)[0])
         done = CliRunner().invoke(app, [argument.replace("PORT", port) for argument in arguments])
     assert done.exit_code == code, done.output

@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from agent.__main__ import app
-from agent.process.plain_console import plain_console
-from agent.process.progress import with_bar, with_spinner
+from agent.process.command import plain_console, with_bar, with_spinner
 
 ROOT = Path(__file__).parents[1]
 TRICKY = "[focus] of [/] dive[1].png, pip install 'aucamp[enhance]' :bug: [red]"

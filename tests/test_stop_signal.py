@@ -8,15 +8,15 @@ import time
 
 import pytest
 
-from agent.process import stop_signal
-from agent.process.stop_signal import Stop, until_signal
+from agent.process import launch
+from agent.process.launch import Stop, until_signal
 from tests.places import ROOT
 from tests.waiting import until
 
 # A handler that sets the event every 50 us, while the main thread looks at it as often as it can.
 WAITS = """
 import signal, sys, threading, time
-from agent.process.stop_signal import Stop
+from agent.process.launch import Stop
 event = Stop()
 signal.signal(signal.SIGALRM, lambda *_: event.set())
 signal.setitimer(signal.ITIMER_REAL, 5e-5, 5e-5)
@@ -42,9 +42,9 @@ def test_a_stop_is_an_event() -> None:
 
 
 def test_a_signal_that_was_forgotten_in_a_callback_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_signal, "_asked", [])
+    monkeypatch.setattr(launch, "_asked", [])
     with pytest.raises(SystemExit, match="143"):
-        stop_signal.leave(signal.SIGTERM, None)
+        launch.leave(signal.SIGTERM, None)
     with until_signal() as stop:
         assert stop.is_set()
 

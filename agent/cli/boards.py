@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from agent.process.options import FleetFile, RobotName, complain
+from agent.process.command import FleetFile, RobotName, complain
 
 board_app = typer.Typer(no_args_is_help=True, help="Orders to a robot's control module, whose agent does not run.")
 

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from agent.core.config import ConfigError
-from agent.process.options import FleetFile
-from agent.process.stop_signal import until_signal
+from agent.process.command import FleetFile
+from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet
 
 SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
@@ -67,8 +67,7 @@ def mavlink(
     place, robots = as_place(origin), load_fleet(fleet)
     with until_signal() as stop:
         with extra("mavlink", "pymavlink"):
-            from agent.ground.bridges.mavlink.bridge import run
-            from agent.ground.bridges.mavlink.telling import Origin
+            from agent.ground.bridges.mavlink import Origin, run
         run(robots, fleet, console, port, Origin(*place), stop, typer.echo)
 
 
@@ -86,7 +85,7 @@ def ros2(
     with until_signal() as stop:
         with extra("ros", "rosbags"):
             from agent.ground.bridges.outward import run
-            from agent.ground.bridges.ros2.language import Ros2
+            from agent.ground.bridges.ros2 import Ros2
         run(robots, fleet, name, port, Ros2(robots, domain), stop, typer.echo)
 
 
@@ -100,6 +99,6 @@ def keelson(
     robots = load_fleet(fleet)
     with until_signal() as stop:
         with extra("keelson", "keelson"):
-            from agent.ground.bridges.keelson.language import Keelson
+            from agent.ground.bridges.keelson import Keelson
             from agent.ground.bridges.outward import run
         run(robots, fleet, name, port, Keelson(robots), stop, typer.echo)

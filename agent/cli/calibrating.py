@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.process.options import FleetFile, RobotName, terminal
+from agent.process.command import FleetFile, RobotName, terminal
 
 calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
 

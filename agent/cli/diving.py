@@ -8,10 +8,18 @@ from typing import Annotated
 import typer
 
 from agent.core.config import Fleet, Protocol
-from agent.process.failure import Failed
-from agent.process.fleet_files import shipped_names
-from agent.process.options import FleetFile, FleetFiles, Port, RobotName, Speed, complain, terminal
-from agent.process.stop_signal import until_signal
+from agent.process.command import (
+    Failed,
+    FleetFile,
+    FleetFiles,
+    Port,
+    RobotName,
+    Speed,
+    complain,
+    shipped_names,
+    terminal,
+)
+from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet
 from router_config.session import ROUTER, ROUTER_LISTEN
 
@@ -54,7 +62,7 @@ def demo(
     from agent.demo.demo import keeping
     from agent.demo.display import verdict
     from agent.perception.recorded_depth import sweep_depth
-    from agent.process.progress import with_spinner
+    from agent.process.command import with_spinner
     from replay.report.report import report
 
     limit_s = duration or (WITH_PAGE_S if page else ALONE_S)
@@ -116,7 +124,7 @@ def record(
     Where nothing was heard nothing is written, and the exit code is 1.
     """
     with until_signal() as stop:
-        from agent.ground.recording import record_fleets
+        from agent.ground.observe import record_fleets
 
         recorded = record_fleets(fleet, out, stop, complain, view)
     for line in recorded.done:
@@ -135,8 +143,8 @@ def router(
 ) -> None:
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
     with until_signal() as stop:
-        from agent.process.fleet_certificates import credentials
-        from agent.process.router import run_router
+        from agent.process.certificates import credentials
+        from agent.process.launch import run_router
 
         robots = load_fleet(fleet)
         run_router(robots, stop, listen, complain, credentials(robots, ROUTER, fleet))
@@ -152,6 +160,6 @@ def view(
     Of several fleets each has a port of its own: PORT, PORT + 1 and so on.
     """
     with until_signal() as stop:
-        from agent.ground.viewing import view_fleets
+        from agent.ground.observe import view_fleets
 
         view_fleets(fleet, port, stop, typer.echo)

@@ -21,7 +21,7 @@ from agent.experiments.choices import (
     ScenePart,
     Sensor,
 )
-from agent.process.options import OutFolder, Seed, terminal
+from agent.process.command import OutFolder, Seed, terminal
 
 app = typer.Typer(no_args_is_help=True, help="The paper's experiments, on the twin.")
 

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from agent.core.config import ConfigError
-from agent.process.options import complain, terminal
-from agent.process.run_folder import new_file, run_folder
+from agent.process.command import complain, new_file, run_folder, terminal
 
 export_app = typer.Typer()
 

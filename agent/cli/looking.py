@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.process.options import FleetFile, RobotName
-from agent.process.run_folder import new_file, run_folder
+from agent.process.command import FleetFile, RobotName, new_file, run_folder
 from agent.robot.fleet_reader import load_fleet, load_robot
 
 app = typer.Typer()
@@ -25,8 +24,8 @@ def snapshot(
     ] = None,
 ) -> None:
     """The next picture of a running robot's camera, as the robot shows it. It does not notice."""
-    from agent.ground.snapshot import about, next_picture, target_table
-    from agent.process.fleet_certificates import credentials
+    from agent.ground.observe import about, next_picture, target_table
+    from agent.process.certificates import credentials
     from agent.process.transport import LOOKER
 
     robots = load_fleet(fleet)

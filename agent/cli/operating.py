@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from agent.core.config import ConfigError
-from agent.process.options import FleetFile
-from agent.process.run_folder import new_file
+from agent.process.command import FleetFile, new_file
 from agent.robot.fleet_reader import load_fleet
 
 if TYPE_CHECKING:
     from agent.ground.check import Checked
-    from agent.ground.doctor.diagnosis import Diagnosis
+    from agent.ground.doctor import Diagnosis
 
 app = typer.Typer()
 
@@ -27,7 +26,7 @@ def init(
     out: Annotated[Path, typer.Option(help="File to write: NAME.toml.")] = Path("fleet.toml"),
 ) -> None:
     """A fleet file to begin with, with comments that say what to change. Of real robots, unless --twin is given."""
-    from agent.ground.init import write_fleet
+    from agent.ground.new_fleet import write_fleet
 
     if out.suffix != ".toml":
         raise ConfigError(f"--out {out}: a fleet file is a TOML file; give it a name that ends in .toml")
@@ -64,7 +63,7 @@ def keys(
     Where robots listen on tls/, also an authority of the fleet's own, and a certificate for each robot, observer and
     console. Nothing is ever overwritten; what goes where is said at the end.
     """
-    from agent.ground.make import fleet_keys
+    from agent.ground.new_fleet import fleet_keys
 
     for line in fleet_keys(load_fleet(fleet), fleet, out, only, days):
         typer.echo(line)
@@ -83,7 +82,7 @@ def doctor(
 
     One line for each thing: ok, warning or wrong, and what to do. Exit 1 unless all are ok.
     """
-    from agent.ground.doctor.doctor import examine
+    from agent.ground.doctor import examine
 
     _tell(examine(fleet, name, Path()), as_json)
 

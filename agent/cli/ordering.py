@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.process.options import FleetFile
+from agent.process.command import FleetFile
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.verbs import VERBS
 
@@ -34,7 +34,7 @@ def order(
 
     Exit 0: all do it; 1: one refused, or did not answer; 2: bad input.
     """
-    from agent.ground.order import give, line, typed, verdict
+    from agent.ground.console import give, line, typed, verdict
 
     robots = load_fleet(fleet)
     told = typed(robots, fleet, verb.value, words or ())

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from agent.process.options import Port
-from agent.process.stop_signal import until_signal
+from agent.process.command import Port
+from agent.process.launch import until_signal
 
 app = typer.Typer()
 
@@ -33,6 +33,6 @@ def page(
     The address that is printed is good for this run, and for whoever has it.
     """
     with until_signal() as stop:
-        from agent.ground.page.command import run
+        from agent.ground.page.server import run
 
         run(what, console, port, out, stop, typer.echo)

@@ -10,8 +10,7 @@ import msgspec
 import typer
 
 from agent.core.config import ConfigError
-from agent.process.options import complain, terminal
-from agent.process.run_folder import run_folder
+from agent.process.command import complain, run_folder, terminal
 
 reconstruct_app = typer.Typer()
 
@@ -52,7 +51,7 @@ def reconstruct_command(
     video: Annotated[bool, typer.Option("--video/--no-video", help="A film once round the scene.")] = True,
 ) -> None:
     """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""
-    from agent.process.progress import with_bar
+    from agent.process.command import with_bar
     from agent.reconstruction.export.kinds import Kind
     from agent.reconstruction.image.model import ImageSettings
     from agent.reconstruction.run import Settings, run

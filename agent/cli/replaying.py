@@ -9,9 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.process.options import FleetFile, Recordings, Runs, complain, terminal
-from agent.process.plain_console import plain_console
-from agent.process.run_folder import new_file
+from agent.process.command import FleetFile, Recordings, Runs, complain, new_file, plain_console, terminal
 from agent.robot.fleet_reader import load_fleet
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings.")

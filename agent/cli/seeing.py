@@ -9,7 +9,7 @@ import typer
 
 from agent.core.config import ConfigError
 from agent.perception.enhancement.variants import Variant
-from agent.process.options import terminal
+from agent.process.command import terminal
 
 app = typer.Typer()
 train_app = typer.Typer(no_args_is_help=True, help="Train what the robots see with.")

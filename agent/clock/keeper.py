@@ -7,19 +7,87 @@ STALLED_S of the wall is not waited for until he does: from then on he is the fa
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple
 
-from agent.clock import machine, mapped
-from agent.clock.clock import REST_NS
-from agent.clock.in_words import how_fast
-from agent.clock.mapped import ClockFile, Line
-from agent.clock.part_names import CAMERA, LOOP, PARTS, part_name
-from agent.clock.rate import UNATTENDED, Rate
+from agent.clock import clock, machine
+from agent.clock.clock import CAMERA, LOOP, PARTS, REST_NS, ClockFile, Line, part_name
+
+# @@ rate
+# How fast run time may go, how fast it went, and how fast it will go next: followers sleep by that until they look
+# again, so it should be a little above what is true.
+
+WINDOW_NS = 100_000_000  # of the wall, over which the rate is measured
+HEADROOM = 2.0  # above what was achieved: who sleeps too long holds everybody up
+LOWEST = 0.5  # expected, however slow the machine was just now
+STANDING_NS = 1_000_000_000  # a longer gap says that we were stopped ourselves, and nothing of the machine's speed
+UNATTENDED = 1.0  # nothing is gained by hurrying past agents that are still to come, or compile
+SECOND = 10  # windows: a person is told of no shorter time
+
+
+class Rate:
+    """Fed with each step of the clock."""
+
+    def __init__(self, speed: float, now_ns: int, wall_ns: int) -> None:
+        """At most `speed` seconds of run time in one of the wall."""
+        self.achieved = min(speed, UNATTENDED)  # over the last second
+        self.told: list[float] = []  # over each second in which everybody took part
+        self.wall_s = 0.0  # since the start, gaps not counted
+        self._speed, self._expected = speed, min(speed, UNATTENDED)
+        self._began = self._newest = (now_ns, wall_ns)
+        self._complete = False
+        self._windows: deque[tuple[int, int]] = deque(maxlen=SECOND)  # run time and wall time of each
+        self._untold = 0
+
+    def step(self, now_ns: int, wall_ns: int, complete: bool) -> float:
+        """It is now_ns; `complete`: everybody takes part. Returns the rate to expect next."""
+        gap_ns = wall_ns - self._newest[1]
+        self._newest = now_ns, wall_ns
+        if gap_ns > STANDING_NS or complete != self._complete:
+            self._complete, self._began = complete, self._newest
+            self._untold = 0
+            self._expected = min(self._expected, self.allowed)
+            return self._expected
+        self.wall_s += gap_ns * 1e-9
+        run_ns, took_ns = now_ns - self._began[0], wall_ns - self._began[1]
+        if took_ns >= WINDOW_NS:
+            self._expected = min(max(HEADROOM * run_ns / took_ns, LOWEST), self.allowed)
+            self._began = self._newest
+            self._measured(run_ns, took_ns)
+        return self._expected
+
+    @property
+    def allowed(self) -> float:
+        """Not the machine, but what was asked for."""
+        return self._speed if self._complete else min(self._speed, UNATTENDED)
+
+    def _measured(self, run_ns: int, took_ns: int) -> None:
+        self._windows.append((run_ns, took_ns))
+        runs, walls = zip(*self._windows, strict=True)
+        self.achieved = sum(runs) / sum(walls)
+        self._untold += 1
+        if self._untold == SECOND:
+            self._untold = 0
+            if self._complete:
+                self.told.append(self.achieved)
+
+
+# @@ in_words
+# How fast a clock went, for a person.
+
+
+def how_fast(dive_s: float, wall_s: float, rates: Sequence[float]) -> str:
+    """`rates`: of shorter times, of which the least and the most are told where they differ."""
+    text = f"{dive_s:.1f} s of dive in {wall_s:.1f} s, {dive_s / wall_s:.2f} times real time"
+    bounds = [f"{bound:.2f}" for bound in (min(rates), max(rates))] if rates else []
+    return f"{text} ({bounds[0]} to {bounds[1]})" if len(set(bounds)) == 2 else text
+
+
+# @@ keeper
 
 STALLED_S = 2.0
 POLL_S = 0.001  # between two looks at those who are waited for
@@ -173,7 +241,7 @@ def start_clock(path: Path, robots: Sequence[str], start_ns: int, speed: float, 
     """
     line = Line(start_ns, machine.monotonic_ns(), min(speed, UNATTENDED), start_ns + tick_ns)
     names = [part_name(robot, part) for robot in robots for part in PARTS]
-    return Keeper(mapped.create(path, names, start_ns, line), robots, speed, tick_ns)
+    return Keeper(clock.create(path, names, start_ns, line), robots, speed, tick_ns)
 
 
 def how_it_went(story: Story) -> str:

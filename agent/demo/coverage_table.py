@@ -12,7 +12,7 @@ from agent.core.messages import State
 from agent.core.status import fault_kind
 from agent.demo.coverage import SurveyWatch
 from agent.demo.history import Histories
-from agent.process.console_log import hears
+from agent.process.command import hears
 
 
 def survey_table(histories: Histories, survey: SurveyWatch, title: str) -> Table:

@@ -34,15 +34,11 @@ from agent.demo.following import FOLLOW_S, followed_s, scored, swims
 from agent.demo.history import Histories, History
 from agent.demo.look import open_page
 from agent.demo.summary import is_box, settled, summarize
-from agent.ground.make import FOLDER, make_all
-from agent.process.failure import Failed
-from agent.process.fleet_clock import fleet_clock
-from agent.process.fleet_files import fleet_file, with_pictures
+from agent.ground.new_fleet import FOLDER, make_all
+from agent.process.command import Failed, fleet_file, run_folder, temporary_folder, with_pictures, with_spinner
+from agent.process.keys import VARIABLE
 from agent.process.launch import Crew, crew, wait_for
-from agent.process.progress import with_spinner
-from agent.process.robot_keys import VARIABLE
-from agent.process.run_folder import run_folder, temporary_folder
-from agent.process.transport import Observer
+from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.devices.twin_folder import twin_dir
 

@@ -20,9 +20,9 @@ from agent.core.topics import EVERY_FLEET
 from agent.demo import following
 from agent.demo.history import Histories
 from agent.demo.summary import PASS_PERCENT, SIGMAS
-from agent.process.console_log import hears
-from agent.process.fleet_certificates import CONSOLE_FILE
-from agent.process.robot_keys import VARIABLE
+from agent.process.certificates import CONSOLE_FILE
+from agent.process.command import hears
+from agent.process.keys import VARIABLE
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 

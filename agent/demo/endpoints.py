@@ -12,7 +12,7 @@ import socket
 import sys
 from collections.abc import Iterator, Sequence
 
-from agent.process.ports import free_ports, is_free
+from agent.process.launch import free_ports, is_free
 
 NAMES = sys.platform == "linux"
 

@@ -9,11 +9,11 @@ from typing import TypeVar
 import msgspec
 
 from agent.core.config import Access, ConfigError, Fleet, Protocol
-from agent.ground.make import FOLDER
+from agent.ground.new_fleet import FOLDER
 from agent.perception.detection.detectors import target_picture
 from agent.perception.tracking.box_trackers import load_box_tracker, model_files
-from agent.process.fleet_files import shipped_fleet
-from agent.process.ports import free_ports
+from agent.process.command import shipped_fleet
+from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.scene import scene_of
 from hw.twin.targets import target_creatures, target_solids

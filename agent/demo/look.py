@@ -6,8 +6,7 @@ from pathlib import Path
 
 from agent.core.config import Fleet
 from agent.ground.page.server import PORT, websockets_or_why
-from agent.process.launch import Crew, wait_for
-from agent.process.ports import free_ports, is_free
+from agent.process.launch import Crew, free_ports, is_free, wait_for
 
 PAGE_READY_S = 60.0  # of the wall
 ME = "me"  # as whom orders are given where the fleet file names nobody: on one computer everybody may

@@ -41,7 +41,7 @@ from agent.experiments.result import Row
 from agent.perception.clarity.region import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import CameraError
 from hw.twin.physics.body import SURVEY_DEG, SURVEY_M

@@ -10,9 +10,7 @@ from rich.console import Console, RenderableType
 
 from agent.experiments.figure_files import Figures, write_figures
 from agent.experiments.result import NAME, ExperimentResult, write_result
-from agent.process.failure import Failed
-from agent.process.progress import Progress, with_bar
-from agent.process.run_folder import run_folder
+from agent.process.command import Failed, Progress, run_folder, with_bar
 
 S = TypeVar("S")
 R = TypeVar("R", bound=ExperimentResult)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, NamedTuple
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 
 
 class Task(NamedTuple):

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from agent.core.messages import Vector
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import CHESSBOARD_SIZE_M

@@ -15,7 +15,7 @@ from agent.experiments.still_camera import StillCamera, TankView
 from agent.perception.clarity.breathing import measure_growth
 from agent.perception.clarity.clarity import grid
 from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from hw.camera.camera import Image, Roi
 
 BLOCK_PX = 50  # the paper's

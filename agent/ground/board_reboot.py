@@ -8,8 +8,8 @@ from threading import Event
 
 from agent.clock.clock import Clock, wait
 from agent.core.step_io import Telemetry
-from agent.process.failure import Failed
-from agent.process.fleet_clock import fleet_clock
+from agent.process.command import Failed
+from agent.process.transport import fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot
 from hw.firmware.failsafe import LATCHED
 from hw.stm32.driver import Stm32

@@ -5,21 +5,26 @@ from __future__ import annotations
 import contextlib
 import itertools
 import threading
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
+import msgspec
 from msgspec.structs import replace
 
+from agent.capabilities.light.allocate import EMPTY_V
 from agent.clock import machine
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Arg, Order, State
 from agent.core.topics import STATE
-from agent.robot.rights import why_closed
+from agent.process.certificates import credentials
+from agent.robot.fleet_reader import load_robot
+from agent.robot.operator import why_closed
 from agent.robot.verbs import CLOCK, URGENT, arguments, prepare_all
+from hw.firmware.parameters import NAMES, TABLE
 from router_config.door import Reply, Sample, Session, unusable
 from router_config.session import observer_config
 
@@ -197,3 +202,66 @@ class _Asked:
             why = "" if self._error in ("", "Timeout") else f": {self._error}"
             text = f"did not answer within {answer_s:g} s{why}; the order may still act"
             self.outcome = Outcome(None, text, now_s - self._first_s)
+
+
+# @@ order
+# `aucamp order`: what a person types becomes an order, and what robots answered becomes lines.
+
+ALL = "all"
+
+
+class Typed(NamedTuple):
+    """An order, and whom it is for."""
+
+    robots: tuple[str, ...]
+    verb: str
+    args: dict[str, Arg]
+
+
+def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Typed:
+    """What stands behind the verb: names of robots, and NAME=VALUE. Raises ConfigError for what cannot be ordered."""
+    names = [word for word in words if "=" not in word]
+    given = dict(word.split("=", 1) for word in words if "=" in word)
+    if not names and verb not in (*URGENT, CLOCK):
+        raise ConfigError(f"{verb}: which robot? Write one of {', '.join(fleet.robot)}, or {ALL}")
+    everybody = not names or ALL in names
+    for name in names:
+        if name != ALL:
+            load_robot(fleet, name, fleet_path)
+    try:
+        what = arguments(verb, given, strict=False)
+    except Refusal as refusal:
+        raise ConfigError(str(refusal)) from None
+    whole = msgspec.to_builtins(what)
+    args: dict[str, Arg] = {name: whole[name] for name in given}
+    return Typed(tuple(fleet.robot) if everybody else tuple(dict.fromkeys(names)), verb, args)
+
+
+def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> Iterator[tuple[str, Outcome]]:
+    """Order, and say what became of it at each robot, as it comes. Raises ConfigError where this console may not."""
+    if why := why_closed(fleet, console):
+        raise ConfigError(f"{fleet_path}: {why}")
+    with OrderConsole(fleet, console, credentials(fleet, console, fleet_path)) as link:
+        yield from link.orders(order.robots, order.verb, order.args)
+
+
+def line(robot: str, outcome: Outcome) -> str:
+    """What became of it at one robot."""
+    if outcome.answer is None:
+        return f"{robot}: {outcome.why}"
+    what = f"does: {outcome.answer.order}" if outcome.ok else f"refuses: {outcome.answer.why}"
+    return f"{robot}: {what} ({1e3 * outcome.took_s:.0f} ms)"
+
+
+def verdict(outcomes: Mapping[str, Outcome]) -> str:
+    return f"{sum(outcome.ok for outcome in outcomes.values())} of {len(outcomes)}"
+
+
+# @@ battery
+# When a robot's battery is called low by whoever looks, in volts at its control module.
+#
+# Both limits are others' own, those of four cells: below the one lamps stay dark, below the other the module
+# surfaces. A module whose parameter `battery_min_mV` was changed surfaces by that one, which nobody here is told.
+
+NEAR_V = EMPTY_V
+SURFACES_V = TABLE[NAMES.index("battery_min_mV")][1] * 1e-3

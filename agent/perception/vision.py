@@ -16,8 +16,7 @@ from threading import Condition, Thread
 import cv2
 
 from agent.clock import machine
-from agent.clock.clock import Clock, Part
-from agent.clock.part_names import CAMERA, part_name
+from agent.clock.clock import CAMERA, Clock, Part, part_name
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import BlockPeaks, Sighting, SweepPlan

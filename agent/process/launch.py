@@ -3,16 +3,77 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Condition, Event, RLock, Thread, main_thread
 from typing import NamedTuple
 
 from agent.clock import machine
-from agent.process.failure import Failed
-from agent.process.parent_watch import GRACE_S, ParentWatch, watched_by_us
+from agent.core import topics
+from agent.core.config import ConfigError, Fleet
+from agent.process.certificates import certificate_file, hosts_of, read_certificate
+from agent.process.command import Failed
+from agent.robot.fleet_reader import MAX_PORT
+from replay.roll_call import RollCall
+from router_config.door import Sample, Session
+from router_config.session import ROUTER, ROUTER_LISTEN, ROUTER_LISTEN_SECURED, router_config
+
+# @@ parent_watch
+# A process that ends with the one that started it, however that ended: after SIGKILL nobody can stop his children.
+#
+# They share a pipe. Only the parent can write to it, and it never does; when the parent has gone, the kernel closes
+# its end, and who reads at the other one wakes up. Linux could do the same with prctl, other systems could not.
+
+VARIABLE = "AUCAMP_PARENT_WATCH"  # of the child's environment: the number of the descriptor to read from
+GRACE_S = 20.0  # from SIGTERM to the end at once: under 2 s alone, but a recorder beside a load finishes its file
+
+
+class ParentWatch(NamedTuple):
+    """The pipe, in the parent: one for any number of children."""
+
+    held: int
+    given: int  # to be inherited, by Popen's pass_fds
+
+    def environment(self) -> Mapping[str, str]:
+        return {**os.environ, VARIABLE: str(self.given)}
+
+    def drop(self) -> None:
+        """Children that still run end."""
+        os.close(self.held)
+        os.close(self.given)
+
+
+def watched_by_us() -> ParentWatch:
+    """Only what is passed on by pass_fds is inherited: no child holds the end that is ours."""
+    given, held = os.pipe()
+    return ParentWatch(held, given)
+
+
+def exit_with_parent() -> None:
+    """Call it in a child's main thread: SIGTERM comes when the parent has gone. Without a watch it runs free."""
+    number = os.environ.pop(VARIABLE, None)  # our own children have another parent
+    if number is not None:
+        Thread(target=_watch, args=(int(number),), name="parent watch", daemon=True).start()
+
+
+def _watch(given: int) -> None:
+    try:
+        os.read(given, 1)
+    except OSError:
+        return  # not ours: a variable that somebody has handed on
+    signal.pthread_kill(main_thread().ident or 0, signal.SIGTERM)  # to the main thread, so that it stops waiting
+    machine.sleep(GRACE_S)
+    os._exit(128 + signal.SIGTERM)  # it hangs, or compiles
+
+
+# @@ launch
 
 STOP_S = GRACE_S  # from SIGTERM to SIGKILL
 
@@ -136,3 +197,177 @@ def last_line(log: Path) -> str:
     except OSError:  # somebody has cleared it away
         lines = []
     return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"
+
+
+# @@ router
+# The router: a place to look from. The swarm runs without it, and no link of the swarm passes through it.
+
+PERIOD_S = 0.1  # between two looks who is there
+
+
+def run_router(
+    fleet: Fleet,
+    stop: threading.Event,
+    listen: str | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    keys: Path | None = None,
+) -> None:
+    """Dial every robot and serve clients on `listen` until `stop` is set; `say` gets lines for a person: where to look,
+    and who is not heard. `keys`: the folder of a secured fleet's certificates; its clients need one, too.
+
+    Raises ConfigError if it cannot listen.
+    """
+    listen = listen or (ROUTER_LISTEN if keys is None else ROUTER_LISTEN_SECURED)
+    heard: set[str] = set()
+
+    def came(token: Sample) -> None:
+        if (seen := topics.chunks(topics.ALIVE, token.key)) is not None:
+            heard.add(seen["robot"])
+
+    check_listen(listen, keys)
+    with Session(router_config(fleet, listen, keys), f"--listen {listen}") as session:
+        session.watch_tokens(topics.ALIVE.format(fleet=fleet.fleet, robot="*", session="*"), came)
+        say(f"consoles attach to {listen}; Ctrl-C ends it")
+        roll = RollCall(fleet, say)
+        while not machine.wait(stop, PERIOD_S):
+            roll.look(frozenset(heard))
+        roll.end()
+
+
+def check_listen(listen: str, keys: Path | None) -> None:
+    """Raises ConfigError where clients could not attach, or everybody could."""
+    if keys is None:
+        if not listen.startswith("tcp/"):
+            raise ConfigError(f"--listen {listen}: no endpoint; write tcp/HOST:PORT, such as {ROUTER_LISTEN}")
+        return
+    if not listen.startswith("tls/"):
+        raise ConfigError(
+            f"--listen {listen}: the fleet is secured; write tls/HOST:PORT, such as {ROUTER_LISTEN_SECURED}"
+        )
+    host, good = listen.partition("/")[2].rpartition(":")[0], hosts_of(read_certificate(certificate_file(keys, ROUTER)))
+    if host not in good:
+        raise ConfigError(
+            f"--listen {listen}: the router's certificate is good at {' and '.join(good)} alone; "
+            f"listen there, and come from elsewhere through ssh -L"
+        )
+
+
+# @@ ports
+# Ports of this computer: which are free, asked as Zenoh asks, by binding them for a moment.
+
+# Above the ports of the fleet files that ship and of the router, up to 29340: well below the ephemeral range.
+FIRST_PORT, PORTS_APART, PLACES = 17501, 8, 1480
+
+Address = tuple[socket.AddressFamily, tuple[str | int | bytes, ...]]
+
+
+def addresses_of(endpoint: str) -> list[Address]:
+    """Where tcp/HOST:PORT is: of a name that stands for several addresses all of them; none for no such host."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    try:
+        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):  # the latter of what is no name of any host
+        return []
+    return [(family, address) for family, _, _, _, address in found]
+
+
+def bind_error(address: Address) -> int | None:
+    """The number of the error with which binding is refused; None: it is free. Connections that linger do not count."""
+    family, where = address
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(where)
+        except OSError as error:
+            return error.errno
+    return None
+
+
+def is_free(endpoint: str) -> bool:
+    """Whether tcp/HOST:PORT is this computer's and nobody listens there, at any address of the host."""
+    found = addresses_of(endpoint)
+    return bool(found) and all(bind_error(address) is None for address in found)
+
+
+def free_ports(count: int, first: int | None = None) -> list[int]:
+    """Ports on loopback that nobody listens on now, below the ephemeral range.
+
+    Where to begin depends on the process: two runs that choose at the same time do not choose the same. Raises Failed
+    where there are not so many.
+    """
+    first = first or FIRST_PORT + PORTS_APART * (os.getpid() % PLACES)
+    ports: list[int] = []
+    for port in range(first, MAX_PORT):
+        if len(ports) == count:
+            return ports
+        if bind_error((socket.AF_INET, ("127.0.0.1", port))) is None:
+            ports.append(port)
+    raise Failed(f"fewer than {count} free ports from {first} to {MAX_PORT}")
+
+
+# @@ stop_signal
+# How a command that runs until it is ended learns that it shall end.
+
+AGAIN_S = 0.5  # a wait without end looks as often by itself
+
+_asked: list[int] = []  # signals that came while nobody waited for one yet
+
+
+class Stop(Event):
+    """An event that a signal may set. Its handler runs in the main thread, maybe in the middle of a wait for this very
+    event: threading's own would then wait for its own lock for ever."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._changed = Condition(RLock())
+        self._happened = False
+
+    def is_set(self) -> bool:
+        return self._happened
+
+    def set(self) -> None:
+        with self._changed:
+            self._happened = True
+            self._changed.notify_all()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """A signal between the look and the sleep goes unheard by this sleep, so none is without end."""
+        with self._changed:
+            while not self._happened:
+                self._changed.wait(AGAIN_S if timeout is None else timeout)
+                if timeout is not None:
+                    break
+        return self._happened
+
+
+def leave(number: int, frame: object) -> None:
+    """A signal ends the program as Ctrl-C does, so that what it started ends with it.
+
+    Where Python runs a callback, as it often does while it imports, an exception is told and forgotten: then
+    `until_signal` remembers.
+    """
+    _asked.append(number)
+    raise SystemExit(128 + number)
+
+
+@contextmanager
+def until_signal() -> Iterator[Event]:
+    """An event that Ctrl-C, SIGTERM and a terminal that is closed set; a second one interrupts whatever still runs."""
+    stop = Stop()
+    if _asked:
+        stop.set()
+
+    def handle(number: int, frame: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    ours = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup means it
+        ours.append(signal.SIGHUP)
+    before = {number: signal.signal(number, handle) for number in ours}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

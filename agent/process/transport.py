@@ -14,18 +14,18 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from agent.clock import machine
+from agent.clock.clock import Clock, RunClock, SystemClock
 from agent.core import topics
 from agent.core.capability_messages import Claim, Keyframe, Light
 from agent.core.codec import encode
-from agent.core.config import Fleet
+from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
-from agent.process.inboxes import Inboxes, rows_of
-from agent.process.order_box import OrderBox
-from agent.process.strangers import Strangers
-from agent.process.tokens import Tokens
+from agent.process.links import Inboxes, OrderBox, Strangers, Tokens, rows_of
+from agent.robot.fleet_reader import two_worlds
 from agent.robot.verbs import prepare_all
+from hw.twin.devices.twin_folder import clock_path
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 
@@ -199,3 +199,15 @@ class Observer:
         row = topics.match(sample.key)
         if row and not unusable(sample, row[0]):
             self._received.append(Received(*row, sample.payload(), at_ns))
+
+
+# @@ fleet_clock
+# Which clock a fleet lives by: that of its dive in the twin, or the system's.
+
+
+def fleet_clock(fleet: Fleet) -> Clock:
+    """The one clock of all robots. Raises ConfigError for a fleet of which only a part is in the twin."""
+    if (why := two_worlds(fleet)) is not None:
+        raise ConfigError(f"fleet '{fleet.fleet}': {why}")
+    in_twin = any(robot.serial.startswith("twin:") for robot in fleet.robot.values())
+    return RunClock(clock_path(fleet)) if in_twin else SystemClock()

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.reconstruction.camera import Floats, slopes_of, unproject
 from agent.reconstruction.stack import Stack, camera_at, camera_in
 from hw.compiled import compiled

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.progress import Progress, Show
+from agent.process.command import Progress, Show
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import Mesh, mesh_of
 from agent.reconstruction.fusion import fuse

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.bricks import SIDE, Surface, allocated, kernel
 from agent.reconstruction.camera import Floats, inlined, pixel_of
 from agent.reconstruction.reach import cones, touches

@@ -19,7 +19,7 @@ import numpy as np
 from agent.core.config import Pose
 from agent.core.ranging.camera_model import camera_pose, gimbal_deg
 from agent.perception.clarity.gradient import luminance
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.keyframe import Swept, keyframe
 from agent.reconstruction.poses.prior import Sigmas, covariance_of

@@ -11,8 +11,7 @@ import msgspec
 import numpy as np
 
 from agent.clock import machine
-from agent.process.failure import Failed
-from agent.process.progress import Show
+from agent.process.command import Failed, Show
 from agent.reconstruction.build import CELL_M, Built, build
 from agent.reconstruction.export.kinds import Kind, export
 from agent.reconstruction.extract import Mesh

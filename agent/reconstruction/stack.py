@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.reconstruction.camera import Camera, Floats, inlined
 from agent.reconstruction.view import View
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from agent.core.config import ConfigError
-from agent.process.progress import Show
+from agent.process.command import Show
 from agent.reconstruction.camera import Camera, Floats
 from agent.reconstruction.composite import linear, shrunk_frame
 from agent.reconstruction.keyframe import reduction

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.process.failure import Failed
-from agent.process.progress import Progress
+from agent.process.command import Failed, Progress
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.extract import Mesh
 from agent.reconstruction.stack import stacked

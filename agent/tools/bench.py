@@ -16,8 +16,8 @@ from agent.clock.clock import SystemClock
 from agent.core.config import Fleet, dump
 from agent.core.messages import Vector
 from agent.core.step_io import SetPoint
+from agent.process.command import temporary_folder
 from agent.process.launch import crew, wait_for
-from agent.process.run_folder import temporary_folder
 from agent.tools.procedure import SETTINGS, Place, setting
 from hw.camera.camera import Camera
 from hw.camera.open import open_camera

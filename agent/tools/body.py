@@ -12,8 +12,7 @@ from agent.capabilities.swim.event_ring import Event
 from agent.capabilities.swim.pose_filter import Hull
 from agent.core.config import ConfigError
 from agent.core.ranging.camera_model import BodyFit
-from agent.process.failure import Failed
-from agent.process.progress import Show, with_bar
+from agent.process.command import Failed, Show, with_bar
 from agent.tools.body_fit import PASSES, PRIOR, Trial, fit_body
 from agent.tools.calibration_file import check_file, put
 from replay.check.black_box import BlackBox, open_box

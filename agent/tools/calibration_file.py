@@ -10,7 +10,7 @@ from typing import Any
 import tomli_w
 
 from agent.core.config import ConfigError, read_toml
-from agent.process.run_folder import free_name
+from agent.process.command import free_name
 
 TABLES = ("focus", "camera")
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from agent.core.config import ConfigError
-from agent.process.progress import Progress, with_bar
+from agent.process.command import Progress, with_bar
 from agent.tools.calibration_file import check_file, put
 from hw.picture_files import picture_files, read_picture
 

@@ -13,8 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from agent.core.config import ConfigError
 from agent.perception.enhancement import lu2net
-from agent.process.progress import with_bar
-from agent.process.run_folder import run_folder
+from agent.process.command import run_folder, with_bar
 from agent.tools.dataset import Pairs, load, make_pairs, save, split
 from agent.tools.request import checkpoint_of
 from agent.tools.scene_pairs import folds, read_pairs

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.tools.augment import SLIGHT, as_taken, linear
 from agent.tools.degrade import Image, pair
 from agent.tools.landscapes import landscape

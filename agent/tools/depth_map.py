@@ -15,10 +15,7 @@ from agent.perception.depth_edges import any_part
 from agent.perception.depth_sweep import DepthMap, OnStep, measure, sweep
 from agent.perception.tracking.box import Box
 from agent.perception.tracking.follow import parse_box
-from agent.process.failure import Failed
-from agent.process.plain_console import plain_console
-from agent.process.progress import with_bar
-from agent.process.run_folder import new_file
+from agent.process.command import Failed, new_file, plain_console, with_bar
 from agent.tools.depth_files import write_csv
 from agent.tools.depth_picture import draw
 from agent.tools.depth_ranges import ranges_in_words

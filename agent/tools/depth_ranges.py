@@ -13,7 +13,7 @@ import numpy as np
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import FARTHEST_M, Array, h
 from agent.perception.depth_sweep import DepthMap
-from agent.process.failure import Failed
+from agent.process.command import Failed
 
 LEAST_SHARE = 0.05  # of the clear peaks: fewer ranges are chance, or what a speck of dirt in the view has
 NEAR_POLE = 0.25  # of the peak's half width: warmth and sag shift the focus at infinity by less

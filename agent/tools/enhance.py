@@ -16,8 +16,7 @@ from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, enhancer
 from agent.perception.enhancement.grey_world import Image
 from agent.perception.enhancement.variants import Variant
-from agent.process.progress import Progress, with_bar
-from agent.process.run_folder import new_folder
+from agent.process.command import Progress, new_folder, with_bar
 from agent.tools.sources import Pictures, pictures
 
 FRAMES = 30  # of a camera, unless told

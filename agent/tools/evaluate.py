@@ -18,7 +18,7 @@ from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import Enhancer, enhancer, shipped_files, shipped_weights
 from agent.perception.enhancement.grey_world import Image, clahe, classic, white_balance
 from agent.perception.enhancement.variants import Variant
-from agent.process.progress import Progress, with_bar
+from agent.process.command import Progress, with_bar
 from agent.tools.metrics import Quality, judge
 from agent.tools.pairs import Size, paired, read_pair
 from agent.tools.summary import Summary, cells, hue_kept, percent, summary, table

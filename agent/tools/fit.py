@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from agent.core.linear_algebra import upper
 from agent.core.ranging.camera_model import FocusFit
-from agent.process.failure import Failed
+from agent.process.command import Failed
 
 Array = NDArray[np.float64]
 

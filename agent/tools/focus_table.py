@@ -17,7 +17,7 @@ from agent.core.config import ConfigError
 from agent.core.messages import Symmetric
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
-from agent.process.run_folder import free_name
+from agent.process.command import free_name
 from agent.tools.calibration_file import check_file, put
 from agent.tools.fit import CalibrationRefused, FocusRow, LeftOut, fit_focus, leave_one_out
 

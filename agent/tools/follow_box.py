@@ -15,9 +15,7 @@ from agent.core.config import ConfigError
 from agent.perception.tracking.box import Box
 from agent.perception.tracking.box_trackers import load_box_tracker
 from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, parse_box
-from agent.process.plain_console import plain_console
-from agent.process.progress import with_bar
-from agent.process.run_folder import new_file, run_folder
+from agent.process.command import new_file, plain_console, run_folder, with_bar
 from agent.tools.followed_pictures import Show, annotated, check_out, writer
 from agent.tools.sources import Picture, Pictures, pictures
 from agent.tools.track_truth import check_rows, first_box, read_truth, score, table, write_score

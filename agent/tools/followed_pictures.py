@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.core.config import ConfigError
 from agent.perception.tracking.follow import Followed, State
-from agent.process.run_folder import new_file, new_folder
+from agent.process.command import new_file, new_folder
 from hw.camera.camera import Image
 
 VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes

@@ -18,7 +18,7 @@ from agent.perception.landmarks.edge_line import Plane
 from agent.perception.landmarks.edges import light_of_bytes, module_px
 from agent.perception.landmarks.slopes import Array
 from agent.perception.landmarks.tags import all_tags, green
-from agent.process.progress import Progress, with_bar
+from agent.process.command import Progress, with_bar
 from agent.tools.calibration_file import check_file, put
 from agent.tools.list_tags import plain_camera
 from hw.camera.camera import Image

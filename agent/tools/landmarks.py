@@ -16,8 +16,7 @@ from rich.console import Console
 
 from agent.capabilities.swim.landmarks import on_face
 from agent.core.config import ConfigError, Fleet, Landmarks, Tag
-from agent.process.failure import Failed
-from agent.process.progress import with_bar
+from agent.process.command import Failed, with_bar
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.rotation import turned_by
 from agent.tools.survey_bundle import HUBER, Bundle, Prior, bundle

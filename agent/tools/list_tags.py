@@ -16,8 +16,7 @@ import numpy as np
 from agent.core.config import ConfigError
 from agent.core.ranging.camera_model import CameraFit, load_calibration
 from agent.perception.landmarks.tags import Found, all_tags
-from agent.process.plain_console import plain_console
-from agent.process.progress import with_bar
+from agent.process.command import plain_console, with_bar
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.followed_pictures import AMBER, GREEN, RED, check_out, writer
 from agent.tools.sources import Picture, Pictures, pictures

@@ -23,7 +23,7 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, gimbal_deg, servos_us
 from agent.core.ranging.focus import Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
 from agent.perception.clarity.gradient import gradient_energy, luminance
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.tools.camera_fit import Corner, fit_camera
 from agent.tools.fit import FocusRow, fit_focus
 from hw.camera.camera import Camera, FocusRange, Roi

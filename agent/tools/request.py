@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent.core.config import ConfigError
-from agent.process.run_folder import new_file
+from agent.process.command import new_file
 from agent.tools.pairs import paired
 
 ENDS_IN = ".safetensors"

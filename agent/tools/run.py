@@ -9,7 +9,7 @@ from rich.console import Console
 
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.ranging.camera_model import Calibration
-from agent.process.progress import Show, with_bar, with_spinner
+from agent.process.command import Show, with_bar, with_spinner
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.bench import bench_by_hand, twin_bench
 from agent.tools.procedure import calibrate, setting

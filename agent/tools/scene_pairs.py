@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.tools.dataset import Pairs
 from agent.tools.degrade import Image
 from agent.tools.pairs import paired, read_pair

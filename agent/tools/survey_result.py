@@ -9,9 +9,8 @@ from typing import NamedTuple
 from rich.table import Table
 
 from agent.core.config import ConfigError, Fleet, Landmarks, Tag, read_toml
-from agent.process.failure import Failed
-from agent.process.run_folder import free_name
-from agent.robot.landmark_rules import broken_landmark_rules
+from agent.process.command import Failed, free_name
+from agent.robot.fleet_reader import broken_landmark_rules
 from agent.tools.survey_bundle import Bundle
 
 BAD_SHARE = 0.2  # of the views of a tag: something is wrong with it, not with them

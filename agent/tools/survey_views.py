@@ -12,7 +12,7 @@ from agent.core.codec import READABLE, decode
 from agent.core.ranging.camera_model import Calibration, at_lens_position, load_calibration
 from agent.core.step_io import Inputs, SeenTag
 from agent.perception.landmarks.tags import find_tags
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.tools.list_tags import check_size
 from agent.tools.sources import pictures
 from agent.tools.survey_bundle import SurveyFrame

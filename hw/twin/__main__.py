@@ -14,11 +14,10 @@ from pathlib import Path
 
 import msgspec
 
+from agent.clock.clock import RunClock
 from agent.clock.keeper import how_it_went, start_clock
-from agent.clock.run_clock import RunClock
 from agent.core.config import ConfigError, Fleet
-from agent.robot.fleet_reader import load_fleet, load_robot
-from agent.robot.fleet_rules import two_worlds
+from agent.robot.fleet_reader import load_fleet, load_robot, two_worlds
 from hw.camera.camera import CameraError
 from hw.camera.frame_server import FrameServer
 from hw.twin.bench import Bench

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import threading
 
-from agent.clock.clock import REST_NS
+from agent.clock.clock import REST_NS, SERIAL, part_name
 from agent.clock.keeper import Keeper
-from agent.clock.part_names import SERIAL, part_name
 from hw.twin.devices.board import PATIENCE_S, Board
 from hw.twin.dive import Dive
 from hw.twin.physics.tank import TICK_NS

@@ -16,7 +16,7 @@ from agent.core.codec import READABLE
 from agent.core.config import ConfigError, Fleet, convert
 from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import damages
 from replay.files.log import info, parts, read

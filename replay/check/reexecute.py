@@ -20,7 +20,7 @@ from agent.core.codec import READABLE, Refusal, decode, encode
 from agent.core.messages import SCHEMA, Estimate, Order, Presence
 from agent.core.step_io import Heard, Inputs, Ordered
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from agent.robot.verbs import arguments, in_words
 from replay.check.black_box import STEP_BYTES, BlackBox, Step
 from replay.check.compare import Difference, Ignored, differences, written

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from agent.clock import machine
 from agent.clock.clock import Clock
-from agent.clock.in_words import how_fast
+from agent.clock.keeper import how_fast
 from agent.core.codec import Refusal, decode, encode
 from agent.core.messages import Message
 from replay.files.backlog import Entry

@@ -15,7 +15,7 @@ from replay.report.surveyed import SURVEYED, Surveyed, survey_rows
 
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
 EVENTS = ["robot", "s", "event"]
-VIEW = re.compile(r"(^|: )(sees|told|blind) since iteration ")  # agent.robot.core writes it
+VIEW = re.compile(r"(^|: )(sees|told|blind) since iteration ")  # agent.robot.step writes it
 REPEATS = re.compile(r" \((\d+) times more in [\d.]+ s\)$")  # agent.core.status
 NUMBER = re.compile(r"\d+(\.\d+)?")
 ERRORS = ["error mm", "% of |x*|", "% of range"]  # before all else: a phone shows the first columns

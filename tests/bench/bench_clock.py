@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from agent.clock.clock import RunClock
 from agent.clock.keeper import start_clock
-from agent.clock.run_clock import RunClock
 from hw.twin.physics.tank import TICK_NS
 from replay.files.log import read
 from tests.dive_timing import nothing_came_late, timing

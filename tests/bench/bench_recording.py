@@ -28,7 +28,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate, NeighbourState, State
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
-from agent.process.ports import free_ports
+from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
 from replay.files.backlog import Backlog, Entry
 from replay.files.channels import FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION

@@ -14,11 +14,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from agent.core.codec import decode, encode
 from agent.core.messages import Estimate
 from agent.core.trust import entry_bytes, verify_signature
-from agent.ground.make import make_keys
-from agent.process.key_files import public_bytes
-from agent.process.key_folder import read_keys
-from agent.process.runtime import STEP_NS
-from agent.process.signing import signing
+from agent.ground.new_fleet import make_keys
+from agent.process.agent_process import STEP_NS
+from agent.process.keys import public_bytes, read_keys, signing
 from tests.bench.bench_vision import medians_s, row
 from tests.process.said import EPOCH, FOREIGN, entry, said
 

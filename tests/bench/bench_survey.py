@@ -15,7 +15,7 @@ from agent.core.ranging.camera_model import Calibration, at_lens_position
 from agent.core.ranging.focus import lens_position
 from agent.experiments.posed_robot import PosedRobot
 from agent.perception.landmarks.tags import find_tags
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.landmarks import known_tags, survey
 from agent.tools.rotation import turned_by

@@ -13,15 +13,15 @@ MACHINE = "on the wall: for what the machine does, or a person at it, and not th
 ENDS = "on the wall: how long an end may take"
 
 WAITS = {
-    "agent/process/console_log.py": ENDS,
+    "agent/process/command.py": ENDS,
     "agent/perception/vision.py": ENDS,
-    "agent/process/runtime.py": RUN,
-    "agent/ground/bridges/mavlink/bridge.py": MACHINE,
+    "agent/process/agent_process.py": RUN,
+    "agent/ground/bridges/mavlink.py": MACHINE,
     "agent/ground/console.py": MACHINE,
-    "agent/ground/doctor/probe.py": MACHINE,
+    "agent/ground/doctor.py": MACHINE,
     "agent/ground/page/live.py": MACHINE,
     "agent/ground/page/replayed.py": MACHINE,
-    "agent/process/stop_signal.py": MACHINE,  # its own kind of event, waited for by whatever clock
+    "agent/process/launch.py": (ENDS, MACHINE),  # its own kind of event, waited for by whatever clock
     "hw/camera/frame_server.py": MACHINE,
     "hw/camera/frame_socket.py": RUN,
     "hw/camera/twin.py": MACHINE,

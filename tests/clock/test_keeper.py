@@ -13,8 +13,8 @@ import pytest
 
 from agent.clock import keeper as keeper_module
 from agent.clock import machine
+from agent.clock.clock import RunClock
 from agent.clock.keeper import how_it_went, start_clock
-from agent.clock.run_clock import RunClock
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -135,7 +135,7 @@ def test_the_dead_are_not_waited_for(ticking, tmp_path) -> None:
     it = ticking()
     program = f"""
 import pathlib, time
-from agent.clock.run_clock import RunClock
+from agent.clock.clock import RunClock
 clock = RunClock(pathlib.Path({str(tmp_path / "clock")!r}))
 clock.join("r1.loop", {SLACK_NS})
 print("joined", flush=True)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from agent.clock.rate import LOWEST, STANDING_NS, WINDOW_NS, Rate
+from agent.clock.keeper import LOWEST, STANDING_NS, WINDOW_NS, Rate
 
 TICK_NS = 10_000_000
 

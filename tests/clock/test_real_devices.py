@@ -16,8 +16,8 @@ from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import SweepPlan
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
-from agent.process.fleet_clock import fleet_clock
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
+from agent.process.transport import fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from hw.stm32.driver import Stm32
 from hw.twin.devices.twin_folder import clock_path

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.clock import machine, mapped
-from agent.clock.clock import Part, StandingClock, SystemClock, wait
-from agent.clock.mapped import Line
-from agent.clock.run_clock import RunClock
+from agent.clock import machine
+from agent.clock.clock import Line, Part, RunClock, StandingClock, SystemClock, attach, create, wait
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -133,13 +131,13 @@ def test_something_else_in_its_place_is_no_clock(tmp_path, clock) -> None:
     (tmp_path / "clock").write_bytes(os.urandom(4096))
     assert ahead_s(clock) == pytest.approx(0.0, abs=0.1)
     (tmp_path / "clock").write_bytes(b"")
-    assert mapped.attach(tmp_path / "clock") is None
+    assert attach(tmp_path / "clock") is None
 
 
 def test_a_line_is_read_whole_while_it_changes(tmp_path) -> None:
     """Each line that is written has four equal numbers; a torn one would not."""
-    file = mapped.create(tmp_path / "clock", ["r1.loop"], 0, Line(0, 0, 0.0, 0, 0.0))
-    reader, done = mapped.attach(tmp_path / "clock"), threading.Event()
+    file = create(tmp_path / "clock", ["r1.loop"], 0, Line(0, 0, 0.0, 0, 0.0))
+    reader, done = attach(tmp_path / "clock"), threading.Event()
     assert reader is not None
 
     def write() -> None:
@@ -161,8 +159,8 @@ def test_a_line_is_read_whole_while_it_changes(tmp_path) -> None:
 
 def test_names_are_as_long_as_a_robot_s_may_be(tmp_path) -> None:
     names = ["r" * 16 + ".camera", "ö" * 8 + ".serial"]
-    mapped.create(tmp_path / "clock", names, 0, Line(0, 0, 1.0, 0))
-    reader = mapped.attach(tmp_path / "clock")
+    create(tmp_path / "clock", names, 0, Line(0, 0, 1.0, 0))
+    reader = attach(tmp_path / "clock")
     assert reader is not None and list(reader.rows) == names
 
 

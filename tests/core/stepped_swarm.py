@@ -6,7 +6,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.messages import Estimate, Vector
 from agent.core.step_io import Heard, Inputs, Outputs
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 
 START_NS, STEP_NS = 10**18, 50_000_000

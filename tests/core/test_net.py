@@ -9,7 +9,7 @@ from agent.core.codec import encode
 from agent.core.messages import State
 from agent.core.step_io import Heard, Inputs
 from agent.core.step_transaction import SURFACE_AFTER, SURFACE_M, Savepoint
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.core.swarm_on_hand import Swarm
 
 POISON = b"poison"

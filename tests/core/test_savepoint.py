@@ -22,7 +22,7 @@ from agent.core.messages import Explain, State
 from agent.core.step_transaction import Net, Revertible, Savepoint
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
 from agent.experiments.reconstruction.drawn_scene import draw_scene
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
 from tests.capabilities.light.lit_swarm import HARBOUR, LitSwarm

@@ -11,7 +11,7 @@ from agent.core.config import ConfigError
 from agent.demo.demo import calibrate, keeping
 from agent.demo.display import how_to_look, program
 from agent.demo.fleet import demo_fleet, with_access
-from agent.process.failure import Failed
+from agent.process.command import Failed
 
 
 class FakeCrew:

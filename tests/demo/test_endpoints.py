@@ -6,7 +6,7 @@ import pytest
 
 import agent.demo.endpoints
 from agent.demo.endpoints import reserved
-from agent.process.ports import free_ports, is_free
+from agent.process.launch import free_ports, is_free
 
 
 @pytest.fixture

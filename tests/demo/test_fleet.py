@@ -11,7 +11,7 @@ from rich.console import Console
 from agent.core.config import ConfigError, dump
 from agent.demo.demo import demo
 from agent.demo.fleet import demo_fleet
-from agent.process.fleet_files import fleet_file, shipped_fleet, shipped_names
+from agent.process.command import fleet_file, shipped_fleet, shipped_names
 from agent.robot.fleet_reader import load_fleet
 
 TANK = shipped_fleet().read_text()

@@ -2,7 +2,7 @@
 
 from msgspec.structs import replace
 
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 
 

@@ -10,7 +10,7 @@ from agent.core.messages import State
 from agent.demo.display import verdict
 from agent.demo.history import History
 from agent.demo.summary import first_below, outside_m, reasons, score, settled, summarize
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 
 TRUTH = (0.76, 0.56, 0.07)

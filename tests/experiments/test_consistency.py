@@ -10,7 +10,7 @@ from agent.experiments import ball_measurements as measurements
 from agent.experiments.consistency.run import Result, summary
 from agent.experiments.consistency.tables import cases_table, refusals, table
 from agent.experiments.posed_robot import rotation_of
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 
 BALL_M = (0.3, 0.3, 0.07)

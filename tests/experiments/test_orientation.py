@@ -16,7 +16,7 @@ from agent.experiments.orientation.run import MASS_SPREAD, Settings, groups, mis
 from agent.experiments.orientation.settling import score_push
 from agent.experiments.orientation.tables import controllers_table, stability_table, table
 from agent.experiments.result import write_result
-from agent.process.failure import Failed
+from agent.process.command import Failed
 
 
 def children() -> set[str]:

@@ -15,7 +15,7 @@ from agent.core.config import ConfigError
 from agent.experiments.choices import WATERS, Sensor
 from agent.experiments.perform import perform
 from agent.experiments.result import ExperimentResult
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from hw.twin.optics.lens import PRESETS
 from hw.twin.optics.water import KD_PER_M
 

@@ -15,8 +15,8 @@ import numpy as np
 from agent.core import messages, step_io, topics, trust
 from agent.core.codec import Refusal, decode, encode
 from agent.core.messages import Estimate, Image, LogLine, Message, Order, State
-from agent.ground import decoder
-from agent.robot.core import Agent
+from agent.ground import schemas
+from agent.robot.step import Agent
 from agent.robot.verbs import VERBS
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
@@ -123,7 +123,7 @@ def _ordered(rng: Random) -> bytes:
 
 
 def _shown(payload: bytes) -> None:
-    line = decoder.decode("key", payload)
+    line = schemas.decode("key", payload)
     assert line.isprintable(), "breaks the line"
     assert len(line) <= 40 * len(payload) + 40, "longer than what came"
 

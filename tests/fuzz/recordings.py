@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.core.config import ConfigError
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from replay.check.check import check, text
 from replay.check.explain import explain
 from replay.check.update import update_recordings

@@ -16,8 +16,7 @@ import msgspec
 
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import load_calibration, load_focus
-from agent.robot.fleet_reader import load_fleet, load_robot, read_fleet, with_behaviour
-from agent.robot.fleet_rules import broken_rules, two_worlds
+from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds, with_behaviour
 from tests.network.scripted_agent import CALIBRATION
 from tests.places import GOLDEN, ROOT
 

@@ -18,7 +18,7 @@ from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Inputs, Sighting, SweepPlan
 from agent.perception.rerun_vision import rerun_vision
 from agent.process.agent_process import run_facts
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from replay.files.backlog import Entry
 from replay.files.channels import STEP_IN, STEP_OUT, VISION
 from replay.files.frames import frame_entries

@@ -21,8 +21,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, Lighting, Target, WaterOptics
 from agent.core.messages import Vector
 from agent.core.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
-from agent.process.key_files import public_bytes
-from agent.process.signing import signing, unsigned
+from agent.process.keys import public_bytes, signing, unsigned
 from agent.robot.fleet_reader import load_fleet
 from replay.files.log import parts
 from replay.files.names import active

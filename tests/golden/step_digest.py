@@ -71,7 +71,7 @@ class Taken:
 
     def pytest_sessionstart(self) -> None:
         from agent.core.codec import encode  # not before tests/conftest.py has said how many threads numpy takes
-        from agent.robot.core import Agent
+        from agent.robot.step import Agent
 
         step = Agent.step
 

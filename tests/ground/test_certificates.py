@@ -6,12 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.ground import certificates
-from agent.ground.certificates import certificate_findings, watchers_here
-from agent.ground.init import write_fleet
-from agent.ground.make import make_all
-from agent.process.certificates import Pair, issue, make_ca, write
-from agent.process.fleet_certificates import authority
+from agent.ground import check_files
+from agent.ground.check_files import certificate_findings, watchers_here
+from agent.ground.new_fleet import make_all, write_fleet
+from agent.process.certificates import Pair, authority, issue, make_ca, write
 from agent.robot.fleet_reader import load_fleet
 
 NOW, DAY = datetime.now(UTC), timedelta(days=1)
@@ -91,7 +89,7 @@ def test_files_that_are_not_there_or_open_to_others(path: Path) -> None:
 
 def test_keys_that_have_no_business_on_a_robots_computer(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     r2 = load_fleet(path).robot["r2"].listen
-    monkeypatch.setattr(certificates, "is_here", lambda listen: listen != r2)  # another computer's
+    monkeypatch.setattr(check_files, "is_here", lambda listen: listen != r2)  # another computer's
     keys = path.parent / "keys"
     assert said(path)[1:] == [
         f"warning {keys}/ca.key: makes anybody's certificate; keep it on no robot's computer",

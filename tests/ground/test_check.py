@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 from agent.__main__ import app
 from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration
-from agent.ground import devices, files
+from agent.ground import check as devices
+from agent.ground import check_files
 from agent.ground.check import Checked, check
-from agent.ground.init import write_fleet
-from agent.ground.make import make_keys
-from agent.process import stop_signal
-from agent.process.fleet_files import shipped_fleet, with_pictures
-from agent.process.ports import free_ports
+from agent.ground.new_fleet import make_keys, write_fleet
+from agent.process import launch
+from agent.process.command import shipped_fleet, with_pictures
+from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import TWIN, TWIN_CAMERA
 
@@ -159,7 +159,7 @@ def test_two_groups_without_a_link_between_them_are_told_of(tmp_path: Path) -> N
 def test_pictures_scenes_extras_and_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "fleet.toml"
     path.write_text(shipped_fleet("box_target").read_text() + "\n[camera]\nenhance = true\n")
-    monkeypatch.setattr(files, "find_spec", lambda name: None)
+    monkeypatch.setattr(check_files, "find_spec", lambda name: None)
     checked = check(path, "r1", tmp_path)
     assert any("no picture for target 'stone'" in line for line in lines(checked, "wrong"))
     assert any("pip install -e '.[enhance]'" in line for line in lines(checked, "warning"))
@@ -178,20 +178,20 @@ def test_pictures_scenes_extras_and_worlds(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_disk_that_is_full_or_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = {"now": 10**11}
-    monkeypatch.setattr(files.shutil, "disk_usage", lambda _: (10**12, 0, free["now"]))
-    assert files.disk_finding(tmp_path).level == "ok"
+    monkeypatch.setattr(check_files.shutil, "disk_usage", lambda _: (10**12, 0, free["now"]))
+    assert check_files.disk_finding(tmp_path).level == "ok"
     free["now"] = 2 * 10**9
-    assert files.disk_finding(tmp_path).level == "warning"
+    assert check_files.disk_finding(tmp_path).level == "warning"
     free["now"] = 10**8
-    assert files.disk_finding(tmp_path).level == "wrong"
+    assert check_files.disk_finding(tmp_path).level == "wrong"
     monkeypatch.setattr(os, "access", lambda *_: False)
-    assert "you may not write here" in files.disk_finding(tmp_path).text
+    assert "you may not write here" in check_files.disk_finding(tmp_path).text
 
 
 def test_an_agent_says_in_one_line_what_will_go_wrong_and_starts(real: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_signal, "_asked", [signal.SIGTERM])  # it came while the command was starting
+    monkeypatch.setattr(launch, "_asked", [signal.SIGTERM])  # it came while the command was starting
     monkeypatch.setattr(devices, "camera", lambda fleet, name: "a camera")
-    monkeypatch.setattr(files, "OPEN_FILES", 1 << 40)
+    monkeypatch.setattr(check_files, "OPEN_FILES", 1 << 40)
     changed(real, serial='"/dev/ttyNONE"')
     done = CliRunner().invoke(app, ["agent", str(real), "--robot", "r1", "--out", str(real.parent)])
     assert done.exit_code == 0, done.output

@@ -10,8 +10,8 @@ from agent.__main__ import app
 from agent.core.config import Fleet
 from agent.demo.fleet import demo_fleet
 from agent.ground.check import MARKS, mistakes_in
-from agent.ground.init import MOST, fleet_name, write_fleet
-from agent.process.fleet_files import shipped_fleet, shipped_names
+from agent.ground.new_fleet import MOST, fleet_name, write_fleet
+from agent.process.command import shipped_fleet, shipped_names
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.physics.body import HULL_M
 from hw.twin.scene import Scene, scene_of

@@ -9,7 +9,7 @@ import typer.main
 import yaml
 
 from agent.__main__ import app
-from agent.ground.init import write_fleet
+from agent.ground.new_fleet import write_fleet
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 

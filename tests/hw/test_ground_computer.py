@@ -10,8 +10,8 @@ import pytest
 import typer.main
 
 from agent.__main__ import app
-from agent.ground.files import OPEN_FILES
-from agent.ground.init import write_fleet
+from agent.ground.check_files import OPEN_FILES
+from agent.ground.new_fleet import write_fleet
 from agent.robot.fleet_reader import load_fleet
 from replay.files.log import CLOSE_S
 from tests.places import ROOT

@@ -11,8 +11,8 @@ import pytest
 import typer.main
 
 from agent.__main__ import app
-from agent.process.fleet_certificates import credentials
-from agent.process.robot_keys import NO_KEYS, robot_keys
+from agent.process.certificates import credentials
+from agent.process.keys import NO_KEYS, robot_keys
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 

@@ -18,7 +18,7 @@ _given: set[int] = set()  # to a test before, or to another robot of the same fl
 def unused_port() -> int:
     """A port that nobody listens on, from a range in which nobody else looks for one.
 
-    The demo's lie below it (agent.process.ports.free_ports), those of outgoing connections above.
+    The demo's lie below it (agent.process.launch.free_ports), those of outgoing connections above.
     """
     while True:
         port = random.SystemRandom().randrange(29500, 32700)

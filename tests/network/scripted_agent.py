@@ -15,15 +15,13 @@ from agent.clock.clock import Clock, SystemClock
 from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration, camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
 from agent.core.step_io import Sighting
-from agent.process.agent_process import run_facts
-from agent.process.fleet_certificates import credentials
-from agent.process.fleet_clock import fleet_clock
-from agent.process.robot_keys import robot_keys
-from agent.process.runtime import Runtime, say_goodbye
-from agent.process.stop_signal import until_signal
-from agent.process.transport import Transport
-from agent.robot.core import Agent
+from agent.process.agent_process import Runtime, run_facts, say_goodbye
+from agent.process.certificates import credentials
+from agent.process.keys import robot_keys
+from agent.process.launch import until_signal
+from agent.process.transport import Transport, fleet_clock
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
 from replay.black_box_writer import BlackBoxWriter
 from replay.files.log import LogWriter
 from tests.known_lens import CAMERA

@@ -14,7 +14,7 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Estimate, LogLine, State
 from agent.core.topics import STATE
-from agent.process.router import run_router
+from agent.process.launch import run_router
 from agent.process.transport import Observer, Transport
 from router_config.session import peer_config
 from tests.waiting import until

@@ -23,8 +23,8 @@ import replay.view
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import MAX_JPEG, Image, State
-from agent.ground.viewing import view_fleets
-from agent.process.ports import is_free
+from agent.ground.observe import view_fleets
+from agent.process.launch import is_free
 from agent.process.transport import Transport
 from replay.view import view
 from tests.network.conftest import unused_port

@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT

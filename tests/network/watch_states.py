@@ -9,7 +9,7 @@ import msgspec
 from agent.core.codec import decode
 from agent.core.messages import State
 from agent.core.topics import STATE
-from agent.process.fleet_certificates import credentials
+from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer
 from agent.robot.fleet_reader import load_fleet
 

@@ -10,9 +10,8 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.core.config import ConfigError, Fleet
-from agent.ground.make import fleet_keys
-from agent.process.certificates import common_name, days_left, hosts_of, read
-from agent.process.fleet_certificates import credentials
+from agent.ground.new_fleet import fleet_keys
+from agent.process.certificates import common_name, credentials, days_left, hosts_of, read
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 

@@ -23,9 +23,8 @@ from agent.__main__ import app
 from agent.core.config import Access, ConfigError, dump
 from agent.core.ranging.camera_model import Calibration
 from agent.core.trust import verify_signature
-from agent.ground.make import fleet_keys, make_keys
-from agent.process.key_files import UnusableKeyError, read_private, read_public
-from agent.process.robot_keys import NO_KEYS, robot_keys
+from agent.ground.new_fleet import fleet_keys, make_keys
+from agent.process.keys import NO_KEYS, UnusableKeyError, read_private, read_public, robot_keys
 from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.ground.make import make_keys
-from agent.process import key_folder
-from agent.process.key_files import read_public
-from agent.process.key_folder import KeyFolder
+from agent.ground.new_fleet import make_keys
+from agent.process import keys as key_folder
+from agent.process.keys import KeyFolder, read_public
 
 ROBOTS = ("r1", "r2", "r3")
 SECOND_NS = 1_000_000_000

@@ -21,13 +21,10 @@ from agent.core.messages import Entry, Estimate
 from agent.core.step_io import Heard, Inputs, Outputs
 from agent.core.trust import entry_bytes, verify_signature
 from agent.demo.fleet import demo_fleet
-from agent.ground.make import make_keys
-from agent.process.agent_process import run_facts
-from agent.process.key_files import read_public
-from agent.process.robot_keys import robot_keys
-from agent.process.runtime import STEP_NS, Runtime
-from agent.process.signing import signing
-from agent.robot.core import Agent
+from agent.ground.new_fleet import make_keys
+from agent.process.agent_process import STEP_NS, Runtime, run_facts
+from agent.process.keys import read_public, robot_keys, signing
+from agent.robot.step import Agent
 from replay.black_box_writer import BlackBoxWriter
 from replay.check.check import check
 from replay.check.links import as_said

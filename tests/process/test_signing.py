@@ -7,8 +7,7 @@ from msgspec.structs import replace
 from agent.core.codec import decode, encode
 from agent.core.messages import Epoch, Estimate
 from agent.core.trust import entry_bytes, proposal_bytes, sample_bytes, verify_signature
-from agent.process.key_files import public_bytes
-from agent.process.signing import signing, unsigned
+from agent.process.keys import public_bytes, signing, unsigned
 from tests.process.said import FOREIGN, START, entry, proposal, said, sample
 from tests.sample_messages import estimate
 

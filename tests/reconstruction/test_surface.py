@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.reconstruction.colours import coloured
 from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.fusion import fuse

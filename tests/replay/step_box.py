@@ -13,7 +13,7 @@ from agent.core.messages import Arg, Order
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Ordered, Outputs
 from agent.process.agent_process import run_facts
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from replay.files.backlog import Entry
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.mcap_file import Part

@@ -8,7 +8,7 @@ from msgspec import UNSET, UnsetType
 from agent.clock.clock import SystemClock
 from agent.core.messages import Estimate, Presence
 from agent.core.step_io import Inputs, Outputs, SetPoint
-from agent.process.runtime import Runtime
+from agent.process.agent_process import Runtime
 from tests.sample_messages import presence
 
 NEAR = presence("r1", "r2"), presence("r1", "r3")

@@ -9,7 +9,7 @@ from agent.core.messages import Answer, Arg, Order
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Ordered, Outputs
 from agent.demo.fleet import demo_fleet
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
 
 START_NS = 1_767_225_600 * 10**9

@@ -12,7 +12,7 @@ import pytest
 from agent.core.codec import encode
 from agent.core.step_io import Inputs
 from agent.demo.fleet import demo_fleet
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.core.stepped_swarm import steps
 from tests.network.scripted_agent import CALIBRATION
 from tests.places import ROOT

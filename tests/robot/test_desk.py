@@ -9,10 +9,9 @@ from agent.core.config import Access, Fleet
 from agent.core.messages import MAX_ORDER
 from agent.core.step_io import Ordered
 from agent.core.step_transaction import SURFACE_AFTER
-from agent.robot import memory
-from agent.robot.core import Agent
-from agent.robot.desk import STALE_NS
-from agent.robot.doing import Doing
+from agent.robot import operator
+from agent.robot.operator import STALE_NS, Doing
+from agent.robot.step import Agent
 from agent.robot.verbs import LookAt, Stop
 from tests.robot.ordering import FLEET, START_NS, Ordering
 
@@ -119,7 +118,7 @@ def test_no_arm_that_was_on_its_way_undoes_a_stop(robot) -> None:
 def test_what_is_forgotten_is_not_done_again(robot) -> None:
     first = robot.order("hold", {"depth_m": 0.2}, number=1)
     robot.step(first)
-    for number in range(2, memory.ORDERS + 2):
+    for number in range(2, operator.ORDERS + 2):
         assert robot.give("look", {"pan_deg": 0.0}, number=number).ok
     assert not (answer := robot.step(robot.order("hold", {"depth_m": 0.4}, number=1)).answers[0]).ok
     assert "later ones" in answer.why
@@ -135,9 +134,9 @@ def test_one_id_for_two_orders_is_a_mistake_and_a_stop_goes_through(robot) -> No
 
 
 def test_consoles_that_name_themselves_at_will_fill_no_memory(robot) -> None:
-    for i in range(3 * memory.CONSOLES):
+    for i in range(3 * operator.CONSOLES):
         robot.give("look", {"pan_deg": 0.0}, console=f"c{i}")
-    assert len(robot.agent.desk._memory._by_console) == memory.CONSOLES
+    assert len(robot.agent.desk._memory._by_console) == operator.CONSOLES
 
 
 def listening(*endpoints: str, consoles: tuple[str, ...] = ()) -> Fleet:

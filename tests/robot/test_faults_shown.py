@@ -11,7 +11,7 @@ from agent.core.messages import State
 from agent.core.status import SELDOM_NS
 from agent.core.step_io import Inputs, Telemetry
 from agent.demo.fleet import demo_fleet
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION
 
 FLEET = demo_fleet(3, "paper", 0.0, 0, False, Path("/nowhere"))

@@ -7,9 +7,9 @@ import pytest
 from agent.core.codec import decode, encode
 from agent.core.messages import Estimate, State
 from agent.core.step_io import Heard, Inputs
-from agent.process.fleet_files import fleet_file
-from agent.robot.core import Agent
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
 from tests.core.stepped_swarm import START_NS, steps
 from tests.network.scripted_agent import CALIBRATION
 

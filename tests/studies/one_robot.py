@@ -15,8 +15,8 @@ from agent.core.messages import State
 from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Outputs, SetPoint
-from agent.process.runtime import STEP_NS, Runtime
-from agent.robot.core import Agent
+from agent.process.agent_process import STEP_NS, Runtime
+from agent.robot.step import Agent
 from hw.camera.camera import Camera, CameraGone, Frame, Image, Roi
 from replay.check.black_box import STEP_BYTES
 from tests.golden.frames import CENTRE_M

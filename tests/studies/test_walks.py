@@ -11,10 +11,10 @@ from agent.core.attitude import AttitudeLog
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.protocols import Metropolis
 from agent.core.status import Status
-from agent.process.runtime import Runtime
-from agent.robot.core import Agent
-from agent.robot.desk import Desk
+from agent.process.agent_process import Runtime
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.operator import Desk
+from agent.robot.step import Agent
 from hw.firmware.frames import Framer
 from hw.stm32.driver import Stm32
 from hw.stm32.protocol import HostProtocol

@@ -30,15 +30,14 @@ from agent.core.codec import decode, encode
 from agent.core.config import Fleet, dump
 from agent.core.step_io import Inputs
 from agent.ground.console import OrderConsole
-from agent.ground.page.live import SHOWN
-from agent.ground.page.ordering import give
-from agent.ground.page.page import page_of_fleet
+from agent.ground.page.live import SHOWN, give
+from agent.ground.page.server import page_of_fleet
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
-from agent.process.runtime import STEP_NS
+from agent.process.agent_process import STEP_NS
 from agent.process.transport import Observer, Transport
-from agent.robot.core import Agent
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
 from hw.stm32.driver import Stm32
 from hw.stm32.motors import Motors
 from replay.check.black_box import STEP_BYTES, open_boxes

@@ -13,7 +13,7 @@ from agent.capabilities.swim.event_ring import asked, fix
 from agent.capabilities.swim.pose_filter import Hull
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import BodyFit, load_calibration
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.tools import body
 from agent.tools.body_fit import MIN_FIXES, Trial, fit_body
 from agent.tools.calibration_file import put

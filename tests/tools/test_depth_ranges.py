@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from agent.core.ranging.focus import h
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.tools.depth_ranges import ranges_in_words
 from tests.tools.planes import FOCUS
 

@@ -8,7 +8,7 @@ import pytest
 
 from agent.core.config import Body
 from agent.core.ranging.focus import h
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.tools.camera_fit import Corner, fit_camera
 from agent.tools.fit import CalibrationRefused, FocusRow, fit_focus
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from agent.core.config import ConfigError, read_toml
-from agent.process.plain_console import plain_console
+from agent.process.command import plain_console
 from agent.tools import focus_table
 from agent.tools.focus_table import paper_gauge, read_table, run
 

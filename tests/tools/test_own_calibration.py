@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.ranging.camera_model import Calibration
 from agent.process.agent_process import own_calibration
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import CAMERA, PLAIN
 

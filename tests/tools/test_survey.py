@@ -13,8 +13,7 @@ from agent.__main__ import main
 from agent.core.codec import encode
 from agent.core.config import ConfigError, Landmarks, Tag, dump, read_toml
 from agent.core.step_io import Inputs, SeenTags
-from agent.process.failure import Failed
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from agent.tools import landmarks as verb
 from agent.tools.landmarks import Asked, known_tags, priors, run, survey

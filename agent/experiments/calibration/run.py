@@ -8,8 +8,7 @@ import msgspec
 
 from agent.core.ranging.camera_model import FocusFit
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.fleet_files import shipped_fleet
-from agent.process.progress import Progress
+from agent.process.command import Progress, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.bench import twin_bench
 from agent.tools.fit import FocusRow, LeftOut, fit_focus, leave_one_out

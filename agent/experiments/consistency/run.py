@@ -15,7 +15,7 @@ import numpy as np
 from agent.core.config import Cues
 from agent.experiments.ball_measurements import RANGE_M, ball_measurements
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.progress import Progress, step_by_step
+from agent.process.command import Progress, step_by_step
 
 PLACES = 25  # measurements of one robot; the next has another lens, calibration and ball
 RANGES_M = (RANGE_M[0], 0.40, 0.60, 0.90, RANGE_M[1])

@@ -26,7 +26,7 @@ from agent.experiments.sweeps import BLOCK_PX, QUALITY, VIEWS, WATER_INDEX, Swep
 from agent.perception.depth_peaks import each_part
 from agent.perception.depth_sweep import MIN_QUALITY, SWEEP_STEPS, DepthMap, clarity_of, measure
 from agent.perception.enhancement.enhance import enhance
-from agent.process.progress import Progress, step_by_step
+from agent.process.command import Progress, step_by_step
 
 SENSORS: tuple[Sensor, ...] = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
 METHODS: tuple[Method, ...] = ("matched", "parabola", "argmax")

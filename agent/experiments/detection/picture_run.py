@@ -20,7 +20,7 @@ from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.detection.marked_pictures import COLOURS, MarkedBall, marked_pictures
 from agent.experiments.result import ExperimentResult, Row
 from agent.perception.detection.detect import Ball, find_balls
-from agent.process.progress import Progress, step_by_step
+from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.picture_files import read_picture
 

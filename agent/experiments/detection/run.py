@@ -23,7 +23,7 @@ from agent.perception.detection.detect import Ball, find_ball
 from agent.perception.enhancement.enhance import enhance
 from agent.perception.enhancement.grey_world import classic
 from agent.perception.enhancement.on_demand import raw_else_enhanced
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from hw.camera.camera import Image
 
 Find = Callable[[Image, CameraFit], Ball | None]

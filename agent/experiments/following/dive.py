@@ -25,7 +25,7 @@ from agent.experiments.navigation.bodies import twin_bodies
 from agent.experiments.navigation.drawn_ball import BALL_FARTHEST_M, Pillar, hides, ring
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import FRAME_STEPS, Swimmers
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from hw.twin.scene import generator
 
 FIND_S, WATCH_S = 20.0, 30.0

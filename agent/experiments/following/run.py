@@ -19,7 +19,7 @@ from agent.experiments.following.counts import row_of
 from agent.experiments.following.dive import WATCH_S, Draw, dive
 from agent.experiments.pieces import Task, all_draws
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.progress import Progress
+from agent.process.command import Progress
 
 ENOUGH = 20  # seeds
 WORLDS = 1000  # of one --seed

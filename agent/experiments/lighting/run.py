@@ -18,7 +18,7 @@ from agent.experiments.lighting.dark_water import WATERS, DarkWater, Stand, Swep
 from agent.experiments.lighting.model_check import model_check
 from agent.experiments.lighting.policies import POLICIES, Names, after_loss, scored, sets_for
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.progress import Progress, step_by_step
+from agent.process.command import Progress, step_by_step
 
 LADDER_M = (0.75, 1.0, 1.25, 1.5, 1.8, 2.1, 2.5)  # camera to ball, two neighbours' lamps 0.6 m from it
 NEIGHBOURS = (("r2", 0.6, 30.0), ("r3", 0.6, -45.0))

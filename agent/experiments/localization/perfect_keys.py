@@ -12,7 +12,7 @@ from typing import cast
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from agent.process.signing import Sign, signing
+from agent.process.keys import Sign, signing
 
 
 class PerfectKey:

@@ -32,7 +32,7 @@ from agent.experiments.localization.liar_rows import attack_draws, liar_cost, li
 from agent.experiments.localization.world import MonteCarloWorld, seen
 from agent.experiments.pieces import Task, all_draws
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.progress import Progress
+from agent.process.command import Progress
 
 UNIT = 5  # draws in one piece of work
 

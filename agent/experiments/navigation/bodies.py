@@ -15,8 +15,7 @@ from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.board_host import Host
 from agent.experiments.navigation.basin import DEPTH_M, TANK
 from agent.experiments.navigation.planar_body import PlanarBody, drawn_hull
-from agent.process.failure import Failed
-from agent.process.run_folder import temporary_folder
+from agent.process.command import Failed, temporary_folder
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.dive import Dive
 from hw.twin.history import RobotPose

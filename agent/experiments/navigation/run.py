@@ -27,7 +27,7 @@ from agent.experiments.navigation.target import SECONDS as TARGET_S
 from agent.experiments.navigation.target import ball
 from agent.experiments.pieces import Task, all_draws
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.progress import Progress
+from agent.process.command import Progress
 
 ENOUGH = 20  # seeds
 WORLDS = 1000  # of one --seed

@@ -23,7 +23,7 @@ from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
 from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies
 from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall, DrawnTarget, Pillar, ring
 from agent.experiments.navigation.drawn_camera import DrawnCamera
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 
 FRAME_STEPS, LATE_STEPS = 2, 2
 NAMES: dict[type[Message], Any] = {row.message: row.name for row in (NEAR, CLAIM, KEYFRAME, LIGHT)}

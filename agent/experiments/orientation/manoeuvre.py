@@ -19,7 +19,7 @@ from agent.core.config import Fleet, Pose, Robot, Target, Twin
 from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.board_host import Host
 from agent.experiments.orientation.settling import LIMIT_S, STAY_S, Track
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from hw.twin.devices.board import Board
 from hw.twin.dive import Dive
 from hw.twin.pace import run_in_lock_step

@@ -19,8 +19,7 @@ from agent.experiments.orientation.manoeuvre import HOVER_S, PLACES_M, PUSH, STE
 from agent.experiments.orientation.settling import score_push, score_step
 from agent.experiments.result import ExperimentResult, Row
 from agent.experiments.spread import number_or_never, rms, spread
-from agent.process.progress import Progress, step_by_step
-from agent.process.run_folder import temporary_folder
+from agent.process.command import Progress, step_by_step, temporary_folder
 from hw.twin.scene import generator
 
 LAWS = ("observer", "pid", "pi")

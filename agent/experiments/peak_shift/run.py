@@ -32,7 +32,7 @@ from agent.perception.depth_sweep import DepthMap, clarity_of, measure
 from agent.perception.enhancement import fast_enhance
 from agent.perception.enhancement.enhance import enhancer, missing
 from agent.perception.enhancement.grey_world import classic
-from agent.process.progress import Progress, step_by_step
+from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.twin.optics.lens import Lens
 from hw.twin.scene import SceneWater, load_scene

@@ -25,7 +25,7 @@ from agent.core.ranging.focus import lens_position, phase_sigma
 from agent.core.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan, Telemetry
 from agent.experiments.navigation.drawn_ball import FOCUS
 from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, look
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 
 SURVEY_START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
 SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5

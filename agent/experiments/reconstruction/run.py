@@ -24,8 +24,7 @@ from agent.experiments.reconstruction.score import Score, score, seen_twice
 from agent.experiments.reconstruction.size.size import missed_size, size, size_parts, verdict
 from agent.experiments.reconstruction.swum import swum
 from agent.experiments.result import ExperimentResult, Row
-from agent.process.failure import Failed
-from agent.process.progress import Progress, step_by_step
+from agent.process.command import Failed, Progress, step_by_step
 from agent.reconstruction.build import CELL_M, merged, swept_twice
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.colours import coloured

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.experiments.reconstruction.render import Rendered, truth_points
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.view import View, see
 from agent.robot.fleet_reader import load_fleet

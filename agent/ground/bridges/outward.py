@@ -6,22 +6,42 @@ say anything, so nothing is heard there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple, Protocol
 
+from msgspec import UNSET
+
 from agent.clock import machine
-from agent.core.config import Fleet
-from agent.core.messages import Message
+from agent.core.codec import Refusal, decode
+from agent.core.config import Fleet, Robot
+from agent.core.messages import Message, State, Vector
+from agent.core.status import FAILSAFE
 from agent.core.topics import Topic
-from agent.ground.bridges.hearing import own_word
-from agent.process.fleet_certificates import credentials
-from agent.process.fleet_clock import fleet_clock
-from agent.process.transport import LOOKER, Observer
+from agent.process.certificates import credentials
+from agent.process.transport import LOOKER, Observer, Received, fleet_clock
+from hw.firmware.failsafe import SURFACE
 from router_config.door import Session
 from router_config.session import client_config
+
+# @@ hearing
+# What a robot says in its own name.
+
+
+def own_word(received: Received) -> Message | None:
+    """The message; None for what cannot be read, and for what says that it is of another than its key does."""
+    topic = received.topic
+    with suppress(Refusal):
+        message = decode(received.payload, topic.message, topic.limit)
+        if getattr(message, topic.writer) == received.chunks[topic.writer]:
+            return message
+    return None
+
+
+# @@ outward
 
 PERIOD_S = 0.02  # between two looks at what robots have said
 
@@ -69,3 +89,145 @@ def run(
                 if (message := own_word(received)) is not None:
                     for theirs in language.said(message, machine.unix_ns()):
                         session.put_foreign(*theirs)
+
+
+# @@ newest
+# What each robot said last, and whether that is recent enough to be passed on as what is so now.
+
+STALE_NS = 3_000_000_000  # robots refuse orders by an older State, too
+DRIFT = 1e-4  # s in a second: how fast two computers' clocks may go apart
+
+
+class _Heard(NamedTuple):
+    state: State
+    arrived_ns: int  # by the fleet's clock as it is here
+    wall_ns: int  # by this machine's
+    least_ns: int  # least delay so far, which stands for none: clocks of robots and of this computer may differ
+
+
+class Newest:
+    """The newest State of each robot, whichever target it is about."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, _Heard] = {}
+
+    def take(self, state: State, arrived_ns: int, wall_ns: int) -> None:
+        """`arrived_ns`: by the clock of the fleet; `wall_ns`: by that of this machine, which goes on where the fleet's
+        stands."""
+        least_ns = arrived_ns - state.sent_ns
+        before = self._heard.get(state.robot)
+        if before is not None and before.state.incarnation == state.incarnation:
+            drifted_ns = before.least_ns + round(DRIFT * (arrived_ns - before.arrived_ns))
+            least_ns = min(least_ns, drifted_ns)
+        self._heard[state.robot] = _Heard(state, arrived_ns, wall_ns, least_ns)
+
+    def fresh(self, robot: str, now_ns: int, wall_ns: int) -> State | None:
+        """What it said last; None where that is older than three seconds by either clock, as in the burst that a link
+        delivers after an outage."""
+        heard = self._heard.get(robot)
+        if heard is None:
+            return None
+        age_ns = now_ns - heard.state.sent_ns - heard.least_ns
+        return heard.state if max(age_ns, wall_ns - heard.wall_ns) <= STALE_NS else None
+
+
+# @@ placed
+# Where a robot's body is and how it is turned, as it says itself: for languages whose world is like ours.
+#
+# That is z up, x ahead and y to the left: ROS's REP 103, ISO 8855.
+
+WORLD = "world"  # name of the world frame, there
+Quaternion = tuple[float, float, float, float]  # x, y, z, w
+
+
+class Placed(NamedTuple):
+    place_m: Vector  # world frame
+    turned: Quaternion  # of the body in the world
+
+
+def placed(fleet: Fleet, state: State) -> Placed | None:
+    """None where it does not know all of that."""
+    where = fleet.robot[state.robot].pose if state.whereabouts is UNSET else state.whereabouts
+    if where is None or state.depth_m is None or state.roll_deg is None or state.pitch_deg is None:
+        return None
+    turned = quaternion(*map(math.radians, (state.roll_deg, state.pitch_deg, where.yaw_deg)))
+    return Placed((where.x_m, where.y_m, fleet.tank.surface_m - state.depth_m), turned)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """A turn by yaw about z, then by pitch about the new y, then by roll about the new x; radians."""
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in (roll, pitch, yaw))
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+# @@ vehicle
+# A robot's State as a vehicle: north, east, down, and the words of ArduSub. Pure, and without MAVLink's library.
+#
+# North is y of the world frame, east is x, down is from the surface. Heading counts clockwise from north. Roll is as
+# ours; pitch is not: ours is positive with the bow down.
+
+# Custom modes of ArduSub. Source: ArduPilot, ArduSub/mode.h.
+ALT_HOLD, GUIDED, SURFACING = 2, 4, 9
+# MAV_STATE. Source: MAVLink, common.xml.
+STANDBY, ACTIVE, CRITICAL, EMERGENCY, POWEROFF = 3, 4, 5, 6, 7
+
+
+class Vehicle(NamedTuple):
+    """What a ground station is told of a robot. None: nobody knows, and nothing is sent that would have to say."""
+
+    boot_ms: int  # since the agent's start
+    armed: bool  # also where nobody knows, for whoever is about to reach into the water
+    mode: int
+    status: int
+    north_m: float | None
+    east_m: float | None
+    place_sigma_m: float | None  # of what swims; None of what is moored: it was surveyed
+    depth_m: float | None
+    roll_rad: float | None
+    pitch_rad: float | None
+    yaw_rad: float | None  # clockwise from north, -pi to pi
+    battery_v: float | None
+    pressure_works: bool
+    camera_works: bool
+
+
+def vehicle(robot: Robot, state: State) -> Vehicle:
+    """`robot`: its table in the fleet file, which says where a moored one hangs."""
+    where = robot.pose if state.whereabouts is UNSET else state.whereabouts
+    surfaces = f"{FAILSAFE} {SURFACE}" in state.faults or (
+        state.ordered is not UNSET and any(each.endswith(": surface") for each in state.ordered)
+    )
+    return Vehicle(
+        boot_ms=max(0, state.sent_ns - state.incarnation) // 1_000_000 % 2**32,
+        armed=state.armed is not False,
+        mode=SURFACING if surfaces else _mode(state),
+        status=_status(state, surfaces),
+        north_m=where.y_m if where else None,
+        east_m=where.x_m if where else None,
+        place_sigma_m=state.whereabouts.place_sigma_m if state.whereabouts else None,
+        depth_m=state.depth_m,
+        roll_rad=None if state.roll_deg is None else math.radians(state.roll_deg),
+        pitch_rad=None if state.pitch_deg is None else -math.radians(state.pitch_deg),
+        yaw_rad=math.remainder(math.radians(90.0 - where.yaw_deg), math.tau) if where else None,
+        battery_v=None if state.battery_v is UNSET else state.battery_v,
+        pressure_works=state.armed is not None and state.depth_m is not None,
+        camera_works="no frames" not in state.faults,
+    )
+
+
+def _mode(state: State) -> int:
+    """Guided: a robot that swims and does more than to hold its place."""
+    return ALT_HOLD if state.behaviour is UNSET or state.behaviour == "hold" else GUIDED
+
+
+def _status(state: State, surfaces: bool) -> int:
+    if state.mode in ("failed", "stopped"):
+        return EMERGENCY if state.mode == "failed" else POWEROFF
+    if surfaces or state.mode == "degraded" or state.armed is None:
+        return CRITICAL
+    return ACTIVE if state.armed else STANDBY

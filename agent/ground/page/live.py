@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import logging
 from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
 from functools import partial
-from threading import Event
+from pathlib import Path
+from threading import Event, Thread
 from typing import Any, NamedTuple
 
 import msgspec
@@ -14,12 +17,66 @@ import msgspec
 from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.core.codec import Refusal
-from agent.core.config import Fleet
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import State
 from agent.core.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
-from agent.ground.page.board import Board
-from agent.ground.page.record import Recording
-from agent.ground.page.rows import LINES, SELDOM_NS, Rows, text
+from agent.ground.console import OrderConsole
+from agent.ground.page.rows import LINES, SELDOM_NS, Board, Rows, text
+from agent.process.command import free_name
 from agent.process.transport import Observer, Received
+from agent.robot.verbs import CLOCK, URGENT
+
+# @@ record
+# Recording a fleet from the page's own process: on and off, into new files.
+
+logger = logging.getLogger(__name__)
+
+Record = Callable[[Path, Event], object]  # into a file, until the event is set; raises ConfigError
+
+
+class Recording:
+    """At most one at a time. What goes wrong in it is told by `note`, and ends nothing else."""
+
+    def __init__(self, record: Record, folder: Path, fleet: str) -> None:
+        self._record, self._folder, self._fleet = record, folder, fleet
+        self._stop, self._thread = Event(), Thread()
+        self._file: Path | None = None
+        self._trouble = ""
+
+    def note(self) -> dict[str, Any]:
+        """What the page shows of it."""
+        return {"on": self._thread.is_alive(), "file": str(self._file or ""), "trouble": self._trouble}
+
+    def start(self) -> None:
+        if self._thread.is_alive():
+            return
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        self._file, self._trouble = free_name(self._folder / f"{self._fleet}_{stamp}.mcap"), ""
+        self._stop = Event()
+        self._thread = Thread(target=self._run, args=(self._file, self._stop), name="recording")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask it to end; `note` says when it has."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """End it, and wait until its file is whole."""
+        self.stop()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self, file: Path, stop: Event) -> None:
+        try:
+            self._record(file, stop)
+            if not file.exists():
+                self._trouble = "nobody was heard, so nothing was kept"
+        except (ConfigError, OSError) as error:
+            self._trouble = str(error)
+            logger.warning("the recording ended: %s", error)
+
+
+# @@ live
 
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often
@@ -132,3 +189,34 @@ class Live:
             await asyncio.to_thread(give_it)
         except Refusal as refusal:  # nothing went out
             self._board.say(text({"k": "outcome", **note, "trouble": str(refusal)}))
+
+
+# @@ ordering
+# Orders of whoever stands at the page: through a console, by the states that he has seen.
+
+BEHIND_NS = 3_000_000_000  # robots refuse what goes by an older State, too
+
+
+def give(console: OrderConsole, robots: list[str], verb: str, args: Mapping[str, Any], seen: Seen) -> Iterator[Reply]:
+    """Order, and tell what comes of it at each robot as it comes. Raises Refusal for what cannot be ordered, or was
+    decided by an old page.
+
+    The console goes by the newest State that has reached this process. What a page shows may be older: it was frozen,
+    or its browser is far away.
+    """
+    if verb not in (*URGENT, CLOCK):
+        newest = console.states()
+        for robot, looked_at in seen.items():
+            if robot in newest and _is_behind(looked_at, newest[robot]):
+                raise Refusal("clock", f"the page showed {robot} as it was seconds ago; look at it, and order again")
+    for robot, outcome in console.orders(robots, verb, args):
+        answer = outcome.answer
+        if answer is None:
+            yield Reply(robot, None, outcome.why, "")
+        else:
+            yield Reply(robot, answer.ok, answer.why, str(answer.id))
+
+
+def _is_behind(looked_at: tuple[int, int], newest: State) -> bool:
+    incarnation, sent_ns = looked_at
+    return newest.incarnation != incarnation or newest.sent_ns - sent_ns > BEHIND_NS

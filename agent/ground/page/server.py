@@ -8,20 +8,36 @@ which stands behind the # of the address, in no log and in no request for the pa
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import http
 import logging
+import math
 import secrets
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
+from functools import partial
 from importlib import resources
-from typing import Any
+from pathlib import Path
+from threading import Event
+from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 
-from agent.core.config import ConfigError
-from agent.ground.page.board import Board, Viewer
+from agent.clock.clock import Clock
+from agent.core.codec import prepare
+from agent.core.config import ConfigError, Fleet, Target
+from agent.core.ranging.camera_model import load_calibration
+from agent.ground.console import NEAR_V, SURFACES_V, OrderConsole
+from agent.ground.page.live import SHOWN, Give, Live, Recording, give
+from agent.ground.page.replayed import Reel, Replayed
+from agent.ground.page.rows import Board, Viewer, text
+from agent.process.certificates import credentials
+from agent.process.transport import LOOKER, Observer, fleet_clock
+from agent.robot.fleet_reader import load_fleet
+from agent.robot.verbs import VERBS
+from replay.recorder import record
 from replay.report.lead.palette import PALETTE
 from replay.report.lead.picture import LOOKS
 
@@ -175,3 +191,176 @@ class Site:
         response.headers["Cache-Control"] = "no-store"
         response.headers["X-Content-Type-Options"] = "nosniff"
         return response
+
+
+# @@ hello
+# What does not change while a page is open: the tank, the robots, who looks, and what may be ordered.
+
+Kind = Literal["live", "recording"]
+
+
+def hello(
+    fleet: Fleet,
+    kind: Kind,
+    beside: Path | None = None,
+    console: str | None = None,
+    records: bool = False,
+    verbs: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The first message of a page.
+
+    `beside`: the fleet file's folder, where calibrations of its cameras may lie: with one, how far a camera sees
+    to the left and right is drawn. `console`: as whom orders are given; None: none are. `records`: the page's process
+    can record.
+    """
+    return {
+        "k": "hello",
+        "fleet": fleet.fleet,
+        "kind": kind,
+        "console": console,
+        "records": records,
+        "verbs": list(verbs),
+        "tank": msgspec.to_builtins(fleet.tank),
+        "camera": {"width_px": fleet.camera.width_px, "height_px": fleet.camera.height_px},
+        "body": msgspec.to_builtins(fleet.body),
+        "validity_s": fleet.estimation.validity_s,
+        "iteration_s": fleet.estimation.iteration_s,
+        "preview_hz": fleet.link.preview_hz,
+        "battery": {"near_v": NEAR_V, "surfaces_v": SURFACES_V},
+        "surveys": fleet.coverage is not None,
+        "lighting": fleet.lighting is not None,
+        "robots": [
+            {
+                "name": name,
+                "neighbours": robot.neighbours,
+                "pose": msgspec.to_builtins(robot.pose),
+                "depth_m": robot.depth_m,
+                "swims": fleet.navigation is not None,
+                "lamp": robot.lamp,
+                "half_view_deg": half_view_deg(beside / robot.calibration) if beside else None,
+            }
+            for name, robot in fleet.robot.items()
+        ],
+        "targets": [
+            {"name": name, "detector": target.detector, "radius_m": target.radius_m, "colour": colour(target)}
+            for name, target in fleet.target.items()
+        ],
+        "tags": msgspec.to_builtins(fleet.landmarks.tag) if fleet.landmarks else [],
+        "tag_m": fleet.landmarks.size_m if fleet.landmarks else None,
+    }
+
+
+def colour(target: Target) -> str | None:
+    """What a target looks like in the fleet file; None: as a picture shows it."""
+    return target.colour or (None if target.picture else "red")
+
+
+def half_view_deg(calibration: Path) -> tuple[float, float] | None:
+    """How far a camera sees to either side, and up and down, in water; None: its calibration is not on this machine."""
+    with contextlib.suppress(ConfigError, OSError):
+        camera = load_calibration(calibration).camera
+        across, down = (side / 2 / camera.f_px for side in (camera.width_px, camera.height_px))
+        return math.degrees(math.atan(across)), math.degrees(math.atan(down))
+    return None
+
+
+# @@ page
+# `aucamp page`: a running fleet or a recording, in a browser, until it is ended.
+
+Say = Callable[[str], None]
+
+
+def page_of_fleet(
+    fleet: Fleet,
+    observer: Observer,
+    stop: Event,
+    clock: Clock,
+    port: int,
+    say: Say,
+    beside: Path | None = None,
+    console: str | None = None,
+    give: Give | None = None,
+    recording: Recording | None = None,
+    verbs: Sequence[str] = (),
+) -> None:
+    """Serve what a fleet shows until `stop` is set. `say` gets the address, for a person.
+
+    `console` and `give`: as whom, and how, orders are given; without them the page reads alone. See `hello` for others.
+    """
+    board, token = Board(), new_token()
+    live = Live(fleet, board, clock, give, recording)
+    about = hello(fleet, "live", beside, console, recording is not None, verbs)
+    board.show("hello", lambda: text(about))
+
+    async def run() -> None:
+        async with serving(board, live.heard, port, token):
+            say(address(port, token))
+            await live.run(observer, stop)
+
+    try:
+        with observer:
+            asyncio.run(run())
+    finally:
+        if recording is not None:
+            recording.close()
+
+
+def page_of_recording(path: Path, stop: Event, port: int, say: Say) -> None:
+    """Serve a recording until `stop` is set. Raises ConfigError for a path without one of a fleet."""
+    from agent.ground.page.replayed import show_what_came  # with what draws and counts: a live page needs none of it
+
+    prepare()
+    board, token = Board(), new_token()
+    with Reel(path) as reel:
+        replayed = Replayed(reel, board)
+        about = hello(reel.fleet, "recording", reel.file.parent)
+        board.show("hello", lambda: text(about))
+
+        async def run() -> None:
+            async with serving(board, replayed.heard, port, token):
+                show_what_came(path, board, asyncio.get_running_loop())
+                say(address(port, token))
+                await replayed.run(stop)
+
+        asyncio.run(run())
+
+
+# @@ command
+# `aucamp page`: what is to be shown, as whom, and what is told to whoever typed it.
+
+
+def run(what: Path, console: str | None, port: int, out: Path, stop: Event, say: Callable[[str], None]) -> None:
+    """Until `stop` is set. Raises ConfigError for what cannot be shown, or by this name."""
+
+    def open_it(address: str) -> None:
+        say(f"open {address} in a browser on this machine; Ctrl-C ends it")
+
+    if what.is_dir() or what.suffix != ".toml":
+        if console is not None:
+            raise ConfigError(f"{what}: is a recording, and nobody can be ordered about in it; leave out --as")
+        page_of_recording(what, stop, port, open_it)
+        return
+    fleet = load_fleet(what)
+    name = console or LOOKER
+    keys = credentials(fleet, name, what)
+    clock = fleet_clock(fleet)
+    with ExitStack() as stack:
+        orders = None
+        if console is not None:
+            orders = partial(give, stack.enter_context(OrderConsole(fleet, console, keys)))
+        recording = Recording(
+            lambda file, until: record(fleet, file, until, clock, keys=keys, name=name), out, fleet.fleet
+        )
+        page_of_fleet(
+            fleet,
+            Observer(fleet, clock.now_ns, SHOWN, name, keys, once=True),
+            stop,
+            clock,
+            port,
+            open_it,
+            beside=what.parent,
+            console=console,
+            give=orders,
+            recording=recording,
+            verbs=tuple(VERBS),
+        )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from agent.reconstruction.export.encoded import encoded
 from agent.reconstruction.extract import Mesh
 

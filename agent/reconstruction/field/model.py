@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from agent.core.config import ConfigError
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.field.picture import picture
 from agent.reconstruction.field.settings import FieldSettings
 from agent.reconstruction.field.start import box_of_views, fog

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.bricks import SIDE, Surface
 from agent.reconstruction.field.volume import Box
 from agent.reconstruction.fusion import fuse

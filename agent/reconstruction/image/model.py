@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.extract import Mesh
 from agent.reconstruction.field.settings import FieldSettings
 from agent.reconstruction.surfels.cloud import Cloud, cloud_of

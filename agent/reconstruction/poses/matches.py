@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.camera import Floats, slopes_of
 from agent.reconstruction.poses.corners import Corners, tones
 from agent.reconstruction.poses.windows import correlate, elsewhere, read, square, summit, top

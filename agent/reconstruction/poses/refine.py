@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.camera import Floats
 from agent.reconstruction.poses.bundle import Loss, Prior, first_state, normal_of, step
 from agent.reconstruction.poses.corners import Corners, corners

@@ -11,8 +11,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.failure import Failed
-from agent.process.progress import Progress
+from agent.process.command import Failed, Progress
 from agent.reconstruction.camera import Camera, Floats
 from agent.reconstruction.export.encoded import encoded
 from agent.reconstruction.extract import Mesh

@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from agent.process.progress import Show
+from agent.process.command import Show
 from agent.reconstruction.build import Built
 from agent.reconstruction.export.encoded import encoded
 from agent.reconstruction.image.judged import HeldBack

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.process.progress import Progress
+from agent.process.command import Progress
 from agent.reconstruction.camera import Floats, inlined, slopes_of
 from agent.reconstruction.stack import Stack, camera_in
 from agent.reconstruction.stereo.neighbours import Neighbours

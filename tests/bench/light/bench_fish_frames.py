@@ -22,7 +22,7 @@ from agent.capabilities.light.followers import best, view
 from agent.core.config import Lighting, WaterOptics
 from agent.perception.detection.creature import named_hues
 from agent.perception.detection.detectors import CreatureDetector
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.creatures.school import School
 from hw.twin.creatures.shape import swimming

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import Calibration
 from agent.demo.summary import PASS_PERCENT
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.scene import scene_of
 from tests.bench.light.lockstep import Ended, calibrated, night

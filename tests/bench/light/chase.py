@@ -16,7 +16,7 @@ from agent.capabilities.swim.pursuit import carried_on
 from agent.core.config import Fleet, Lighting, WaterOptics
 from agent.core.estimation.protocols import dynamics
 from agent.core.ranging.camera_model import Calibration
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive
 from hw.twin.scene import load_scene

@@ -28,7 +28,7 @@ from agent.core.ranging.focus import h
 from agent.core.step_io import SweepPlan
 from agent.experiments.posed_robot import PosedRobot
 from agent.perception.clarity.block_sweep import BlockSweep
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.landmarks import true_tags
 from hw.twin.optics.lens import draw_lens

@@ -31,7 +31,7 @@ from agent.experiments.posed_robot import PosedRobot
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.vision import Vision
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock, unhurried

@@ -24,10 +24,9 @@ from msgspec.structs import replace
 from agent.core import topics
 from agent.core.config import Access, Fleet, dump
 from agent.demo.fleet import demo_fleet, listening
-from agent.ground.make import make_all
-from agent.process.certificates import certificate_file, issue, key_file, write
-from agent.process.fleet_certificates import authority
-from agent.process.ports import free_ports
+from agent.ground.new_fleet import make_all
+from agent.process.certificates import authority, certificate_file, issue, key_file, write
+from agent.process.launch import free_ports
 from replay.recorder import Arrivals, receiving
 from router_config.door import Session
 from router_config.session import peer_config

@@ -21,8 +21,8 @@ import msgspec
 
 from agent.core.config import Access, dump
 from agent.demo.fleet import demo_fleet
-from agent.ground.make import make_all
-from agent.process.ports import free_ports
+from agent.ground.new_fleet import make_all
+from agent.process.launch import free_ports
 from replay.files.log import read
 from tests.places import ROOT
 from tests.waiting import until

@@ -25,7 +25,7 @@ from agent.core.config import Fleet
 from agent.core.messages import Answer
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.process.fleet_certificates import credentials
+from agent.process.certificates import credentials
 from agent.process.transport import Observer
 from tests.bench.network.bench_orders import agents_of_three
 from tests.network.conftest import unused_port

@@ -22,9 +22,9 @@ from msgspec.structs import replace
 from agent.core.config import Access, Fleet, dump
 from agent.demo.fleet import demo_fleet
 from agent.ground.console import OrderConsole
-from agent.ground.make import make_all
-from agent.process.fleet_certificates import credentials
-from agent.process.ports import free_ports
+from agent.ground.new_fleet import make_all
+from agent.process.certificates import credentials
+from agent.process.launch import free_ports
 from tests.killing import killed_after
 from tests.places import ROOT
 

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from agent.core import topics
-from agent.process.fleet_certificates import credentials
+from agent.process.certificates import credentials
 from agent.robot.fleet_reader import load_fleet
 from router_config.door import Session
 from router_config.session import peer_config

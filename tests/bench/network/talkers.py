@@ -15,8 +15,8 @@ from agent.core.codec import decode
 from agent.core.messages import Estimate, Image, State
 from agent.core.step_io import Outputs
 from agent.core.topics import LINK, STATE
-from agent.process.fleet_certificates import credentials
-from agent.process.stop_signal import until_signal
+from agent.process.certificates import credentials
+from agent.process.launch import until_signal
 from agent.process.transport import Transport
 from agent.robot.fleet_reader import load_fleet
 from replay.files.log import read

@@ -18,7 +18,7 @@ import numpy as np
 from agent.perception.detection.creature import named_hues
 from agent.perception.detection.detectors import CreatureDetector
 from agent.perception.tracking.box import Box, overlap
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.creatures.school import School
 from hw.twin.creatures.shape import swimming

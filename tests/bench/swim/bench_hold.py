@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.core.config import Look, Orbit
 from agent.core.linear_algebra import wrap
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from tests.bench.swim.lockstep import swim
 

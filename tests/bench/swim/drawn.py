@@ -21,7 +21,7 @@ from agent.core.config import Behaviour, Fleet, Navigation, Pose, Twin
 from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import BodyFit
 from agent.core.step_io import Inputs, SeenTags, SetPoint
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter
 from hw.twin.dive import Dive

@@ -20,9 +20,9 @@ from agent.experiments.posed_robot import PosedRobot
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.landmarks.watch import LandmarkWatch
 from agent.perception.vision import Vision
-from agent.process.fleet_files import fleet_file
-from agent.robot.core import Agent
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
 from hw.camera.camera import FocusRange, Frame, Roi, deliverable
 from hw.stm32.protocol import HostProtocol
 from hw.twin.devices.board import Board, interpreter

@@ -18,7 +18,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, Lighting, WaterOptics
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
 from agent.demo.fleet import demo_fleet
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
 
 START_NS, STEP_NS = 10**18, 50_000_000

@@ -15,7 +15,7 @@ from agent.core.config import Target
 from agent.core.control.search_pattern import Roam
 from agent.core.control.target_search import Seek
 from agent.experiments.navigation.bodies import START_NS
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.lit_swarm import STEP_NS, lit_fleet
 from tests.network.scripted_agent import CALIBRATION

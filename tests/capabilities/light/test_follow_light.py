@@ -20,7 +20,7 @@ from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import START_NS, PlanarBodies
 from agent.experiments.navigation.pursuit.wanderer import Wanderer
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.light.lit_swarm import HARBOUR
 
 SECONDS, SETTLED_S, STEPS_S = 16, 9, 20

@@ -9,7 +9,7 @@ from agent.core.config import Fleet
 from agent.core.ranging.camera_model import Eye
 from agent.core.ranging.fix import Outline
 from agent.core.ranging.focus import lens_position
-from agent.robot.light_rules import broken_light_rules
+from agent.robot.fleet_reader import broken_light_rules
 from tests.capabilities.light.lit_swarm import HARBOUR, lit_fleet
 from tests.network.scripted_agent import CALIBRATION
 from tests.sample_messages import telemetry

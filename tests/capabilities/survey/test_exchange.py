@@ -14,7 +14,7 @@ from agent.core.config import Fleet
 from agent.core.step_io import Heard, Inputs
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
 from agent.experiments.reconstruction.drawn_scene import draw_scene
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, drawn_frames
 
 FRAMES = drawn_frames(10)

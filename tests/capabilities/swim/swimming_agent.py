@@ -9,7 +9,7 @@ from agent.core.config import Body, Fleet, Navigation, Pose, Robot, Tank, Target
 from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import Calibration, CameraFit, gimbal_deg
 from agent.core.step_io import Flow, Inputs, SeenTags
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.swim.planar_tank import Swimmer
 from tests.capabilities.swim.tank_with_tags import HALF, MAP, TANK_M, VIEW, project, sight
 from tests.known_lens import PLAIN

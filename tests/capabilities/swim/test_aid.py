@@ -20,7 +20,7 @@ from agent.experiments.navigation import basin
 from agent.experiments.navigation.bodies import START_NS, PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.navigation.target import BALL_LOOK, BALL_M
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.swim.drifting import S, drifted
 
 OWN = upper(np.array([[4e-4, 1e-4, 2e-4], [1e-4, 9e-4, -3e-4], [2e-4, -3e-4, 9e-4]]))

@@ -7,8 +7,7 @@ from msgspec.structs import replace
 from agent.capabilities.swim.landmarks import corners, markers, survey_jacobian
 from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, common, dump
 from agent.core.ranging.camera_model import camera_pose, to_camera
-from agent.robot.fleet_reader import load_fleet
-from agent.robot.landmark_rules import broken_landmark_rules
+from agent.robot.fleet_reader import broken_landmark_rules, load_fleet
 from tests.places import ROOT
 
 TANK = Tank(size_m=(1.5, 1.2, 0.8), surface_m=0.5)

@@ -12,8 +12,8 @@ from agent.core.messages import Presence
 from agent.core.status import Status
 from agent.core.step_io import Heard
 from agent.core.topics import NEAR
-from agent.robot.core import Agent
 from agent.robot.inbox import Inbox
+from agent.robot.step import Agent
 from tests import sample_messages
 from tests.capabilities.swim.swimming_agent import CALIBRATION, InTank, fleet
 from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of

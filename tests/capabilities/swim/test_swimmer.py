@@ -12,7 +12,7 @@ from agent.core.codec import encode
 from agent.core.config import Goto, Limits, Look, Navigation, Orbit, Turn
 from agent.core.step_io import Heard
 from agent.core.step_transaction import SURFACE_M
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.swim.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
 from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of
 from tests.sample_messages import presence

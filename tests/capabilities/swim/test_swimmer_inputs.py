@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.core.codec import encode
 from agent.core.step_io import Flow, SeenTag
 from agent.core.step_transaction import Revertible
-from agent.robot.core import Agent
+from agent.robot.step import Agent
 from tests.capabilities.swim.swimming_agent import CALIBRATION, DEPTH_M, STEP_NS
 from tests.sample_messages import telemetry
 

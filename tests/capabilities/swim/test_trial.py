@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.capabilities.swim.behaviour import COAST_NS, LEGS, Spin, Stage, trial
 from agent.core.config import Navigation, Trial
 from agent.core.linear_algebra import wrap
-from agent.robot.swim_rules import broken_swim_rules
+from agent.robot.fleet_reader import broken_swim_rules
 from tests.capabilities.swim.swimming_agent import CALIBRATION, InTank, fleet
 from tests.known_body import LIGHT
 

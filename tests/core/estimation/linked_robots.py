@@ -9,7 +9,7 @@ from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
 from agent.core.estimation.interface import Mailbox, Prior
 from agent.core.messages import Estimate
-from agent.process.signing import signing
+from agent.process.keys import signing
 from tests.sample_messages import estimate
 
 COV = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)

@@ -21,8 +21,8 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, Protocol
 from agent.core.messages import Estimate, Gossip, Vector
 from agent.core.step_io import Heard, Inputs, Outputs
-from agent.robot.core import Agent
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script
 from tests.places import ROOT
 

@@ -6,8 +6,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import Fleet
 from agent.core.messages import Answer
-from agent.ground.bridges.mavlink.gateway import Done, Gateway
-from agent.ground.bridges.mavlink.telling import Origin
+from agent.ground.bridges.mavlink import Done, Gateway, Origin
 from agent.ground.console import Outcome
 from tests.ground.bridges.states import START_NS
 

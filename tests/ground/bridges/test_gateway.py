@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import LogLine
-from agent.ground.bridges.mavlink.gateway import MOST_SYSTEMS, READ_ONLY
+from agent.ground.bridges.mavlink import MOST_SYSTEMS, READ_ONLY
 from agent.ground.console import Outcome
 from tests.ground.bridges.states import START_NS, S, state
 from tests.ground.bridges.station import ACCEPTED, ARM, DENIED, MODE, REQUEST, UNSUPPORTED, Station, answer

@@ -3,7 +3,7 @@
 from agent.core.codec import encode
 from agent.core.messages import MAX_JPEG, Estimate, Image, LogLine, Message
 from agent.core.topics import IMAGE, LINK, LOG, STATE, Topic
-from agent.ground.bridges.hearing import own_word
+from agent.ground.bridges.outward import own_word
 from agent.process.transport import Received
 from tests.ground.bridges.states import START_NS, state
 from tests.sample_messages import estimate

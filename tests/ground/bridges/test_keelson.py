@@ -11,7 +11,7 @@ from keelson.codec import uncover_to_json
 
 from agent.core.config import Fleet
 from agent.core.messages import Image, LogLine
-from agent.ground.bridges.keelson.language import Keelson
+from agent.ground.bridges.keelson import Keelson
 from agent.ground.bridges.outward import Foreign
 from tests.ground.bridges.states import START_NS, state
 

@@ -1,6 +1,6 @@
 """What is passed on as what is so now, and what is too old for that."""
 
-from agent.ground.bridges.newest import Newest
+from agent.ground.bridges.outward import Newest
 from tests.ground.bridges.states import START_NS, S, state
 
 AHEAD_NS = 3600 * S  # the robot's clock, of ours

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.core.config import Body, Fleet
 from agent.core.messages import Estimate, Image, Whereabouts
 from agent.core.ranging.camera_model import camera_pose
-from agent.ground.bridges.ros2.names import Kind, nodes
+from agent.ground.bridges.ros2 import Kind, nodes
 from tests.ground.bridges.states import START_NS, state
 
 STRING = Kind("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
@@ -40,7 +40,7 @@ def test_no_two_have_one_number() -> None:
 @pytest.fixture
 def telling(fleet: Fleet):
     pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
-    from agent.ground.bridges.ros2.telling import Telling
+    from agent.ground.bridges.ros2 import Telling
 
     return Telling(fleet)
 
@@ -117,7 +117,7 @@ def test_several_targets_stand_in_their_topics(telling, fleet: Fleet) -> None:
 
 
 def test_what_is_said_goes_to_its_topic_and_is_counted(telling, fleet: Fleet) -> None:
-    from agent.ground.bridges.ros2.language import Ros2
+    from agent.ground.bridges.ros2 import Ros2
 
     ros = Ros2(fleet, 0)
     tokens = list(ros.tokens("a"))

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from agent.core.config import Pose, Robot
 from agent.core.messages import Whereabouts
-from agent.ground.bridges.mavlink.vehicle import (
+from agent.ground.bridges.outward import (
     ACTIVE,
     ALT_HOLD,
     CRITICAL,

@@ -4,10 +4,8 @@ from msgspec.structs import replace
 
 from agent.core.config import Fleet, Pose, Robot, Target
 from agent.core.messages import NeighbourState, State
-from agent.ground.doctor.clocks import Offset, Stamps, best, clock_finding
-from agent.ground.doctor.judge import robot_findings
-from agent.ground.doctor.listening import Agent, Facts, Shown, endpoints
-from agent.ground.doctor.neighbours import neighbour_findings
+from agent.ground.doctor import neighbour_findings, robot_findings
+from agent.ground.doctor_facts import Agent, Facts, Offset, Shown, Stamps, best, clock_finding, endpoints
 from router_config.door import Link
 from router_config.metadata import metadata
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from agent.ground.doctor.causes import HANGS, NO_HOST, NO_TLS, OURS, PORT, SILENT, THEIRS, port_cause, theirs
+from agent.ground.doctor import HANGS, NO_HOST, NO_TLS, OURS, PORT, SILENT, THEIRS, port_cause, theirs
 from tests.places import ROOT
 
 PAGE = (ROOT / "docs" / "doctor.md").read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, Pose, Robot, Target, dump
 from agent.core.messages import Image, LogLine, Message, State
 from agent.core.topics import Topic, key, match
-from agent.ground.page.board import Board
+from agent.ground.page.rows import Board
 from agent.ground.page.server import serving
 from replay.files.backlog import Entry
 from replay.files.channels import NETWORK, name

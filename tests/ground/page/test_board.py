@@ -3,8 +3,7 @@
 import json
 
 from agent.core.codec import Refusal
-from agent.ground.page.board import KEPT, MOST_KEYS, Board, Viewer
-from agent.ground.page.rows import text
+from agent.ground.page.rows import KEPT, MOST_KEYS, Board, Viewer, text
 
 
 def shows(board: Board, key: str, value: int) -> None:

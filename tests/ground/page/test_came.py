@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.ground.page.board import Board
-from agent.ground.page.came import came_of, show_what_came
+from agent.ground.page.replayed import came_of, show_what_came
+from agent.ground.page.rows import Board
 from replay.report.report import report
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run

@@ -11,10 +11,8 @@ from agent.clock.clock import SystemClock
 from agent.core.codec import Refusal
 from agent.core.config import ConfigError
 from agent.core.topics import LINK, LOG, STATE
-from agent.ground.page.board import Board
-from agent.ground.page.live import UNDER_WAY, Live, Reply
-from agent.ground.page.ordering import give
-from agent.ground.page.record import Recording
+from agent.ground.page.live import UNDER_WAY, Live, Recording, Reply, give
+from agent.ground.page.rows import Board
 from agent.process.transport import Received
 from tests.ground.page.shown import FLEET, NOW_NS, log, row, state
 from tests.sample_messages import estimate

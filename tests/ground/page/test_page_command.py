@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from agent.core.config import ConfigError, dump
 from agent.core.topics import STATE
-from agent.ground.page.command import run
+from agent.ground.page.server import run
 from tests.ground.page.shown import FLEET, NOW_NS, record, row, state
 from tests.network.conftest import unused_port
 

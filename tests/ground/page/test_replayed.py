@@ -8,10 +8,8 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.core.topics import IMAGE, LINK, LOG, STATE
-from agent.ground.page.board import Board
-from agent.ground.page.reel import Reel
-from agent.ground.page.replayed import Replayed
-from agent.ground.page.rows import LINES, Rows
+from agent.ground.page.replayed import Reel, Replayed
+from agent.ground.page.rows import LINES, Board, Rows
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, record, row, state
 from tests.sample_messages import estimate
 

@@ -11,8 +11,7 @@ pytest.importorskip("websockets", reason="the extra `page` is not installed")
 
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
-from agent.ground.page.board import Board
-from agent.ground.page.rows import text
+from agent.ground.page.rows import Board, text
 from agent.ground.page.server import HOST, MOST_IN
 from tests.ground.page.shown import TOKEN, opened, received, served
 from tests.waiting import until

@@ -5,7 +5,7 @@ from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import SweepPlan
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera import v4l2_calls as v4l2
 from tests.hw.camera.fake_v4l2 import FakeComputer

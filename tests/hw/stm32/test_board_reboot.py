@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from agent.core.config import dump
 from agent.ground.board_reboot import reboot
-from agent.process.failure import Failed
+from agent.process.command import Failed
 from hw.firmware import failsafe, wire
 from hw.stm32.arming import Arming
 from tests.hw.firmware.diving_robot import FLEET

@@ -11,9 +11,8 @@ from collections.abc import Callable
 
 import pytest
 
-from agent.clock.clock import SystemClock
+from agent.clock.clock import RunClock, SystemClock
 from agent.clock.keeper import start_clock
-from agent.clock.run_clock import RunClock
 from agent.core.config import ConfigError
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe, wire

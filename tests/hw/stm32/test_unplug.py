@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from agent.clock.run_clock import RunClock
+from agent.clock.clock import RunClock
 from agent.core.config import dump
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import ConfigError, Target
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("keelson", reason="pip install 'aucamp[keelson]'")
 
 from agent.core.config import Fleet
-from agent.ground.bridges.keelson.language import Keelson
+from agent.ground.bridges.keelson import Keelson
 from tests.network.bridges.elsewhere import shown_elsewhere
 
 SUBJECTS = {"roll_deg", "pitch_deg", "yaw_deg", "frame_transform", "vehicle_armed", "vehicle_mode", "image_compressed"}

@@ -19,8 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.core.codec import decode
 from agent.core.config import Fleet, dump
 from agent.core.messages import Order
-from agent.ground.bridges.mavlink.bridge import run
-from agent.ground.bridges.mavlink.telling import Origin
+from agent.ground.bridges.mavlink import Origin, run
 from tests.network.conftest import unused_port
 from tests.network.orders.answering import Loop
 from tests.network.secured.parties import secure

@@ -15,7 +15,7 @@ pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
 
 from agent.core.config import ConfigError, Fleet, dump
 from agent.ground.bridges.outward import run
-from agent.ground.bridges.ros2.language import Ros2
+from agent.ground.bridges.ros2 import Ros2
 from tests.network.bridges.elsewhere import JPEG, PATIENCE_S, shown_elsewhere
 from tests.network.conftest import unused_port
 from tests.places import ROOT

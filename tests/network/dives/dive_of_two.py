@@ -10,12 +10,12 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from agent.clock.run_clock import RunClock
+from agent.clock.clock import RunClock
 from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration
 from agent.core.topics import STATE
 from agent.demo.fleet import demo_fleet
-from agent.process.run_folder import temporary_folder
+from agent.process.command import temporary_folder
 from agent.process.transport import Observer
 from hw.twin.devices.twin_folder import clock_path
 from tests.killing import killed_after

@@ -17,15 +17,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.clock.run_clock import RunClock
+from agent.clock.clock import RunClock
 from agent.core.codec import decode
 from agent.core.config import Access, Target, dump
 from agent.core.messages import Estimate
 from agent.core.step_io import Inputs, Sighting
 from agent.core.topics import STATE, TOPICS
 from agent.core.trust import entry_bytes, verify_signature
+from agent.process.command import temporary_folder
 from agent.process.launch import crew, wait_for
-from agent.process.run_folder import temporary_folder
 from agent.process.transport import Observer
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.devices.twin_folder import clock_path

@@ -21,7 +21,7 @@ from agent.core.codec import encode
 from agent.core.config import dump
 from agent.core.estimation.interface import LATEST_T
 from agent.core.messages import Entry, Epoch, Gossip, State
-from agent.process.run_folder import temporary_folder
+from agent.process.command import temporary_folder
 from hw.firmware import wire
 from tests.dive_timing import timing
 from tests.killing import killed_after

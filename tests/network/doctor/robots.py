@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from agent.core.config import Access, Fleet, dump
 from agent.core.messages import NeighbourState, State
-from agent.ground.make import make_all
+from agent.ground.new_fleet import make_all
 from agent.process.transport import Transport
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}

@@ -14,11 +14,8 @@ from typer.testing import CliRunner
 from agent.__main__ import app
 from agent.core.config import Access, Fleet
 from agent.ground import check
-from agent.ground.doctor.diagnosis import Diagnosis
-from agent.ground.doctor.doctor import examine
-from agent.ground.doctor.listening import LISTEN_S
-from agent.ground.doctor.ports import probe_all
-from agent.ground.doctor.who import who_looks
+from agent.ground.doctor import Diagnosis, examine, probe_all, who_looks
+from agent.ground.doctor_facts import LISTEN_S
 from agent.process.certificates import certificate_file, key_file
 from tests.network.conftest import unused_port
 from tests.network.doctor.robots import CHAIN, HOUR_NS, ahead, file_of, robot, robots, secure

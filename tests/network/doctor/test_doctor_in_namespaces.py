@@ -15,7 +15,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Access, dump
-from agent.ground.make import make_all
+from agent.ground.new_fleet import make_all
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import Swarm
 from tests.places import ROOT

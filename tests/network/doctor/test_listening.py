@@ -10,8 +10,8 @@ from agent.core import topics
 from agent.core.codec import encode, encoding
 from agent.core.config import Fleet
 from agent.core.messages import NeighbourState, State
-from agent.ground.doctor import listening
-from agent.ground.doctor.listening import Facts, Looker, _Ears, listen
+from agent.ground import doctor_facts
+from agent.ground.doctor_facts import Facts, Looker, _Ears, listen
 from router_config.session import observer_config
 
 
@@ -51,8 +51,8 @@ def test_states_are_put_down(state: Callable[..., State]) -> None:
 def test_a_dive_in_the_twin_is_listened_to_by_its_own_time(
     pace: float, least_s: float, make_fleet: Callable[..., Fleet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listening, "LISTEN_S", 0.3)
-    monkeypatch.setattr(listening, "SLOWEST_S", 0.9)
+    monkeypatch.setattr(doctor_facts, "LISTEN_S", 0.3)
+    monkeypatch.setattr(doctor_facts, "SLOWEST_S", 0.9)
     fleet = make_fleet({"r1": ()})
     looker = Looker(observer_config(fleet), "view", asks=False, orders=False)
     began_s = time.monotonic()

@@ -14,7 +14,7 @@ import pytest
 import zenoh
 from msgspec import json
 
-from agent.ground.doctor.probe import PROBE_S, context, probe, speaks_tls
+from agent.ground.doctor import PROBE_S, context, probe, speaks_tls
 from agent.process.certificates import CLIENT, SERVER, Pair, certificate_file, issue, key_file, make_ca, write
 from router_config.session import tls
 from tests.network.conftest import unused_port

@@ -12,7 +12,7 @@ from agent.core.codec import decode, encode, encoding
 from agent.core.config import Fleet, Navigation, Target
 from agent.core.messages import MAX_PAYLOAD, Estimate, Presence
 from agent.core.topics import LINK
-from agent.process.inboxes import BURST, FASTEST_HZ, Inboxes
+from agent.process.links import BURST, FASTEST_HZ, Inboxes
 from agent.process.transport import Transport
 from tests.network.rogue import Rogue
 from tests.waiting import until

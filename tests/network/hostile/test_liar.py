@@ -28,9 +28,8 @@ from agent.demo.fleet import demo_fleet
 from agent.experiments.localization.liar import told
 from agent.experiments.localization.lie_search import Lies, best_lies
 from agent.experiments.localization.many_lies import conclusions
-from agent.ground.make import make_keys
-from agent.process.key_files import private_file, public_file, read_private
-from agent.process.signing import signing
+from agent.ground.new_fleet import make_keys
+from agent.process.keys import private_file, public_file, read_private, signing
 from agent.process.transport import Observer
 from tests.killing import killed_after
 from tests.network.rogue import Rogue

@@ -14,7 +14,7 @@ from agent.core import topics
 from agent.core.codec import decode
 from agent.core.config import Fleet
 from agent.core.messages import Entry, Estimate, Gossip
-from agent.process import tokens
+from agent.process import links
 from agent.process.transport import Transport
 from tests.network.hostile.bystander import bystander
 from tests.network.rogue import Rogue
@@ -38,7 +38,7 @@ def long(estimate: Estimate) -> Estimate:
 
 
 def test_to_one_that_hangs(make_fleet: Fleets, estimate: Says, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tokens, "LASTING_S", 0.2)
+    monkeypatch.setattr(links, "LASTING_S", 0.2)
     fleet, count = make_fleet(FULL), itertools.count(1)
     with ExitStack() as stack:
         r1 = stack.enter_context(Transport(fleet, "r1", time.time_ns))

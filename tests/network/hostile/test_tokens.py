@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from agent.core import topics
 from agent.core.config import Fleet
-from agent.process.tokens import FOREIGN, LASTING_S, SESSIONS, Tokens
+from agent.process.links import FOREIGN, LASTING_S, SESSIONS, Tokens
 from agent.process.transport import Transport
 from tests.network.conftest import unused_port
 from tests.network.rogue import Rogue

@@ -14,8 +14,8 @@ import pytest
 from agent.core.codec import decode
 from agent.core.config import Access, ConfigError, Fleet, dump
 from agent.core.messages import State
-from agent.ground.at_once import at_once, keys_of, load_fleets, recordings_of
-from agent.ground.make import make_all
+from agent.ground.new_fleet import make_all
+from agent.ground.observe import at_once, keys_of, load_fleets, recordings_of
 from agent.process.transport import Transport
 from replay.files.log import info, read
 from tests.places import ROOT

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from agent.__main__ import app
 from agent.core.config import Fleet, dump
 from agent.core.messages import Image, LogLine, State
-from agent.ground import snapshot
-from agent.ground.snapshot import hopeless, next_picture, target_table
-from agent.process.failure import Failed
+from agent.ground import observe
+from agent.ground.observe import hopeless, next_picture, target_table
+from agent.process.command import Failed
 from agent.process.transport import Transport
 
 JPEG = b"\xff\xd8\xff whatever a camera gives"
@@ -64,13 +64,13 @@ def test_the_picture_is_written_as_it_came_and_never_over_another(make_fleet: Fl
 def test_who_is_not_heard_and_who_has_no_picture(
     make_fleet: Fleets, state: Shows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(snapshot, "HEARD_S", 0.5)
-    monkeypatch.setattr(snapshot, "PICTURE_S", 1.5)
+    monkeypatch.setattr(observe, "HEARD_S", 0.5)
+    monkeypatch.setattr(observe, "PICTURE_S", 1.5)
     fleet = make_fleet({"r1": ("r2",), "r2": ("r1",)})
     with showing(fleet, state("r1")):
         with pytest.raises(Failed, match=r"^r2 is not heard at tcp/127.0.0.1:\d+: start its agent, or give the fleet"):
             next_picture(fleet, "r2")
-        monkeypatch.setattr(snapshot, "HEARD_S", 60.0)
+        monkeypatch.setattr(observe, "HEARD_S", 60.0)
         with pytest.raises(Failed, match=r"showed no picture in 2 s: .* try again"):
             next_picture(fleet, "r1")
 

@@ -15,7 +15,7 @@ from agent.core.config import Access, ConfigError, Fleet
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.process.order_box import WAITING
+from agent.process.links import WAITING
 from agent.process.transport import Observer
 from router_config.session import observer_config
 from tests.network.orders.answering import Loop

@@ -15,9 +15,8 @@ from msgspec.structs import replace
 
 from agent.core import topics
 from agent.core.config import Access, Fleet
-from agent.ground.make import make_all
-from agent.process.certificates import issue, write
-from agent.process.fleet_certificates import authority
+from agent.ground.new_fleet import make_all
+from agent.process.certificates import authority, issue, write
 from router_config.session import tls
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}

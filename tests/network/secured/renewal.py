@@ -5,8 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from agent.core.config import Fleet
-from agent.process.certificates import issue, write
-from agent.process.fleet_certificates import authority, hosts
+from agent.process.certificates import authority, hosts, issue, write
 
 
 def replace_certificate(fleet: Fleet, keys: Path, name: str, ends: datetime) -> None:

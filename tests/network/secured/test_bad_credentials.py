@@ -11,8 +11,7 @@ import zenoh
 from msgspec.structs import replace
 
 from agent.core.config import Fleet
-from agent.process.certificates import CLIENT, SERVER, Pair, issue, make_ca, write
-from agent.process.fleet_certificates import authority
+from agent.process.certificates import CLIENT, SERVER, Pair, authority, issue, make_ca, write
 from router_config.session import peer_config
 from tests.network.conftest import unused_port
 from tests.network.secured.conftest import Secured

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from agent.process.certificates import certificate_file, issue, key_file, write
-from agent.process.fleet_certificates import authority
+from agent.process.certificates import authority, certificate_file, issue, key_file, write
 from router_config.session import peer_config
 from tests.network.secured.conftest import Secured
 from tests.network.secured.parties import HERE, Ear, opened

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Tank, dump
-from agent.process.robot_keys import VARIABLE
+from agent.process.keys import VARIABLE
 from tests.network.conftest import unused_port
 from tests.network.looking.page_process import page_process
 from tests.network.looking.scripted_robots import scripted

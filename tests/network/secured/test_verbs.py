@@ -17,7 +17,7 @@ from agent.core.config import Fleet, Tank, dump
 from agent.core.messages import Image, State
 from agent.core.ranging.camera_model import Calibration
 from agent.process.agent_process import OPEN, load_setup
-from agent.process.robot_keys import VARIABLE
+from agent.process.keys import VARIABLE
 from agent.process.transport import Transport
 from replay.files.log import info
 from tests.known_lens import CAMERA, PLAIN

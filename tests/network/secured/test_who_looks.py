@@ -15,9 +15,9 @@ import pytest
 from agent.core import topics
 from agent.core.config import ConfigError
 from agent.core.messages import Estimate, Image, State
-from agent.ground.snapshot import next_picture
-from agent.process.fleet_certificates import CONSOLE_FILE
-from agent.process.router import run_router
+from agent.ground.observe import next_picture
+from agent.process.certificates import CONSOLE_FILE
+from agent.process.launch import run_router
 from agent.process.transport import Transport
 from router_config.door import Session
 from router_config.session import peer_config, tls

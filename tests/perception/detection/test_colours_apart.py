@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from agent.core.config import Colour, Fleet, Target
-from agent.ground.files import target_findings
+from agent.ground.check_files import target_findings
 from agent.perception.detection.colour import NAMED, Sample, sampled
 from agent.perception.detection.colours_apart import Sought, mistaken_in, named_paint
 from agent.perception.detection.detectors import colours_too_alike
-from agent.robot.fleet_rules import ALIKE
+from agent.robot.fleet_reader import ALIKE
 
 WATER = (120, 95, 60)  # blue, green, red
 ORANGE, AMBER, YELLOW, GREEN = (40, 95, 235), (40, 140, 235), (40, 210, 235), (40, 210, 60)

@@ -239,7 +239,7 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_kernel_that_raises_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from agent.robot.core import Agent
+    from agent.robot.step import Agent
 
     monkeypatch.setattr(Agent, "step", lambda self, inputs, now_ns: 1 // 0)  # beyond its own net
     checked = check([R1])
@@ -249,7 +249,7 @@ def test_a_kernel_that_raises_is_a_difference(tmp_path: Path, monkeypatch: pytes
 
 
 def test_what_the_kernel_s_net_catches_is_a_difference_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    from agent.robot.core import Agent
+    from agent.robot.step import Agent
 
     monkeypatch.setattr(Agent, "_measure", lambda self, now_ns: 1 // 0)
     checked = check([R1])

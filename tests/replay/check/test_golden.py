@@ -16,7 +16,7 @@ from agent.core.codec import decode
 from agent.core.messages import Answer, Explain, LogLine, State
 from agent.core.step_io import Outputs
 from agent.perception.rerun_vision import rerun_vision
-from agent.robot.desk import BROKE
+from agent.robot.operator import BROKE
 from agent.robot.verbs import VERBS
 from replay.check.black_box import open_box, open_boxes
 from replay.check.check import check, text
@@ -118,8 +118,8 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
 
 
 MUTATIONS = {
-    "agent.robot.core.LATEST_ITERATION": 1.4,
-    "agent.robot.showing.STATE_NS": 250_000_000,
+    "agent.robot.step.LATEST_ITERATION": 1.4,
+    "agent.robot.step.STATE_NS": 250_000_000,
     "agent.core.control.target_search.CENTRED": 1.0,
     "agent.core.control.sweep.TRACK_SPAN": 1.6,
     "agent.core.control.pointing.SETTLE_NS": 10**6,

@@ -69,7 +69,7 @@ def test_it_needs_a_reason(run: Path, git: Path) -> None:
 
 
 def test_it_refuses_a_dirty_checkout(run: Path, git: Path) -> None:
-    git.write_text("#!/bin/sh\necho ' M agent/robot/core.py'\n")
+    git.write_text("#!/bin/sh\necho ' M agent/robot/step.py'\n")
     with pytest.raises(ConfigError, match="uncommitted changes"):
         update_recordings([run], "a reason")
 

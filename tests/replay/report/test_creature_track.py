@@ -8,7 +8,7 @@ import pytest
 from agent.core.codec import encode
 from agent.core.messages import Estimate, Explain
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
-from agent.process.fleet_files import fleet_file
+from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from replay.check.black_box import open_box
 from replay.report.creature_track import creature_track, true_path

@@ -3,7 +3,7 @@
 import numpy as np
 
 from agent.perception.clarity.clarity import tenengrad_blocks
-from agent.process.fleet_files import shipped_fleet
+from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics import texture
 from hw.twin.optics.lens import draw_lens

@@ -1,1 +1,0 @@
-"""A fleet as entities of keelson, a vocabulary for Zenoh at sea."""

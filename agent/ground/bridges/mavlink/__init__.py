@@ -1,1 +1,0 @@
-"""A fleet as vehicles of MAVLink, for ground stations."""

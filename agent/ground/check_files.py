@@ -1,0 +1,344 @@
+"""The files that a robot needs beside the fleet file: calibration, keys, pictures of its targets, room to record."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import os
+import resource
+import shutil
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+
+from agent.core.config import ConfigError, Fleet, Target
+from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
+from agent.perception.tracking.box import Box
+from agent.perception.tracking.box_trackers import load_box_tracker, model_files
+from agent.perception.tracking.follow import check_box
+from agent.process.agent_process import own_calibration
+from agent.process.certificates import (
+    AUTHORITY,
+    certificate_file,
+    common_name,
+    credentials,
+    days_left,
+    hosts,
+    hosts_of,
+    key_file,
+    read_certificate,
+)
+from agent.process.keys import keys_folder, private_file, read_keys, robot_keys
+from agent.process.launch import addresses_of, bind_error
+from hw.camera.camera import CameraError
+from hw.twin.scene import scene_of
+from hw.twin.targets import target_solids
+from replay.files.log import Limits
+
+# @@ finding
+# One thing that was looked at before a fleet dives, and what came of it.
+
+Level = Literal["ok", "warning", "wrong"]
+
+
+class Finding(NamedTuple):
+    level: Level
+    about: str  # a robot's name, or the fleet
+    text: str  # what was found; unless it is well, what to do about it
+
+    def __str__(self) -> str:
+        return f"{self.level:8} {self.about}: {self.text}"
+
+
+def tried(about: str, attempt: Callable[[], str], otherwise: Level = "wrong") -> Finding:
+    """What an attempt says, or why it failed: the words in which an agent would refuse to start."""
+    try:
+        return Finding("ok", about, attempt())
+    except (ConfigError, CameraError) as error:
+        return Finding(otherwise, about, str(error))
+
+
+# @@ addresses
+# Where robots listen: which of them belong to this computer, and whether their ports are free.
+
+
+def is_here(listen: str) -> bool | None:
+    """Whether an endpoint of a fleet file is an address of this computer; None: there is no such host."""
+    found = addresses_of(listen)
+    if not found:
+        return None
+    family, (host, _, *rest) = found[0]
+    return bind_error((family, (host, 0, *rest))) is None  # port 0: any that is free
+
+
+def address_finding(fleet: Fleet, name: str, path: Path, asked: bool) -> Finding:
+    """About one robot's endpoint. `asked`: for this robot alone, so that it should be here."""
+    listen = fleet.robot[name].listen
+    here = is_here(listen)
+    if here is None:
+        return Finding("wrong", name, f"{listen}: no such host; write the computer's address as a number")
+    if not here and asked:
+        text = f"{listen} is no address of this computer; check {name} on its own, or write one of this computer's"
+        return Finding("wrong", name, text)
+    if not here:
+        return Finding("ok", name, f"{listen} is another computer's; see there: aucamp check {path} --robot {name}")
+    return port_finding(name, listen)
+
+
+def port_finding(name: str, listen: str) -> Finding:
+    """Whether a port of this computer is free. Nothing listens there meanwhile, so that nobody dials us."""
+    found = addresses_of(listen)
+    refused = bind_error(found[0]) if found else None
+    if refused is None:
+        return Finding("ok", name, f"{listen} is this computer's, and free")
+    if refused == errno.EADDRINUSE:
+        text = f"{listen} is in use: {name}'s agent runs already, or another program; end it, or take another port"
+        return Finding("warning", name, text)
+    return Finding("wrong", name, f"{listen}: {os.strerror(refused)}; take another port")
+
+
+def loopback_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Robots of several computers of which one listens where every computer finds itself."""
+    alone = {name: _is_loopback(robot.listen) for name, robot in fleet.robot.items()}
+    if any(alone.values()) and not all(alone.values()):
+        for name in (name for name, at_home in alone.items() if at_home):
+            text = f"{fleet.robot[name].listen} is every computer's own; write the address that others reach it by"
+            yield Finding("warning", name, f"{text}, for not all robots are there")
+
+
+def _is_loopback(listen: str) -> bool:
+    found = addresses_of(listen)
+    return bool(found) and all(ipaddress.ip_address(str(address[0])).is_loopback for _, address in found)
+
+
+def links(fleet: Fleet) -> Iterator[Finding]:
+    """Whether a word of any robot can come to all others."""
+    names = list(fleet.robot)
+    reached, new = {names[0]}, {names[0]}
+    while new:
+        new = {other for name in new for other in fleet.robot[name].neighbours} - reached
+        reached |= new
+    apart = [name for name in names if name not in reached]
+    if apart:
+        text = f"no word comes from {names[0]} to {', '.join(apart)}; give somebody a neighbour there"
+        yield Finding("warning", "fleet", text)
+    else:
+        count = sum(len(robot.neighbours) for robot in fleet.robot.values()) // 2
+        links_ = "one link" if count == 1 else f"{count} links"
+        text = f"{links_}, and a word of any robot comes to all others" if count else "one robot, on its own"
+        yield Finding("ok", "fleet", text)
+
+
+# @@ files
+
+OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh took 119 of them
+HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
+
+
+def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
+    """The camera's calibration. One of the twin is made by each demo for itself."""
+
+    def read() -> str:
+        made = own_calibration(fleet, name, path)
+        return f"{fleet.robot[name].calibration}, made {made.made}"
+
+    in_twin = fleet.robot[name].camera.startswith("twin:")
+    absent = not (path.parent / fleet.robot[name].calibration).exists()
+    found = tried(name, read, otherwise="warning" if in_twin and absent else "wrong")
+    return found._replace(text=f"{found.text} (a demo makes its own)") if found.level == "warning" else found
+
+
+def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """The robot's own keys, and those of the others."""
+    folder = keys_folder(fleet, path)
+    if folder is None:
+        return
+
+    def read() -> str:
+        robot_keys(fleet, name, path)
+        return f"keys in {folder}"
+
+    yield tried(name, read)
+    foreign = [other for other in fleet.robot if other != name and private_file(folder, other).exists()]
+    if foreign and any(not is_here(fleet.robot[other].listen) for other in foreign):
+        text = f"{folder}: holds private keys of {', '.join(foreign)}, for whom this computer can speak; remove them"
+        yield Finding("warning", name, text)
+    missing = [other for other in read_keys(folder, fleet.robot).missing if other != name]
+    if missing:
+        text = f"{folder}: no public key of {', '.join(missing)}, of whom nothing is believed; copy NAME.sign.pub there"
+        yield Finding("warning", name, text)
+
+
+def target_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Pictures and models of targets, and whether balls are told apart by their colours."""
+    size = fleet.camera.width_px, fleet.camera.height_px
+    balls_can_be_read = True
+    for name, target in fleet.target.items():
+        if target.detector == "box":
+            yield tried(f"target {name}", partial(box_target, name, target, size))
+        elif target.picture is not None:
+            sample = creature_sample if target.detector == "creature" else ball_sample
+            found = tried(f"target {name}", partial(sample, name, target, size))
+            balls_can_be_read &= found.level == "ok"
+            yield found
+    if balls_can_be_read:
+        yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
+
+
+def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:
+    """Raises ConfigError, as the agent does at its start."""
+    sought(name, target, size)
+    return f"its colour is that of the box in {target.picture}"
+
+
+def creature_sample(name: str, target: Target, size: tuple[int, int]) -> str:
+    """Raises ConfigError, as the agent does at its start."""
+    creature_hues(name, target, size)
+    return f"its colour is that of the box in {target.picture}"
+
+
+def box_target(name: str, target: Target, size: tuple[int, int]) -> str:
+    """Raises ConfigError, as the agent does at its start."""
+    target_picture(name, target, size)
+    check_box(Box(*(target.box or (0, 0, 0, 0))), size)
+    load_box_tracker(*((None, None) if target.models is None else model_files(Path(target.models))))
+    return f"its picture is {target.picture}"
+
+
+def twin_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
+    """The scene of a fleet that is in the twin, and whether all targets are in it."""
+    if not any(robot.serial.startswith("twin:") for robot in fleet.robot.values()):
+        return
+
+    def read() -> str:
+        scene = scene_of(fleet)
+        lacking = set(fleet.target) - set(target_solids(fleet, scene, path)) - {fish.name for fish in scene.creature}
+        if lacking:
+            name = min(lacking)
+            raise ConfigError(
+                f"nothing in scene '{scene.name}' is called {name}, so that a demo could not judge it; write "
+                f'name = "{name}" under a [[solid]] or [[creature]] of the scene'
+            )
+        return f"scene '{scene.name}', in which all targets are"
+
+    yield tried("twin", read)
+
+
+def enhancement_findings(fleet: Fleet) -> Iterator[Finding]:
+    """What `[camera] enhance = true` wants installed."""
+    if not fleet.camera.enhance:
+        return
+    if all(find_spec(package) for package in ("torch", "safetensors")):
+        yield Finding("ok", "fleet", "[camera] enhance: the network can be used")
+    else:
+        text = "[camera] enhance: torch is not there, so colours alone are mended"
+        yield Finding("warning", "fleet", f"{text}; in your clone: pip install -e '.[enhance]'")
+
+
+def disk_finding(folder: Path) -> Finding:
+    """Whether an agent that is started here can record."""
+    if not os.access(folder, os.W_OK):
+        text = f"{folder}: you may not write here, where recordings go; give aucamp agent --out another folder"
+        return Finding("wrong", "disk", text)
+    total, _, free = shutil.disk_usage(folder)
+    limits = Limits()
+    room = free - min(limits.floor_bytes, limits.floor_share * total)  # an agent leaves so much to others
+    hours = f"{free / 1e9:.1f} GB free in {folder}: {room / HOUR_BYTES:.0f} hours of one robot's recording"
+    if room <= 0:
+        return Finding("wrong", "disk", f"{free / 1e9:.1f} GB free in {folder}: nothing would be recorded; make room")
+    return Finding("ok" if room > HOUR_BYTES else "warning", "disk", hours)
+
+
+def files_finding() -> Finding:
+    """Whether a process here may open as many files as an agent with links to a whole fleet does."""
+    most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if most != resource.RLIM_INFINITY and most < OPEN_FILES:
+        text = f"a process may open {most} files here, and a link needs two; run: ulimit -n {OPEN_FILES}"
+        return Finding("warning", "computer", text)
+    return Finding("ok", "computer", "processes may open files enough")
+
+
+# @@ certificates
+# Whether the certificates of a secured fleet can be used on this computer, and for how long.
+
+SOON_DAYS = 14.0  # before a certificate ends
+
+
+def certificate_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """A party's own certificate, as it lies on this computer; nothing of an open fleet."""
+    try:
+        folder = credentials(fleet, name, path)
+    except ConfigError as error:
+        yield Finding("wrong", name, str(error))
+        return
+    if folder is None:
+        return
+    yield tried(name, lambda: good(fleet, name, folder, datetime.now(UTC)))
+    yield from _ending(folder, name)
+    if name in fleet.robot:
+        yield from _too_much(fleet, name, folder)
+
+
+def watchers_here(fleet: Fleet, path: Path) -> list[str]:
+    """Observers and consoles whose certificates lie on this computer."""
+    folder = keys_folder(fleet, path) if fleet.secured else None
+    names = (*fleet.access.observers, *fleet.access.consoles) if folder is not None else ()
+    return [name for name in names if folder is not None and certificate_file(folder, name).exists()]
+
+
+def good(fleet: Fleet, name: str, folder: Path, now: datetime) -> str:
+    """What is good about a certificate. Raises ConfigError, one line, where others would refuse it."""
+    path = certificate_file(folder, name)
+    certificate, ca = read_certificate(path), read_certificate(certificate_file(folder, AUTHORITY))
+    again = f"make it again where ca.key is: remove {path.name} and {name}.key there, then aucamp keys --only {name}"
+    if not issued_by(certificate, ca):
+        raise ConfigError(
+            f"{path}: not by the authority in {AUTHORITY}.pem ({common_name(ca)}); copy both from where they were made"
+        )
+    for one, file in ((certificate, path.name), (ca, f"{AUTHORITY}.pem")):
+        if days_left(one, now) <= 0:
+            raise ConfigError(f"{path.with_name(file)}: ended on {one.not_valid_after_utc:%Y-%m-%d}; {again}")
+        if now < one.not_valid_before_utc:
+            began = f"begins on {one.not_valid_before_utc:%Y-%m-%d}"
+            raise ConfigError(f"{path.with_name(file)}: {began}, and this computer's clock says {now:%Y-%m-%d}; set it")
+    for host in hosts(fleet, name):
+        if host not in hosts_of(certificate):
+            where = " and ".join(hosts_of(certificate)) or "nowhere"
+            raise ConfigError(f"{path}: good at {where}, and {name} listens at {host}; {again}")
+    return f"certificate by {common_name(ca)}, {days_left(certificate, now):.0f} days left"
+
+
+def issued_by(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
+    """Whether this authority signed it, and not another one of the same name."""
+    try:
+        certificate.verify_directly_issued_by(ca)
+    except (InvalidSignature, ValueError, TypeError):
+        return False
+    return True
+
+
+def _ending(folder: Path, name: str) -> Iterator[Finding]:
+    left = days_left(read_certificate(certificate_file(folder, name)), datetime.now(UTC))
+    if 0 < left <= SOON_DAYS:
+        text = f"{certificate_file(folder, name)}: ends in {left:.0f} days; make a new one, and start {name} again"
+        yield Finding("warning", name, text)
+
+
+def _too_much(fleet: Fleet, name: str, folder: Path) -> Iterator[Finding]:
+    """Keys that have no business on a robot's own computer."""
+    elsewhere = [other for other in fleet.robot if other != name and not is_here(fleet.robot[other].listen)]
+    if not elsewhere:
+        return  # all robots are here: so is who made the keys
+    if key_file(folder, AUTHORITY).exists():
+        text = f"{key_file(folder, AUTHORITY)}: makes anybody's certificate; keep it on no robot's computer"
+        yield Finding("warning", name, text)
+    foreign = [other for other in elsewhere if key_file(folder, other).exists()]
+    if foreign:
+        text = f"{folder}: holds NAME.key of {', '.join(foreign)}, for whom this computer can speak; remove them"
+        yield Finding("warning", name, text)

@@ -1,1 +1,0 @@
-"""`aucamp doctor`: why robots, and who looks at them, do not hear each other."""

@@ -1,0 +1,329 @@
+"""What a person sees while something takes long: a bar where the end is known, else a spinner."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import queue
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from threading import Thread
+from types import TracebackType
+from typing import Annotated, Protocol, Self, TypeVar
+
+import msgspec
+import typer
+from rich import progress as bars
+from rich.console import Console
+from rich.text import Text
+
+from agent.core.capability_messages import Claim, Keyframe, Light
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import Answer, Estimate, Image, LogLine, Presence, State
+from agent.core.status import fault_kind
+from agent.core.step_io import DroppedPayloads, Heard, Ordered
+
+T = TypeVar("T")
+
+Progress = Callable[[int, int], None]  # parts of the work that are done, parts in all
+
+
+class Show(Protocol):
+    """A Progress that may be told what is done now; nothing: as before."""
+
+    def __call__(self, done: int, total: int, what: str = "") -> None: ...
+
+
+def with_bar(console: Console, what: str, work: Callable[[Show], T]) -> T:
+    """Do some work that calls show(done, total), with a bar from the first call on: input that is refused has none."""
+    with contextlib.ExitStack() as stack:
+        words, share = bars.TextColumn("{task.description}", markup=False), bars.TaskProgressColumn()
+        bar = bars.Progress(words, bars.BarColumn(), share, bars.TimeRemainingColumn(), console=console)
+        task = bar.add_task(what)
+
+        def show(done: int, total: int, what: str = "") -> None:
+            if not bar.live.is_started:
+                stack.enter_context(bar)
+            bar.update(task, completed=done, total=total, description=what or None)
+
+        return work(show)
+
+
+def step_by_step(progress: Progress, total: int) -> Callable[[], None]:
+    """What is to be called after each of `total` parts; that none is done yet is shown at once."""
+    done = itertools.count(1)
+    progress(0, total)
+    return lambda: progress(next(done), total)
+
+
+@contextlib.contextmanager
+def with_spinner(console: Console, what: str) -> Iterator[Callable[[str], None]]:
+    """Say what takes long: beside a spinner on a terminal, as a line in a pipe. What is given changes the words beside
+    the spinner."""
+    if console.is_terminal:
+        with console.status(Text(what)) as status:
+            yield lambda words: status.update(Text(words))
+    else:
+        console.print(what)
+        yield lambda words: None
+
+
+# @@ plain_console
+# The terminal, on which a text stands as it was written: rich would take `[focus]` for a colour and drop it.
+
+PIPE_COLUMNS = 140  # a pipe is as wide as our widest table
+
+
+def plain_console(stderr: bool = False) -> Console:
+    """No markup and no emoji by name; lines with paths are not folded."""
+    stream = sys.stderr if stderr else sys.stdout
+    width = None if stream.isatty() else PIPE_COLUMNS
+    return Console(stderr=stderr, soft_wrap=True, width=width, markup=False, emoji=False)
+
+
+# @@ failure
+# What ends a command with exit code 1: the question was good, and the answer is no.
+
+
+class Failed(RuntimeError):
+    """What was asked for could not be done, through no mistake of the user's; one line that says why."""
+
+
+# @@ console_log
+# What an agent says to the person who started it: its log as it grows, and every ten seconds where it stands.
+
+LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
+AGAIN_NS = 10_000_000_000  # between two lines about where it stands
+MOTORS = {True: "motors on", False: "motors off"}
+WAITING = 256  # lines that a terminal has not taken; later ones are left out, the network has them all
+LAST_S = 0.5  # how long the end waits for a terminal
+
+
+class Network(Protocol):
+    def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]: ...
+    def say(self, message: Estimate | Presence | Claim | Keyframe | Light) -> None: ...
+    def show(self, message: State | LogLine | Image) -> None: ...
+    def orders(self) -> tuple[Ordered, ...]: ...
+    def answer(self, answers: Sequence[Answer]) -> None: ...
+
+
+class ConsoleLog:
+    """A network whose shown messages a person can follow as well. Context manager.
+
+    `write` gets whole lines in a thread of its own: a terminal held with Ctrl-S may block it for ever, and a loop that
+    waited for a terminal would let the control module believe that its host has died.
+    """
+
+    def __init__(self, network: Network, write: Callable[[str], object]) -> None:
+        self.drain, self.say, self.orders, self.answer = network.drain, network.say, network.orders, network.answer
+        self._network, self._write = network, write
+        self._lines: queue.Queue[str | None] = queue.Queue(WAITING)
+        self._stood_ns: dict[str, int] = {}  # target -> when it was last said where we stand
+        self._heard: dict[str, set[str]] = {}  # target -> neighbours whose word about it is fresh
+        self._thread = Thread(target=self._run, name="console log", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        self._put(None)
+        self._thread.join(LAST_S)
+
+    def show(self, message: State | LogLine | Image) -> None:
+        """Publish, and say it if a person wants to know."""
+        self._network.show(message)
+        if isinstance(message, Image):
+            return
+        if isinstance(message, LogLine):
+            self._put(line(message.sent_ns, message.robot, message.level, message.text))
+            return
+        before: set[str] = set().union(*self._heard.values())
+        self._heard[message.target] = set(hears(message))
+        now: set[str] = set().union(*self._heard.values())
+        for name in sorted(now ^ before):
+            news = f"hears {name}" if name in now else f"hears {name} no more"
+            self._put(line(message.sent_ns, message.robot, "info" if name in now else "warning", news))
+        stood_ns = self._stood_ns.setdefault(message.target, message.sent_ns)
+        if message.sent_ns - stood_ns >= AGAIN_NS:
+            self._stood_ns[message.target] = message.sent_ns
+            self._put(line(message.sent_ns, message.robot, "info", standing(message)))
+
+    def _put(self, text: str | None) -> None:
+        with contextlib.suppress(queue.Full):
+            self._lines.put_nowait(text)
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):  # nobody reads any more: `| head` has had enough
+            while (text := self._lines.get()) is not None:
+                self._write(text)
+
+
+def line(at_ns: int, robot: str, level: str, text: str) -> str:
+    """One line, time of day first, as whoever stands at the tank reads it."""
+    return f"{datetime.fromtimestamp(at_ns * 1e-9):%H:%M:%S} {robot} {level:7} {text}\n"
+
+
+def standing(state: State) -> str:
+    """What a robot knows of a target, whom it hears, and what is wrong."""
+    place = "no estimate"
+    if state.posterior_m is not None:
+        place = " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) + " mm"
+        place += f", sigma {1e3 * state.posterior_sigma_m:.1f} mm" if state.posterior_sigma_m is not None else ""
+    wrong = [fault_kind(fault) for fault in state.faults]  # the log has their words
+    motors = [MOTORS[state.armed]] if state.armed is not None else []
+    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong, *(state.ordered or ())])
+    return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(rest)}"
+
+
+def hears(state: State) -> list[str]:
+    """The neighbours whose word is fresh."""
+    return [n.robot for n in state.neighbours if n.age_s is not None and n.age_s < LATELY_S]
+
+
+# @@ run_folder
+# Where a command writes: a new file, a folder that stays, and one that goes with the run.
+
+
+def run_folder(out: Path | None) -> Path:
+    """The folder that was asked for, else runs/<UTC>. Raises ConfigError if it holds anything or cannot be written."""
+    folder = new_folder(out or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".writable").touch()
+        (folder / ".writable").unlink()
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+    return folder
+
+
+def new_folder(path: Path) -> Path:
+    """The path, where no folder is yet or an empty one. Raises ConfigError for anything else."""
+    if path.is_symlink() or path.exists():
+        if not path.is_dir():
+            raise ConfigError(f"{path}: is there already, and is no folder; give --out a new folder")
+        if any(path.iterdir()):
+            raise ConfigError(f"{path}: not empty, and nothing is overwritten; give --out a new folder")
+    return path
+
+
+def new_file(path: Path) -> Path:
+    """The path, where nothing is yet: no verb overwrites what is on the disk. Raises ConfigError where something is."""
+    if path.exists() or path.is_symlink():
+        raise ConfigError(f"{path}: is there already, and nothing is overwritten; give --out another name")
+    return path
+
+
+def free_name(path: Path) -> Path:
+    """The path, or where something is there already the first of NAME.2.SUFFIX, NAME.3.SUFFIX, ... that is free."""
+    number, free = 2, path
+    while free.exists() or free.is_symlink():
+        free, number = path.with_name(f"{path.stem}.{number}{path.suffix}"), number + 1
+    return free
+
+
+def new_recording(path: Path) -> Path:
+    """The path of a recording, where nothing is yet. Raises ConfigError for what would not be found as one again."""
+    if path.suffix != ".mcap":
+        raise ConfigError(f"{path}: the name of a recording ends in .mcap; give --out such a name")
+    return new_file(path)
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A folder with a short path: that of a socket may not be longer than 107 bytes."""
+    folder = Path(tempfile.mkdtemp(prefix="aucamp-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# @@ fleet_files
+# Fleet files that come with the package, found by name; and what goes with a file into another folder.
+
+FLEETS = Path(str(resources.files("agent") / "fleets"))
+
+
+def shipped_fleet(name: str = "tank") -> Path:
+    """A fleet file that comes with the package."""
+    return FLEETS / f"{name}.toml"
+
+
+def shipped_names() -> list[str]:
+    """The fleets that come with the package, by name."""
+    return sorted(path.stem for path in FLEETS.glob("*.toml"))
+
+
+def fleet_file(name: str) -> Path:
+    """The path of a TOML file, or the name of a fleet that comes with the package. Raises ConfigError for neither."""
+    if name.endswith(".toml"):
+        return Path(name)
+    if name not in shipped_names():
+        raise ConfigError(
+            f"--fleet {name}: no such fleet; give one of {', '.join(shipped_names())}, or the path of a .toml file"
+        )
+    return shipped_fleet(name)
+
+
+def with_pictures(fleet: Fleet, folder: Path) -> Fleet:
+    """The fleet as a file in this folder says it, once its targets' pictures have been copied there.
+
+    A run's folder is given to others, who do not have what lay beside the file that it was made from.
+    """
+    targets = {}
+    for name, target in fleet.target.items():
+        if target.picture is not None:
+            own = f"{name}{Path(target.picture).suffix}"
+            shutil.copyfile(target.picture, folder / own)
+            target = msgspec.structs.replace(target, picture=own)
+        targets[name] = target
+    return msgspec.structs.replace(fleet, target=targets)
+
+
+# @@ options
+# Arguments and options that several commands share, and where commands write to.
+
+FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
+FleetFiles = Annotated[list[Path], typer.Argument(metavar="FLEET...", help="Fleet file (TOML), or several.")]
+RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
+Seed = Annotated[int, typer.Option(min=0, help="Which world of the twin.")]
+Port = Annotated[int, typer.Option(min=1024, max=65535, help="WebSocket port on this machine.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")]
+Runs = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of runs, or recordings (MCAP).")]
+OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and figures; runs/<UTC> if not given.")]
+
+SLOWEST = 0.01  # slower than this nobody can tell from a clock that stands
+
+
+def as_speed(text: str) -> float:
+    """A positive number, or max: no limit. Raises typer.BadParameter."""
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed >= SLOWEST:
+        raise typer.BadParameter(f"'{text}': write max, or a number from {SLOWEST:g} on")
+    return speed
+
+
+Speed = Annotated[
+    float,
+    typer.Option(parser=as_speed, metavar="NUMBER|max", help="Seconds of the dive in one of the wall, at most."),
+]
+
+
+def complain(line: str) -> None:
+    """What a person should know but a program that reads our output should not."""
+    typer.echo(line, err=True)
+
+
+def terminal() -> Console:
+    """Where results go."""
+    return plain_console()

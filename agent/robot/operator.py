@@ -1,0 +1,425 @@
+"""Who may order what, and when: every order is judged, carried out at most once, and answered.
+
+Nobody's clock is compared with another's: an order says which State of the robot was looked at, by the robot's own
+stamp. One that goes by a State of three seconds ago or of an earlier start is refused.
+A stop, in whatever words, is never refused for its age, and no arm that was on its way undoes it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from msgspec import UNSET, UnsetType
+from msgspec.structs import replace
+
+from agent.capabilities.light.allocate import OrderedLight
+from agent.capabilities.light.lights import Lights
+from agent.capabilities.swim.swimmer import Swimmer
+from agent.core.codec import Refusal, decode
+from agent.core.config import Behaviour, Fleet, Goto, Hold, Survey
+from agent.core.control.target_search import Seek
+from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
+from agent.core.status import Logbook
+from agent.core.step_io import Motors, Ordered, Outputs, TargetBox
+from agent.core.step_transaction import SURFACE_M, Revertible
+from agent.robot.fleet_reader import wrong_way
+from agent.robot.verbs import (
+    CLOCK,
+    URGENT,
+    Args,
+    Arm,
+    Burn,
+    Clock,
+    Disarm,
+    DrawBox,
+    HoldHere,
+    LookAt,
+    Resume,
+    Set,
+    Stop,
+    Surface,
+    arguments,
+    in_words,
+)
+
+# @@ wishes
+# What people want of a robot beside what its fleet file says, for as long as nobody orders otherwise.
+
+
+class Wishes(NamedTuple):
+    """In force until another order, or `resume`. None: as the fleet file says."""
+
+    depth_m: float | None = None
+    gaze_deg: tuple[float, float] | None = None  # pan, tilt of the camera
+    behaviour: Behaviour | None = None
+    sweeps: bool = True
+    send_hz: float | None = None
+
+
+class AtOnce(NamedTuple):
+    """For the devices, with the outputs of this step."""
+
+    motors: Motors | UnsetType = UNSET
+    box: TargetBox | UnsetType = UNSET
+    preview_hz: float | UnsetType = UNSET
+
+
+RANK: tuple[Motors, ...] = ("arm", "surface", "off")  # of two in one step the later here goes
+
+
+def prevailing(before: Motors | UnsetType, ordered: Motors) -> Motors:
+    """Of what was ordered of the motors in one step."""
+    return ordered if before is UNSET else max(before, ordered, key=RANK.index)
+
+
+# @@ doing
+# Orders that are in force, and what carrying one out means; who may give it, and when, is judged before (desk.py).
+
+MOST_SEND_HZ, LEAST_SEND_HZ, MOST_PREVIEW_HZ = 20.0, 0.2, 5.0
+MIN_SIDE_PX = 8.0  # of a box that can be followed
+
+
+class Doing(Revertible):
+    """Of one robot, between steps."""
+
+    def __init__(self, fleet: Fleet, name: str, swimmer: Swimmer | None, lights: Lights) -> None:
+        self._fleet, self._robot, self._swimmer = fleet, fleet.robot[name], swimmer
+        self._lights = lights
+        self.wishes, self.at_once = Wishes(), AtOnce()
+
+    def carry_out(self, what: Args) -> None:
+        """Raises Refusal for what this robot cannot do, and then does nothing."""
+        match what:
+            case Stop() | Disarm() | Surface():
+                self.halt("surface" if isinstance(what, Surface) else "stop")
+            case Arm():
+                self._motors("arm")
+            case Clock():
+                pass
+            case HoldHere():
+                self._hold(what)
+            case LookAt():
+                body = self._fleet.body
+                within("pan_deg", what.pan_deg, *body.pan_limit_deg)
+                within("tilt_deg", what.tilt_deg, *body.tilt_limit_deg)
+                self.wishes = self.wishes._replace(gaze_deg=(what.pan_deg, what.tilt_deg))
+            case Burn():
+                self._burn(what)
+            case DrawBox():
+                self._draw(what)
+            case Set():
+                self._set(what)
+            case Resume():
+                self._resume()
+            case _:
+                self._swim(what)
+
+    def halt(self, verb: str) -> None:
+        """Stop, disarm or surface; nothing can be wrong with it."""
+        self._motors("surface" if verb == "surface" else "off")
+
+    def _motors(self, ordered: Motors) -> None:
+        self.at_once = self.at_once._replace(motors=prevailing(self.at_once.motors, ordered))
+
+    def _hold(self, what: HoldHere) -> None:
+        if what.depth_m is not None:
+            self._dive(what.depth_m)
+        if self._swimmer is not None:
+            self._swimmer.task.begin(Hold())
+            self.wishes = self.wishes._replace(behaviour=Hold())
+
+    def _burn(self, what: Burn) -> None:
+        if self._lights.own is None or not self._robot.lamp:
+            raise Refusal("content", "it has no lamp: `lamp = true` is not in its table of the fleet file")
+        body = self._fleet.body
+        within("pan_deg", what.pan_deg, *body.pan_limit_deg)
+        within("tilt_deg", what.tilt_deg, *body.tilt_limit_deg)
+        self._lights.own.ordered = OrderedLight(what.light, what.pan_deg, what.tilt_deg)
+
+    def _draw(self, what: DrawBox) -> None:
+        boxed = [name for name, target in self._fleet.target.items() if target.detector == "box"]
+        if not boxed:
+            raise Refusal("content", 'no target of the fleet file has detector = "box"; others are found by colour')
+        target = what.target or boxed[0]
+        if target not in boxed or (what.target is None and len(boxed) > 1):
+            raise Refusal("content", f"target: write one of {', '.join(boxed)}")
+        size = self._fleet.camera.width_px, self._fleet.camera.height_px
+        if min(what.width, what.height) < MIN_SIDE_PX:
+            raise Refusal("content", f"a box of less than {MIN_SIDE_PX:g} pixels cannot be followed; draw a larger one")
+        if what.x + what.width > size[0] or what.y + what.height > size[1]:
+            raise Refusal("content", f"the box is not within the frame, {size[0]} x {size[1]} pixels")
+        box = TargetBox(target=target, frame=what.frame, box=(what.x, what.y, what.width, what.height))
+        self.at_once = self.at_once._replace(box=box)
+
+    def _set(self, what: Set) -> None:
+        match what.name:
+            case "sweeps":
+                if what.value not in (0.0, 1.0):
+                    raise Refusal("content", "value: 1 is on, 0 is off")
+                self.wishes = self.wishes._replace(sweeps=bool(what.value))
+            case "send_hz":  # heard less often, neighbours would leave it out
+                within("value", what.value, max(LEAST_SEND_HZ, 1.0 / self._fleet.estimation.validity_s), MOST_SEND_HZ)
+                self.wishes = self.wishes._replace(send_hz=what.value)
+            case "preview_hz":
+                within("value", what.value, 0.0, MOST_PREVIEW_HZ)
+                self.at_once = self.at_once._replace(preview_hz=what.value)
+            case "speed_m_s":
+                if self._swimmer is None or self._fleet.navigation is None:
+                    raise Refusal("content", MOORED)
+                within("value", what.value, 0.01, self._fleet.navigation.limits.speed_m_s)
+                self._swimmer.limit_speed(what.value)
+
+    def _resume(self) -> None:
+        self.wishes = Wishes()
+        self.at_once = self.at_once._replace(preview_hz=self._fleet.link.preview_hz)
+        if self._lights.own is not None:
+            self._lights.own.ordered = None
+        if self._swimmer is not None and self._fleet.navigation is not None:
+            self._swimmer.task.resume()
+            self._swimmer.dive(self._robot.depth_m)
+            self._swimmer.limit_speed(self._fleet.navigation.limits.speed_m_s)
+
+    def _swim(self, what: Behaviour) -> None:
+        """A behaviour, as a fleet file has it."""
+        if isinstance(what, Survey) and not isinstance(self._robot.behaviour, Survey):
+            raise Refusal(
+                "content", "its behaviour in the fleet file is no survey, so that it has not chosen any views"
+            )
+        if self._swimmer is None:
+            raise Refusal("content", MOORED)
+        if (wrong := wrong_way(self._fleet, what)) is not None:
+            raise Refusal("content", wrong)
+        if isinstance(what, Goto) and what.depth_m is not None:
+            self._within_water(what.depth_m)
+        self.wishes = self.wishes._replace(behaviour=what)
+        self._swimmer.task.begin(what)
+
+    def _dive(self, depth_m: float) -> None:
+        self._within_water(depth_m)
+        if self._swimmer is not None:
+            self._swimmer.dive(depth_m)
+        self.wishes = self.wishes._replace(depth_m=depth_m)
+
+    def _within_water(self, depth_m: float) -> None:
+        within("depth_m", depth_m, SURFACE_M, self._fleet.tank.surface_m)
+
+
+MOORED = "it is moored: its fleet file has no [navigation]"
+
+
+def within(name: str, value: float, lowest: float, highest: float) -> None:
+    """Raises Refusal for a value that is not."""
+    if not lowest <= value <= highest:
+        raise Refusal("content", f"{name}: {value:g} is not within {lowest:g} to {highest:g}")
+
+
+# @@ memory
+# What orders were answered, so that one that comes again is answered again and carried out once.
+
+ORDERS = 64  # of each console
+CONSOLES = 16  # a fleet file names fewer; where everybody may order, the one that was silent for longest is forgotten
+
+
+class Answered(NamedTuple):
+    order: Order
+    answer: Answer
+
+
+class Memory(Revertible):
+    """Of one robot, since its start; what came before that is refused by its State's incarnation."""
+
+    def __init__(self) -> None:
+        self._by_console: dict[str, dict[int, Answered]] = {}  # the one that ordered last stands last
+
+    def again(self, console: str, order: Order) -> Answer | str:
+        """The answer that the same order was given; else why it cannot be told from one that was; empty: it is new.
+
+        A stop is never taken for another order, nor for one that is forgotten.
+        """
+        known = self._by_console.get(console, {})
+        if (before := known.get(order.id)) is not None:
+            same = (before.order.verb, before.order.args) == (order.verb, order.args)
+            if same:
+                return before.answer
+            return "" if order.verb in URGENT else f"another order had this id, {order.id}; order again"
+        if order.verb not in URGENT and len(known) >= ORDERS and order.id < min(known):
+            return "it came after many later ones of the same console; order again"
+        return ""
+
+    def keep(self, console: str, order: Order, answer: Answer) -> None:
+        known = self._by_console.pop(console, {})
+        known[order.id] = Answered(order, answer)
+        while len(known) > ORDERS:
+            del known[min(known)]
+        self._by_console[console] = known
+        while len(self._by_console) > CONSOLES:
+            del self._by_console[next(iter(self._by_console))]
+
+
+# @@ rights
+# Who may order: whom the fleet file names, where links prove who asks; on one computer alone everybody may.
+
+LOOPBACK = re.compile(r"127(\.\d{1,3}){3}|localhost|\[::1\]")
+CONSOLE = re.compile(r"[a-z][a-z0-9_]{0,15}")
+
+
+def why_closed(fleet: Fleet, console: str) -> str:
+    """Why nobody may order by that name; empty: it may. The same at the console and at the robots."""
+    if CONSOLE.fullmatch(console) is None:
+        return "the name of a console is a small letter and up to 15 small letters, digits or _"
+    consoles = fleet.access.consoles
+    if console not in consoles and (fleet.secured or consoles):
+        named = ", ".join(consoles) or "nobody"
+        return f"'{console}' is no console of this fleet; [access] consoles names {named}"
+    if not fleet.secured and not all(_on_loopback(robot.listen) for robot in fleet.robot.values()):
+        return 'anybody could order over links without keys; secure the fleet: aucamp keys, and listen = "tls/.."'
+    return ""
+
+
+def _on_loopback(listen: str) -> bool:
+    return LOOPBACK.fullmatch(listen.partition("/")[2].rpartition(":")[0]) is not None
+
+
+# @@ desk
+
+PARTS = {**dict.fromkeys(("stop", "disarm", "surface", "arm"), "motors"), "look": "camera", "lamp": "lamp"}
+PARTS |= {"target_box": "box"}
+STALE_NS = 3_000_000_000
+BROKE = "the step that it came with broke, and it was left out; order again"
+
+
+class Desk(Revertible):
+    """Of one robot, between steps."""
+
+    def __init__(
+        self, fleet: Fleet, name: str, incarnation: int, swimmer: Swimmer | None, lights: Lights, log: Logbook
+    ) -> None:
+        self._fleet, self._name, self._incarnation, self._log = fleet, name, incarnation, log
+        self._doing, self._memory = Doing(fleet, name, swimmer, lights), Memory()
+        self._halted_ns = -1  # when a stop or a surfacing was ordered last
+        self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by whom
+        self._now: dict[tuple[str, bytes], Answer] = {}  # of this step
+
+    @property
+    def wishes(self) -> Wishes:
+        return self._doing.wishes
+
+    @property
+    def surveys(self) -> bool:
+        """A survey may have camera and lens."""
+        return self.wishes.sweeps and isinstance(self.wishes.behaviour, Survey | None)
+
+    def looks(self, seek: Seek, now_ns: int) -> bool:
+        """Turn the camera where somebody wants it; returns whether it is taken from the target. Not in a sweep."""
+        if self.wishes.gaze_deg is None or seek.measuring or seek.pointing.goal_us is None:
+            return False
+        seek.look(*self.wishes.gaze_deg, now_ns)
+        return True
+
+    @property
+    def ordered(self) -> tuple[str, ...] | UnsetType:
+        """What people have ordered that holds, for whoever looks."""
+        return tuple(self._holds.values()) or UNSET
+
+    def take(self, orders: tuple[Ordered, ...] | UnsetType, now_ns: int) -> None:
+        """Judge and carry out what arrived since the last step."""
+        for ordered in orders or ():
+            self._now[ordered.console, ordered.payload] = self._answer(ordered, now_ns)
+
+    def complete(self, outputs: Outputs, orders: tuple[Ordered, ...] | UnsetType, now_ns: int) -> Outputs:
+        """The outputs of a step with an answer to each order, and what they want of the devices.
+
+        Outside of the net: an order that broke the step, or came with one that came to nothing, is answered here; and
+        if it was a stop, it is one still.
+        """
+        if orders is UNSET:
+            return outputs
+        answers = tuple(
+            self._now.get((ordered.console, ordered.payload)) or self._left_out(ordered, now_ns) for ordered in orders
+        )
+        self._now = {}
+        at_once, self._doing.at_once = self._doing.at_once, AtOnce()
+        return replace(outputs, answers=answers, motors=at_once.motors, box=at_once.box, preview_hz=at_once.preview_hz)
+
+    def _answer(self, ordered: Ordered, now_ns: int) -> Answer:
+        console, order, said = ordered.console, None, ""
+        try:
+            if why := why_closed(self._fleet, console):
+                raise Refusal("content", why)
+            order = decode(ordered.payload, Order, MAX_ORDER)
+            what = arguments(order.verb, order.args)
+            said = in_words(order.verb, what)
+            again = self._memory.again(console, order)
+            if isinstance(again, Answer):
+                return again
+            if why := again or self._too_old(order, now_ns):
+                raise Refusal("content", why)
+            self._doing.carry_out(what)
+        except Refusal as refusal:
+            text = "".join(letter if letter.isprintable() else "?" for letter in str(refusal))  # some are a stranger's
+            about = f"refuses what {console[:16]} orders{f', {said}' if said else ''}: {text}"
+            self._log.note_seldom("warning", f"order {console} {order.verb if order and said else ''}", about, now_ns)
+            answer = self._said(ordered, order, said, text, now_ns)
+            if order is not None and said and not self._memory.again(console, order):
+                self._memory.keep(console, order, answer)
+            return answer
+        self._note(order.verb, what, f"{console}: {said}")
+        if order.verb in URGENT:
+            self._halted_ns = now_ns
+        self._log.note("warning" if order.verb in URGENT else "info", f"{console} orders: {said}", now_ns)
+        answer = self._said(ordered, order, said, None, now_ns)
+        self._memory.keep(console, order, answer)
+        return answer
+
+    def _note(self, verb: str, what: Args, text: str) -> None:
+        """Of what concerns the same part the newest holds."""
+        if isinstance(what, Resume):
+            self._holds = {part: held for part, held in self._holds.items() if part == "motors"}
+        elif verb != CLOCK:
+            self._holds[what.name if isinstance(what, Set) else PARTS.get(verb, "body")] = text[:MAX_WORDS]
+
+    def _too_old(self, order: Order, now_ns: int) -> str:
+        """Why it comes too late; empty: it does not."""
+        if order.verb in URGENT or order.verb == CLOCK:
+            return ""
+        if order.seen is None:
+            return "it does not say which State of the robot was looked at"
+        incarnation, seen_ns = order.seen
+        if incarnation != self._incarnation:
+            return "the robot has started again since; look at what it does, and order again"
+        if not 0 <= now_ns - seen_ns <= STALE_NS:
+            return f"it goes by a State of {(now_ns - seen_ns) * 1e-9:.1f} s ago; look at the newest, and order again"
+        if order.verb == "arm" and seen_ns <= self._halted_ns:
+            return "somebody has ordered a stop or a surfacing since; look whether that is over, and order again"
+        return ""
+
+    def _left_out(self, ordered: Ordered, now_ns: int) -> Answer:
+        """The answer to an order whose step broke."""
+        try:
+            order = decode(ordered.payload, Order, MAX_ORDER)
+            what: Args = arguments(order.verb, order.args)
+        except Exception:  # noqa: BLE001 - whatever broke the step
+            return self._said(ordered, None, "", BROKE, now_ns)
+        why: str | None = BROKE
+        if order.verb in URGENT:
+            try:
+                return self._answer(ordered, now_ns)
+            except Exception:  # noqa: BLE001 - the motors go off whatever is broken
+                if not why_closed(self._fleet, ordered.console):
+                    self._doing.halt(order.verb)
+                    self._halted_ns, why = now_ns, None
+        return self._said(ordered, order, in_words(order.verb, what), why, now_ns)
+
+    def _said(self, ordered: Ordered, order: Order | None, said: str, why: str | None, now_ns: int) -> Answer:
+        """why: it is refused; None: it is done."""
+        return Answer(
+            robot=self._name,
+            console=ordered.console[:16],
+            id=0 if order is None else order.id,
+            order=said,
+            ok=why is None,
+            why=(why or "")[:MAX_WORDS],
+            arrived_ns=ordered.arrived_ns,
+            sent_ns=now_ns,
+        )
