@@ -19,7 +19,7 @@ def calibrate_run(
     out: Annotated[Path | None, typer.Option(help="File to write; the fleet file's own if not given.")] = None,
 ) -> None:
     """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
-    from agent.tools.run import run
+    from agent.tools.bench_calibration import run
 
     run(fleet, robot, out, terminal())
 
@@ -30,7 +30,7 @@ def calibrate_focus(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[focus] is to be written.")] = None,
 ) -> None:
     """Range against sharpest lens position, from a table measured by hand; a plot beside it and a verdict."""
-    from agent.tools.focus_table import run
+    from agent.tools.focus_calibration import run
 
     run(table, out, terminal())
 
@@ -44,7 +44,7 @@ def calibrate_camera(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] is to be written.")] = None,
 ) -> None:
     """Focal length and centre from photographs of a board."""
-    from agent.tools.camera import calibrate_camera as run
+    from agent.tools.camera_calibration import calibrate_camera as run
 
     run(folder, columns, rows, square_mm, out, terminal())
 
@@ -55,7 +55,7 @@ def calibrate_gamma(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] gets the gamma.")] = None,
 ) -> None:
     """How the camera codes light, from how lopsided it shows blurred edges."""
-    from agent.tools.gamma import calibrate_gamma as run
+    from agent.tools.camera_calibration import calibrate_gamma as run
 
     run(folder, out, terminal())
 
@@ -66,7 +66,7 @@ def calibrate_body(
     out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[body] is to be written.")] = None,
 ) -> None:
     """Mass, inertia and drag of a robot that swims, from the recording of a trial."""
-    from agent.tools.body import run
+    from agent.tools.body_calibration import run
 
     run(recording, out, terminal())
 
@@ -89,6 +89,6 @@ def calibrate_landmarks(
     out: Annotated[Path | None, typer.Option(help=r"File for the table \[landmarks]; printed if not given.")] = None,
 ) -> None:
     """Where the tags of a tank are, from a film of them, and how well each is known."""
-    from agent.tools.landmarks import Asked, run
+    from agent.tools.tag_map import Asked, run
 
     run(source, fleet, Asked(calibration, tuple(known or ()), flat, lens, frames, out), terminal())

@@ -61,7 +61,7 @@ def demo(
     from agent.demo.demo import demo as dive
     from agent.demo.demo import keeping
     from agent.demo.display import verdict
-    from agent.perception.recorded_depth import sweep_depth
+    from agent.perception.depth_sweep import sweep_depth
     from agent.process.command import with_spinner
     from replay.report.report import report
 

@@ -180,8 +180,8 @@ def experiment_reconstruction(
     of a survey of 500 keyframes."""
     from agent.experiments.perform import perform
     from agent.experiments.reconstruction import run, tables
-    from agent.reconstruction.field.settings import FieldSettings
-    from agent.reconstruction.image.model import ImageSettings
+    from agent.reconstruction.held_back import FieldSettings
+    from agent.reconstruction.image_model import ImageSettings
 
     field = FieldSettings(seconds=image_seconds, start="nothing" if fog else "surface")
 

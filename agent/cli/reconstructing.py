@@ -52,8 +52,8 @@ def reconstruct_command(
 ) -> None:
     """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""
     from agent.process.command import with_bar
-    from agent.reconstruction.export.kinds import Kind
-    from agent.reconstruction.image.model import ImageSettings
+    from agent.reconstruction.export import Kind
+    from agent.reconstruction.image_model import ImageSettings
     from agent.reconstruction.run import Settings, run
     from replay.files.auto_recover import auto_recovered
 

@@ -55,7 +55,7 @@ def replay_check(
         return
     paths = auto_recovered(paths, complain)
     if vision:
-        from agent.perception.rerun_vision import rerun_vision
+        from agent.perception.vision import rerun_vision
         from replay.check.vision_check import check_vision
 
         seen = check_vision(paths, rerun_vision, bar)
@@ -88,7 +88,7 @@ def replay_report(
     ] = None,
 ) -> None:
     """One page with the run's figures: report.html in its folder."""
-    from agent.perception.recorded_depth import sweep_depth
+    from agent.perception.depth_sweep import sweep_depth
     from replay.files.auto_recover import auto_recovered
     from replay.report.report import page_of, report
 

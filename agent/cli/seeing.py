@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from agent.core.config import ConfigError
-from agent.perception.enhancement.variants import Variant
+from agent.perception.enhancement.enhance import Variant
 from agent.process.command import terminal
 
 app = typer.Typer()
@@ -50,7 +50,7 @@ def track(
     result: Annotated[Path | None, typer.Option(help="Figures of --truth; else result.json in --out or runs/.")] = None,
 ) -> None:
     """Follow what is in a box; a line per picture says where it is, how sure, and whether it is lost."""
-    from agent.tools.follow_box import Asked, run
+    from agent.tools.track import Asked, run
 
     raise typer.Exit(0 if run(source, Asked(box, backbone, neck, frames, out, truth, rate, result), typer.echo) else 1)
 
@@ -67,7 +67,7 @@ def tags(
     out: Annotated[Path | None, typer.Option(help="Pictures with the tags: new folder, or .mp4, .avi.")] = None,
 ) -> None:
     """Which AprilTags (36h11) there are: a line for each says id, size, blur and corners."""
-    from agent.tools.list_tags import Asked, run
+    from agent.tools.tags import Asked, run
 
     raise typer.Exit(0 if run(source, Asked(calibration, fleet, frames, out), typer.echo) else 1)
 
@@ -89,7 +89,7 @@ def enhance(
 ) -> None:
     """Pictures as if there were less water in front of them; --evaluate measures how well."""
     from agent.tools import enhance as enhance_source
-    from agent.tools import evaluate as enhance_evaluate
+    from agent.tools import evaluate_enhance as enhance_evaluate
 
     if (bool(source)) == (evaluate is not None):
         raise ConfigError("enhance: give either a SOURCE or --evaluate RAW REFERENCE")
@@ -115,7 +115,7 @@ def train_enhance(
     ] = None,
 ) -> None:
     """LU2Net's weights, from pairs of pictures with and without water; loss and validation curves beside them."""
-    from agent.tools.request import check
+    from agent.tools.train_enhance import check
 
     check(pairs, start, out, resume, cross_validate)  # before torch, whose import takes seconds
     try:
@@ -123,7 +123,7 @@ def train_enhance(
         import torch
     except ImportError as error:
         raise ConfigError("training needs torch: in your clone: pip install -e '.[train]'") from error
-    from agent.tools.command import cross_validation, plan_of, train
+    from agent.tools.train_enhance import cross_validation, plan_of, train
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
     plan = plan_of(steps, seed, start is not None, pairs is not None)

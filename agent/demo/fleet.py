@@ -11,7 +11,7 @@ import msgspec
 from agent.core.config import Access, ConfigError, Fleet, Protocol
 from agent.ground.new_fleet import FOLDER
 from agent.perception.detection.detectors import target_picture
-from agent.perception.tracking.box_trackers import load_box_tracker, model_files
+from agent.perception.tracking.follow import load_box_tracker, model_files
 from agent.process.command import shipped_fleet
 from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet

@@ -38,7 +38,7 @@ from agent.experiments.choices import DEFAULT_SENSOR
 from agent.experiments.measured_level import level_of
 from agent.experiments.posed_robot import PosedRobot, rotation_of
 from agent.experiments.result import Row
-from agent.perception.clarity.region import around
+from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
 from agent.process.command import shipped_fleet

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.core.config import Fleet, WaterKind
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration
-from agent.tools.procedure import BACKLASH_US, calibrate
+from agent.tools.bench_calibration import BACKLASH_US, calibrate
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Roi, deliverable
 from hw.twin.bench import Bench
 from hw.twin.landmarks import PaintedTag

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from agent.core.ranging.focus import Array
 from agent.experiments.still_camera import StillCamera, TankView
-from agent.perception.clarity.breathing import measure_growth
-from agent.perception.clarity.clarity import grid
+from agent.perception.clarity import grid
+from agent.perception.depth_peaks import measure_growth
 from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from agent.process.command import Failed
 from hw.camera.camera import Image, Roi

@@ -19,9 +19,8 @@ from cryptography.exceptions import InvalidSignature
 
 from agent.core.config import ConfigError, Fleet, Target
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.box_trackers import load_box_tracker, model_files
-from agent.perception.tracking.follow import check_box
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.follow import check_box, load_box_tracker, model_files
 from agent.process.agent_process import own_calibration
 from agent.process.certificates import (
     AUTHORITY,

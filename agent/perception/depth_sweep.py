@@ -7,26 +7,62 @@ block keeps its piece of the scene; the picture itself is never resampled, which
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
-from agent.core.ranging.camera_model import FocusFit
-from agent.core.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak
-from agent.perception.clarity.breathing import GROWTH_POWER, measure_growth
-from agent.perception.clarity.clarity import Sums, areas, grid, tenengrad_sums
-from agent.perception.depth_box import BoxRange, box_clarity
-from agent.perception.depth_edges import cuts, in_doubt, with_edges
-from agent.perception.depth_peaks import GridPeaks, Reason, each_part, grid_peaks
-from agent.perception.depth_shown import shown
-from agent.perception.sharp_picture import sharpest
-from agent.perception.tracking.box import Box
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, at_lens_position
+from agent.core.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak, phase_sigma
+from agent.core.step_io import BlockPeaks, SweepPlan
+from agent.perception.clarity import Edges, Sums, areas, block_peaks, grid, tenengrad_sums
+from agent.perception.depth_peaks import (
+    GROWTH_POWER,
+    BoxRange,
+    GridPeaks,
+    Reason,
+    box_clarity,
+    cuts,
+    each_part,
+    grid_peaks,
+    in_doubt,
+    measure_growth,
+    shown,
+    with_edges,
+)
+from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box
 from hw.camera.camera import Camera, CameraError, Image, nearest
 from hw.camera.files import StackCamera
+from replay.viewers.whole_sweeps import SweepDepth, SweepFrame
+
+# @@ sharp_picture
+# One picture that is sharp everywhere, from the frames of a sweep: for the eye alone.
+
+
+def sharpest(images: Sequence[Image], grids: Sequence[tuple[Edges, Edges]], clarity: Array, reference: int) -> Image:
+    """Each square of a grid from the frame in which it and its neighbours together are sharpest.
+
+    grids: (rows, cols) of each frame, clarity (n, rows, cols). Squares differ by a pixel at most from frame to frame;
+    they are laid where they are in the frame `reference`, and what no square covers is that frame's.
+    """
+    picture = images[reference].copy()
+    around = np.array([cv2.blur(one, (3, 3), borderType=cv2.BORDER_REPLICATE) for one in clarity])
+    edges = [(rows.tolist(), cols.tolist()) for rows, cols in grids]
+    down, across = edges[reference]
+    for row, bests in enumerate(around.argmax(axis=0).tolist()):
+        for col, best in enumerate(bests):
+            top, left = edges[best][0][row], edges[best][1][col]
+            place = picture[down[row] : down[row + 1], across[col] : across[col + 1]]
+            part = images[best][top : top + place.shape[0], left : left + place.shape[1]]
+            place[: part.shape[0], : part.shape[1]] = part
+    return picture
+
+
+# @@ depth_sweep
 
 SWEEP_STEPS = 30  # lens positions of a camera; of a stack every photograph is used
 HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small steps ring less
@@ -209,3 +245,158 @@ def measure(
     if focus is not None:
         blocks, parts = blocks.ranged(focus), None if parts is None else parts.ranged(focus)
     return DepthMap(block, blocks, parts, taken.sharp, taken.growth)
+
+
+# @@ recorded_depth
+# A depth map from the frames of a robot's own sweep: what `aucamp depth-map` measures, while the robot hangs in
+# water.
+#
+# The robot drifts by some pixels while its lens moves, and the picture grows. Both are seen on the target: its centre
+# says where the frames lie on each other, its radius by how much they grow. That is true to a pixel or two, which
+# blocks bear and their parts would not: blocks are not split here.
+
+BLOCK_PX = 25  # half of what a whole view gets: the part that a sweep reads is half as wide
+MIN_BLOCKS = 4  # across and down; less is no map
+
+
+def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth | None:
+    """The map of one sweep, or None where too few frames show the target, or too little around it.
+
+    Frames without a ball are left out: nothing says where they belong. A box around something else trembles too much.
+    """
+    seen = [frame for frame in frames if frame.sighting.radius_px and frame.sighting.focus is not None]
+    if len({frame.sighting.focus for frame in seen}) < MIN_POSITIONS:
+        return None
+    half_x, half_y = (min(_reach(frame, axis) for frame in seen) for axis in (0, 1))
+    if min(half_x, half_y) < MIN_BLOCKS * BLOCK_PX / 2:
+        return None
+    images = []
+    for frame in seen:
+        x, y = _centre(frame)
+        images.append(frame.image[y - half_y : y + half_y + 1, x - half_x : x + half_x + 1])
+    lens_positions = np.array([float(frame.sighting.focus or 0) for frame in seen])
+    grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
+    taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
+    found = measure(taken, BLOCK_PX, calibration.focus)
+    assert found.blocks.range_m is not None  # there is a calibration
+    reference = seen[taken.reference]
+    x, y = _centre(reference)
+    return SweepDepth(
+        t_ns=seen[0].sighting.t_ns,
+        block_px=BLOCK_PX,
+        left_px=reference.roi[0] + x - half_x,
+        top_px=reference.roi[1] + y - half_y,
+        range_m=found.blocks.range_m,
+        sharp=found.sharp,
+    )
+
+
+def growth(lens_positions: np.ndarray, radius_px: Sequence[float]) -> float:
+    """How much the target's radius grew from the first to the last frame, relative: a line over the lens position."""
+    slope, at_zero = np.polyfit(lens_positions, radius_px, 1)
+    first = at_zero + slope * lens_positions[0]
+    relative = slope * (lens_positions[-1] - lens_positions[0]) / first if first > 0 else 0.0
+    return float(np.clip(relative, -MAX_GROWTH, MAX_GROWTH))
+
+
+def _centre(frame: SweepFrame) -> tuple[int, int]:
+    """The target's centre in the image, whole pixels."""
+    assert frame.sighting.centre_px is not None
+    return round(frame.sighting.centre_px[0]) - frame.roi[0], round(frame.sighting.centre_px[1]) - frame.roi[1]
+
+
+def _reach(frame: SweepFrame, axis: int) -> int:
+    """How far the image goes on to both sides of the target, pixels."""
+    centre = _centre(frame)[axis]
+    return min(centre, frame.roi[2 + axis] - 1 - centre)
+
+
+# @@ block_sweep
+# A sweep of the focus over whole frames of a robot in the water: where the clarity of each block has its peak.
+#
+# The blocks are squares in the last frame. The others lie elsewhere, for the robot drifts and sways by some pixels
+# while its lens moves, and the picture grows: by how much it grows the calibration knows, and where it lies is found
+# by phase correlation of each frame with the one before, whose blur is nearly the same (Kuglin and Hines 1975). The
+# pictures themselves are never resampled, which would change their clarity.
+
+SMALL = 4  # frames are compared at so many times fewer pixels
+MIN_RESPONSE = 0.05  # of phase correlation: below, nothing is said of how the frames lie
+MOST_PX = 40.0  # between frames that follow each other; more is no drift
+MIN_RISE = 20.0  # of a block's clarity above its median: noise of two grey levels has 96 everywhere, but no rise
+
+
+class BlockSweep:
+    """Frames are given in as they come; the lens positions of a plan rise."""
+
+    def __init__(self, plan: SweepPlan, camera: CameraFit) -> None:
+        self._plan, self._camera = plan, camera
+        self._frames: list[tuple[Image, int, int]] = []  # picture, lens position, time
+        self._shifts: list[NDArray[np.float64]] = []  # of each against the one before, px
+        self._before: NDArray[np.float32] | None = None
+
+    def add(self, image: Image, lens_position: int, t_ns: int) -> None:
+        """One whole frame, grey or in colour."""
+        small = _reduced(image)
+        shift = np.zeros(2)
+        if self._before is not None:
+            window = cv2.createHanningWindow((small.shape[1], small.shape[0]), cv2.CV_32F)
+            (x, y), response = cv2.phaseCorrelate(self._before, small, window)
+            if response > MIN_RESPONSE and np.hypot(x, y) * SMALL < MOST_PX:
+                shift = SMALL * np.array([x, y])
+        self._before = small
+        self._shifts.append(shift)
+        self._frames.append((image.copy(), lens_position, t_ns))
+
+    def peaks(self) -> BlockPeaks:
+        """What all frames so far show, counted in the blocks of the last."""
+        side = self._plan.block_px
+        height, width = self._frames[-1][0].shape[:2]
+        rows, cols = height // side, width // side
+        _, focus, t_ns = self._frames[-1]
+        told = BlockPeaks(t_ns=t_ns, sweep=self._plan.sweep, focus=focus, block_px=side, cols=cols, rows=rows)
+        positions = np.array([float(lens_position) for _, lens_position, _ in self._frames])
+        if np.unique(positions).size < MIN_POSITIONS:
+            return told
+        clarity, whole = self._clarity(rows, cols)
+        rise = clarity.max(axis=1) - np.median(clarity, axis=1)
+        asked = np.flatnonzero((rise >= MIN_RISE) & whole)
+        if not asked.size:
+            return told
+        found = block_peaks(positions, np.ascontiguousarray(clarity[asked]))
+        sigma = np.hypot(found.sigma, phase_sigma(found.width, side * side))
+        clear = found.accepted & (found.quality >= MIN_QUALITY) & np.isfinite(sigma)
+        peaks = tuple(
+            (int(k), float(position), float(s))
+            for k, position, s in zip(asked[clear], found.lens_position[clear], sigma[clear], strict=True)
+        )
+        return BlockPeaks(**{**{name: getattr(told, name) for name in told.__struct_fields__}, "peaks": peaks})
+
+    def _clarity(self, rows: int, cols: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Clarity per pixel (rows * cols, n), and which blocks lie whole in each frame."""
+        side, n = self._plan.block_px, len(self._frames)
+        height, width = self._frames[-1][0].shape[:2]
+        f_last = at_lens_position(self._camera, self._frames[-1][1]).f_px
+        off, curves, whole = np.zeros(2), np.empty((rows * cols, n)), np.ones((rows, cols), bool)
+        for k in range(n - 1, -1, -1):
+            image, lens_position, _ = self._frames[k]
+            scale = at_lens_position(self._camera, lens_position).f_px / f_last
+            xs, ys = (
+                c + shift + scale * (np.arange(count + 1) * side - 0.5 - c) + 0.5
+                for c, shift, count in ((self._camera.cx_px, off[0], cols), (self._camera.cy_px, off[1], rows))
+            )
+            whole &= ((ys[:-1] >= -1) & (ys[1:] <= height + 1))[:, None] & (xs[:-1] >= -1) & (xs[1:] <= width + 1)
+            row_edges, col_edges = (
+                np.clip(np.rint(edges), 0, size).astype(np.int64) for edges, size in ((ys, height), (xs, width))
+            )
+            mean = tenengrad_sums(image, row_edges, col_edges) / areas(row_edges, col_edges)
+            curves[:, k] = (mean * scale**GROWTH_POWER).ravel()
+            # The frame before lies elsewhere by this frame's own shift, and by what its growth moved of that.
+            off = off - self._shifts[k]
+        return curves, whole.ravel()
+
+
+def _reduced(image: Image) -> NDArray[np.float32]:
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    height, width = grey.shape
+    small = cv2.resize(grey, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
+    return small.astype(np.float32)

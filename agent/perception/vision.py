@@ -8,26 +8,98 @@ seconds, not the whole minute.
 
 from __future__ import annotations
 
-from collections import deque
+import math
+import zlib
+from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import count
+from pathlib import Path
 from threading import Condition, Thread
+from traceback import extract_tb
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from agent.clock import machine
-from agent.clock.clock import CAMERA, Clock, Part, part_name
+from agent.clock.clock import CAMERA, Clock, Part, StandingClock, part_name
 from agent.core.config import Fleet
+from agent.core.messages import MAX_JPEG, Image
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import BlockPeaks, Sighting, SweepPlan
-from agent.perception.clarity.block_sweep import BlockSweep
-from agent.perception.clarity.region import UNSEEN, around, prepare, target_clarity
-from agent.perception.detection.detectors import Detector
-from agent.perception.enhancement.enhance import one_thread
-from agent.perception.enhancement.on_demand import OnDemandEnhancer
-from agent.perception.frame_checks import FrozenWatch, broke_off, check
-from agent.perception.landmarks.watch import LandmarkWatch
-from hw.camera.camera import Camera, CameraError, Frame
+from agent.perception.clarity import UNSEEN, around, prepare, target_clarity
+from agent.perception.depth_sweep import BlockSweep
+from agent.perception.detection.detectors import Detector, load_detectors
+from agent.perception.enhancement.enhance import OnDemandEnhancer, one_thread
+from agent.perception.flow import LandmarkWatch
+from hw.camera.camera import Camera, CameraError, Frame, Roi
+
+# @@ frame_checks
+# Whether what a camera delivers is a frame at all, and whether its pictures move.
+
+FROZEN_NS = 2_000_000_000  # for so long the same picture: eight looks at the idle rate
+FROZEN_FRAMES = 4  # and in so many frames: a machine that stood still saw few
+EVERY_ROW = 16  # of the rows compared; the noise of a sensor is in each of them
+MAX_FAULT = 200  # characters
+KEPT = 8  # parts of the frame whose last picture is remembered; a sweep looks at one, the search at another
+
+
+def check(frame: Frame, size: tuple[int, int]) -> None:
+    """Raise CameraError, one line, for what is no picture of `roi`, or of no part of a full frame of `size`."""
+    image, roi = frame.image, frame.roi
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+        kind = f"{image.dtype} of shape {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise CameraError(f"the camera sent {kind}, not three bytes a pixel; choose another format or camera")
+    height, width = image.shape[:2]
+    if not height or not width or (width, height) != (roi.width, roi.height):
+        raise CameraError(f"the camera sent {width}x{height} pixels for {roi.width}x{roi.height}; plug it in again")
+    if roi.x < 0 or roi.y < 0 or roi.x + width > size[0] or roi.y + height > size[1]:
+        raise CameraError(f"the camera sent region {tuple(roi)}, outside its {size[0]}x{size[1]}; plug it in again")
+
+
+class FrozenWatch:
+    """Looks whether pictures of a live camera change: two frames of a sensor never have the same noise.
+
+    It compares a frame with the last one of the same part, and knows nothing from the first of each.
+    """
+
+    def __init__(self) -> None:
+        self._prints: OrderedDict[Roi, int] = OrderedDict()
+        self._newest = (-1, -1)  # time and number of the frame before
+        self._moved_ns: int | None = None  # when a frame last was another than the one before
+        self._repeats = 0  # frames since then that were not
+
+    def see(self, frame: Frame, now_ns: int) -> str | None:
+        """Take a frame that came at now_ns; why the pictures are taken for frozen, or None."""
+        if frame.still:
+            return None
+        seen_print = zlib.crc32(frame.image[::EVERY_ROW].tobytes())
+        before = self._prints.pop(frame.roi, None)
+        self._prints[frame.roi] = seen_print
+        if len(self._prints) > KEPT:
+            self._prints.popitem(last=False)
+        again = (frame.t_ns, frame.seq) == self._newest
+        self._newest = frame.t_ns, frame.seq
+        if self._moved_ns is None:
+            self._moved_ns = now_ns
+        elif again or seen_print == before:
+            self._repeats += 1
+        elif before is not None:
+            self._moved_ns, self._repeats = now_ns, 0
+        if self._repeats < FROZEN_FRAMES or now_ns - self._moved_ns < FROZEN_NS:
+            return None
+        what = "the same frame again and again" if again else "the same picture in every frame"
+        return f"{what}; plug the camera in again, or give it light"
+
+
+def broke_off(error: BaseException) -> str:
+    """What went wrong and where, in one line."""
+    where = [f"{Path(step.filename).name}:{step.lineno}" for step in extract_tb(error.__traceback__)]
+    return f"{type(error).__name__} in {where[-1] if where else 'vision'}: {' '.join(str(error).split())}"[:MAX_FAULT]
+
+
+# @@ vision
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
 HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
@@ -295,3 +367,120 @@ class Vision:
                 if not part.wait_changed(self._changed, until_ns):
                     break
             self._part = None
+
+
+# @@ rerun_vision
+# Vision once more, on frames from a recording: the worker's own `sight`, without its camera and its thread.
+
+Roi4 = tuple[int, int, int, int]  # x, y, width, height in the full frame
+See = Callable[[NDArray[np.uint8], Roi4, Sighting, Sighting | None], Sighting]
+
+
+def rerun_vision(fleet: Fleet, camera: CameraFit) -> See:
+    """A function (image, its part of the frame, the sighting of then, the sweep's first with a target) -> that of now.
+
+    What the devices said, time, number and lens position, is taken from then; what the image says is new.
+    """
+    vision = Vision(_no_camera, fleet, camera, load_detectors(fleet, camera), StandingClock())
+
+    def see(image: NDArray[np.uint8], part: Roi4, then: Sighting, first: Sighting | None) -> Sighting:
+        frame = Frame(image=image, t_ns=then.t_ns, seq=then.frame, roi=Roi(*part))
+        return vision.sight(frame, then.target, then.focus, then.sweep, then.index, first)
+
+    return see
+
+
+def _no_camera() -> Camera:
+    raise CameraError("a recording has no camera")
+
+
+# @@ preview
+# What a robot's camera sees, small enough to be sent to whoever looks: for people, never for a measurement.
+#
+# Previews are dropped, never delayed: those of frames that come too soon, and of parts of frames, are not made at
+# all. With `[camera] enhance` they show what vision would look at: the enhanced frame, or the raw one where no
+# colours are young enough.
+
+KEPT_BYTES = 32 * 1024 * 1024  # of frames that were shown: 640x480, twice a second, a quarter of a minute
+WIDTH_PX = 640  # at most: a panel on a screen, and what a frame of the usual cameras has
+QUALITIES = (80, 60, 40, 20)  # of JPEG: with the first a frame of the twin, 640x480, is 26 kB; the last is coarse
+
+
+class Preview:
+    """Makes the previews of one camera, at most `hz` a second; 0: none. Used by vision's thread.
+
+    `whole`: (width, height) of a full frame, pixels. `enhancer`: what enhances the frames; None: nothing does.
+    `keep`: the frames that were shown, for a while, for whoever draws a box in one.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        whole: tuple[int, int],
+        hz: float,
+        enhancer: OnDemandEnhancer | None = None,
+        keep: bool = False,
+    ) -> None:
+        self._robot, self._whole, self._enhancer = robot, whole, enhancer
+        self._numbers = count()
+        self._keep = keep
+        self._shown: deque[tuple[int, NDArray[np.uint8]]] = deque()  # number of the frame, and it
+        self.set_rate(hz)
+
+    def set_rate(self, hz: float) -> None:
+        """At most so many from now on. From any thread."""
+        self._period_ns = 1e9 / hz if hz else math.inf
+        self._due_ns = 0.0 if hz else math.inf
+
+    def frame(self, number: int) -> NDArray[np.uint8] | None:
+        """A frame that was shown, as the camera gave it; None: it was not, or long ago. From any thread."""
+        return next((image for shown, image in tuple(self._shown) if shown == number), None)
+
+    def of(self, frame: Frame, sighting: Sighting, now_ns: int) -> Image | None:
+        """The preview of a frame, of which `sighting` says time and lens position; None: not of this one.
+
+        `now_ns`: when it is asked for, Unix time.
+        """
+        if now_ns < self._due_ns or (frame.roi.width, frame.roi.height) != self._whole:
+            return None
+        self._due_ns = now_ns + self._period_ns
+        shown = frame.image if self._enhancer is None else self._enhancer.view(frame, self._whole)
+        if self._keep:
+            self._shown.append((frame.seq, frame.image))
+            while len(self._shown) * frame.image.nbytes > KEPT_BYTES:
+                self._shown.popleft()
+        small, jpeg = compressed(shown)
+        return Image(
+            robot=self._robot,
+            seq=next(self._numbers),
+            sent_ns=now_ns,
+            t_ns=sighting.t_ns,
+            frame=frame.seq,
+            width_px=small.shape[1],
+            height_px=small.shape[0],
+            enhanced=shown is not frame.image,
+            focus=sighting.focus,
+            jpeg=jpeg,
+        )
+
+
+def compressed(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
+    """The image, (height, width, 3) blue green red, at most 640 wide, and its JPEG of at most MAX_JPEG bytes.
+
+    Quality gives way first, then size.
+    """
+    small = reduced(image, min(1.0, WIDTH_PX / image.shape[1]))
+    while True:
+        for quality in QUALITIES:
+            jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+            if jpeg.size <= MAX_JPEG:
+                return small, jpeg.tobytes()
+        small = reduced(small, 0.5)
+
+
+def reduced(image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+    """The image `scale` times as large, which is at most 1."""
+    if scale == 1.0:
+        return image
+    height, width = (max(1, round(scale * side)) for side in image.shape[:2])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)

@@ -33,14 +33,12 @@ from agent.core.step_io import (
     Telemetry,
 )
 from agent.core.step_io import Motors as MotorOrder
+from agent.perception.depth_sweep import sweep_depth
 from agent.perception.detection.detectors import BoxDetector, Detector, colours_too_alike, load_detectors
-from agent.perception.enhancement.enhance import default
-from agent.perception.enhancement.on_demand import OnDemandEnhancer
-from agent.perception.landmarks.watch import LandmarkWatch
-from agent.perception.preview import Preview
-from agent.perception.recorded_depth import sweep_depth
-from agent.perception.tracking.box import Box
-from agent.perception.vision import Vision
+from agent.perception.enhancement.enhance import OnDemandEnhancer, default
+from agent.perception.flow import LandmarkWatch
+from agent.perception.tracking.appearance import Box
+from agent.perception.vision import Preview, Vision
 from agent.process.certificates import credentials
 from agent.process.command import ConsoleLog, Network
 from agent.process.keys import RobotKeys, robot_keys

@@ -2,24 +2,270 @@
 
 from __future__ import annotations
 
+import csv
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
 from agent.core.ranging.camera_model import FocusFit, load_focus
-from agent.core.ranging.focus import NoPeak, at_tilt
-from agent.perception.depth_box import BoxRange, as_json, box_range
-from agent.perception.depth_edges import any_part
+from agent.core.ranging.focus import FARTHEST_M, Array, NoPeak, at_tilt, h
+from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, each_part
 from agent.perception.depth_sweep import DepthMap, OnStep, measure, sweep
-from agent.perception.tracking.box import Box
+from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
 from agent.process.command import Failed, new_file, plain_console, with_bar
-from agent.tools.depth_files import write_csv
-from agent.tools.depth_picture import draw
-from agent.tools.depth_ranges import ranges_in_words
+from hw.camera.camera import Image
 from hw.camera.open import open_camera
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# @@ depth_picture
+# A depth map as a picture, drawn by OpenCV: the library for figures takes longer to draw than the map to measure.
+
+PANEL_PX = 640  # a panel's longer side, at most
+LEFT_PX, TOP_PX, GAP_PX, BOTTOM_PX, BAR_PX, RIGHT_PX = 50, 34, 30, 30, 16, 110  # around the panels, and the scale
+INK, LIGHT, GREY, RED = (40, 40, 40), (225, 225, 225), (165, 165, 165), (40, 40, 200)
+HATCH_PX = 9  # from line to line of what has no distance
+TICKS = 6  # along an axis, about
+SHOWN = (1, 99)  # percent of the values between the ends of the scale: a few wrong ones shall not take all colours
+
+
+def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
+    """The picture, everywhere sharp, and beside it the map with its scale; hatched: no distance. Raises OSError."""
+    height, width = result.sharp.shape[:2]
+    scale = min(1.0, PANEL_PX / max(height, width))
+    size = round(width * scale), round(height * scale)
+    values, label = result.range_on_parts(), "z-depth in metres"
+    if values is None or not np.isfinite(values).any():
+        values, label = result.lens_position_on_parts(), "lens position of the clarity peak"
+    right = LEFT_PX + size[0] + GAP_PX + LEFT_PX
+    page = np.full((TOP_PX + size[1] + BOTTOM_PX, right + size[0] + RIGHT_PX, 3), 255, np.uint8)
+    view = cv2.resize(result.sharp, size, interpolation=cv2.INTER_AREA)
+    if box is not None:
+        corners = [
+            (round(scale * x), round(scale * y)) for x, y in ((box.x, box.y), (box.x + box.width, box.y + box.height))
+        ]
+        cv2.rectangle(view, corners[0], corners[1], RED, 2)
+    limits = scale_of(values)
+    drawn = coloured(values, scale * result.block_px / result.along, (size[1], size[0]), limits)
+    for left, panel in ((LEFT_PX, view), (right, drawn)):
+        page[TOP_PX : TOP_PX + size[1], left : left + size[0]] = panel
+        for value, at in ticks(0.0, width, scale):
+            text(page, f"{value:g}", (left + at, TOP_PX + size[1] + 18), "middle")
+        for value, at in ticks(0.0, height, scale):
+            text(page, f"{value:g}", (left - 6, TOP_PX + at + 4), "end")
+    blocks = result.blocks.accepted
+    split = f", {np.count_nonzero(result.used_parts())} parts of others" if result.used_parts().any() else ""
+    text(page, "each part from its sharpest frame; pixels", (LEFT_PX, 22))
+    text(page, f"{label}: {np.count_nonzero(blocks)} of {blocks.size} blocks{split}; hatched: none", (right, 22))
+    if limits is not None:
+        draw_scale(page[TOP_PX : TOP_PX + size[1], right + size[0] + 14 :], limits)
+    done, encoded = cv2.imencode(".png", page)
+    assert done  # of 8 bits it always is
+    path.write_bytes(encoded.tobytes())
+
+
+def scale_of(values: Array) -> tuple[float, float] | None:
+    """Values at the ends of the scale; None where there are none."""
+    shown = values[np.isfinite(values)]
+    if shown.size == 0:
+        return None
+    low, high = np.percentile(shown, SHOWN)
+    return float(low), float(high if high > low else low + max(abs(low), 1.0) * 1e-3)
+
+
+def coloured(values: Array, square_px: float, size: tuple[int, int], limits: tuple[float, float] | None) -> Image:
+    """One colour a square of `square_px`, hatched where NaN or where there is no square; size: (height, width)."""
+    rows, cols = (((np.arange(length) + 0.5) / square_px).astype(int) for length in size)
+    wide = np.full((max(rows[-1] + 1, values.shape[0]), max(cols[-1] + 1, values.shape[1])), np.nan)
+    wide[: values.shape[0], : values.shape[1]] = values
+    low, high = limits or (0.0, 1.0)
+    level = np.clip((np.nan_to_num(wide, nan=low) - low) / (high - low), 0.0, 1.0)
+    picture: Image = colour_map((255.0 * level).round().astype(np.uint8))[rows][:, cols]
+    blank = np.isnan(wide)[rows][:, cols]
+    picture[blank] = LIGHT
+    picture[blank & (np.add.outer(np.arange(size[0]), np.arange(size[1])) % HATCH_PX == 0)] = GREY
+    return picture
+
+
+def colour_map(levels: NDArray[np.uint8]) -> Image:
+    """0 to 255 (rows, cols) -> blue green red (rows, cols, 3)."""
+    return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), np.uint8)
+
+
+def draw_scale(place: Image, limits: tuple[float, float]) -> None:
+    """The colours from the highest value down, with some of the values beside them."""
+    height, (low, high) = len(place), limits
+    levels = np.linspace(255, 0, height).round().astype(np.uint8)
+    place[:, :BAR_PX] = colour_map(np.repeat(levels[:, None], BAR_PX, axis=1))
+    for value, at in ticks(low, high, height / (high - low)):
+        text(place, f"{value:g}", (BAR_PX + 6, height - 1 - at + 4))
+
+
+def ticks(low: float, high: float, px_per_unit: float) -> Iterator[tuple[float, int]]:
+    """Round values from low to high, and how many pixels from low each lies."""
+    about = (high - low) / TICKS
+    power = 10.0 ** math.floor(math.log10(about))
+    step = next(power * k for k in (1, 2, 5, 10) if power * k >= about)
+    for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1):
+        yield round(k * step, 12), round((k * step - low) * px_per_unit)
+
+
+def text(page: Image, words: str, at: tuple[int, int], anchor: str = "start") -> None:
+    """Small dark letters, their left end, middle or right end at (x, y)."""
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+    (width, _), _ = cv2.getTextSize(words, font, size, 1)
+    x = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
+    cv2.putText(page, words, (x, at[1]), font, size, INK, 1, cv2.LINE_AA)
+
+
+# @@ depth_ranges
+# What a calibration makes of the peaks of a map, in words: how many have a range, why the others have none.
+#
+# Nothing in a sweep says which camera took it. But peaks that the calibration cannot give a range to, that lie where
+# it was not measured, or that are far wider or narrower than those it was made of, are rarely those of its camera.
+
+LEAST_SHARE = 0.05  # of the clear peaks: fewer ranges are chance, or what a speck of dirt in the view has
+NEAR_POLE = 0.25  # of the peak's half width: warmth and sag shift the focus at infinity by less
+STRANGE_WIDTH = 5.0  # times that of the calibration, or a part: texture and range change a peak's width twofold
+
+
+def ranges_in_words(result: DepthMap, focus: FocusFit, calibration: Path, out: Path) -> list[str]:
+    """No line where every clear peak has a range that was calibrated. Raises Failed where (nearly) none has one."""
+    positions, ranges, widths = _accepted(result)
+    count, given = positions.size, int(np.isfinite(ranges).sum())
+    low, high = sorted((focus.lowest, focus.highest))
+    covered = f"lens positions {low} to {high} ({_metres(focus, focus.highest)} to {_metres(focus, focus.lowest)})"
+    where = f"the peaks lie at lens positions {positions.min():.4g} to {positions.max():.4g}, it was made at {covered}"
+    if given < LEAST_SHARE * count:
+        at_infinity = abs(float(np.median(positions)) - focus.rho0) <= NEAR_POLE * focus.width
+        or_far = f", or all of the view is farther than {FARTHEST_M:g} m" if at_infinity else ""
+        raise Failed(
+            f"{calibration}: gives a range to {given or 'none'} of the {count} clear peaks, so it is a calibration of "
+            f"another camera{or_far}: {where}. Give this camera's own; {out} is in lens positions"
+        )
+    told = []
+    if given < count:
+        beyond = int(np.sum(~np.isfinite(ranges) & ((positions - focus.rho0) * focus.b_m <= 0.0)))
+        told.append(f"{count - given} of them have no range: {_why(beyond, count - given)}")
+    outside = int(np.sum(np.isfinite(ranges) & ((positions < low) | (positions > high))))
+    if outside:
+        told.append(f"{outside} ranges are extrapolated: they are not at {covered}, where the calibration was made")
+    ratio = float(np.median(widths)) / focus.width
+    if not 1.0 / STRANGE_WIDTH <= ratio <= STRANGE_WIDTH:
+        told.append(
+            f"doubtful: peaks are {ratio:.2g} times as wide as those of {calibration}, which may be a calibration of "
+            f"another camera; {where}"
+        )
+    return told
+
+
+def _accepted(result: DepthMap) -> tuple[Array, Array, Array]:
+    """Lens position, range and width of every clear peak, of blocks and of the parts of split ones."""
+    grids = [(result.blocks, result.blocks.accepted)]
+    if result.parts is not None:
+        grids.append((result.parts, result.used_parts()))
+    found = []
+    for grid, used in grids:
+        assert grid.range_m is not None  # it was measured with a calibration
+        found.append((grid.lens_position[used], grid.range_m[used], grid.width[used]))
+    positions, ranges, widths = (np.concatenate(field) for field in zip(*found, strict=True))
+    return positions, ranges, widths
+
+
+def _why(beyond: int, missing: int) -> str:
+    """Beyond the pole of h is beyond infinity; the others are too far to tell, or nearer than any lens can focus."""
+    reasons = []
+    if beyond:
+        reasons.append(f"{beyond} are sharp where the lens is set to infinity or beyond")
+    if beyond < missing:
+        reasons.append(f"{missing - beyond} would be farther than {FARTHEST_M:g} m, or nearer than the lens itself")
+    return ", ".join(reasons)
+
+
+def _metres(focus: FocusFit, lens_position: float) -> str:
+    range_m = h(focus, lens_position)
+    return "no range" if range_m is None else f"{range_m:.2f} m"
+
+
+# @@ depth_files
+# A depth map as a table; and its squares in a figure of matplotlib.
+
+Line = list[object]
+
+
+def write_csv(result: DepthMap, path: Path) -> None:
+    """One line a block, and one for each part of a block that is split; x_px and y_px are its centre, size_px its side.
+
+    What has no value is left empty. The squares of the lines that are accepted do not overlap, and are the whole map.
+    """
+    columns = ["row", "col", "x_px", "y_px", "focus", "sigma", "quality", "accepted"]
+    columns += ([] if result.blocks.range_m is None else ["range_m"]) + ["size_px", "reason"]
+    along = result.along
+    split = any_part(result.used_parts(), along)
+    blocks = _lines(result.blocks, result.block_px, np.ones(split.shape, bool))
+    parts = {} if result.parts is None else _lines(result.parts, result.block_px / along, each_part(split, along))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for (row, col), line in blocks.items():
+            writer.writerow([row, col, *line])
+            if split[row, col]:
+                places = np.ndindex(along, along)
+                writer.writerows([row, col, *parts[row * along + r, col * along + c]] for r, c in places)
+
+
+def _lines(grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_]) -> dict[tuple[int, int], Line]:
+    """The columns from x_px on, by row and column of the square."""
+    numbers = [(grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")]
+    columns = [_written(values[wanted], shape) for values, shape in numbers]
+    columns.append(grid.accepted[wanted].astype(int).tolist())
+    if grid.range_m is not None:
+        columns.append(_written(grid.range_m[wanted], ".5g"))
+    places, reasons = np.argwhere(wanted).tolist(), grid.reason[wanted].tolist()
+    size = f"{size_px:g}"
+    return {
+        (row, col): [*(f"{(k + 0.5) * size_px - 0.5:g}" for k in (col, row)), *values, size, TEXTS[reason]]
+        for (row, col), reason, *values in zip(places, reasons, *columns, strict=True)
+    }
+
+
+def _written(values: Array, shape: str) -> Line:
+    return ["" if value != value else format(value, shape) for value in values.tolist()]  # NaN is not itself
+
+
+def draw_cells(
+    axes: Axes,
+    values: Array,
+    block: float,
+    label: str,
+    limits: tuple[float, float] | None = None,
+    colours: str = "viridis",
+) -> None:
+    """One colour a square of `block` pixels, NaN hatched, with a scale; limits: values at its ends, if given."""
+    axes.patch.set(facecolor="0.88", edgecolor="0.65", hatch="///")  # seen through cells without a value
+    axes.set_aspect("equal")
+    shown = values[np.isfinite(values)]
+    if shown.size == 0:
+        return
+    # A few wrong peaks shall not take the colours of all others.
+    low, high = np.percentile(shown, (1, 99)) if limits is None else limits
+    rows, cols = values.shape
+    cells = axes.imshow(
+        np.ma.masked_invalid(values), extent=(0, cols * block, rows * block, 0), vmin=low, vmax=high, cmap=colours
+    )
+    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map, whatever its shape
+    axes.figure.colorbar(cells, cax=bar, label=label, extend="both")
+
+
+# @@ depth_map
 
 
 def depth_map(

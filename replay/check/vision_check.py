@@ -102,7 +102,7 @@ class VisionCheck(NamedTuple):
 
 
 def check_vision(paths: Sequence[Path], make_see: MakeSee, console: Console | None = None) -> list[VisionCheck]:
-    """Check every black box among files and folders; `make_see` is agent.perception.rerun_vision.rerun_vision.
+    """Check every black box among files and folders; `make_see` is agent.perception.vision.rerun_vision.
 
     Raises ConfigError for input that is no recording or whose frames do not decode.
     """

@@ -44,9 +44,9 @@ def run() -> dict[str, dict]:
 def fidelity() -> dict[str, dict]:
     from agent.perception.enhancement import enhance
     from agent.perception.enhancement.lu2net import load
-    from agent.tools import degrade
-    from agent.tools.landscapes import landscape
-    from agent.tools.metrics import psnr
+    from agent.tools import training_scenes as degrade
+    from agent.tools.evaluate_enhance import psnr
+    from agent.tools.training_scenes import landscape
 
     net = load(enhance.shipped_weights())
     works = {way: enhance.network_enhancer(net, way).apply for way in ("plain", "folded", "fast")}
@@ -90,8 +90,9 @@ def measure(threads: int) -> dict[str, dict]:
 def ways(frame: np.ndarray) -> dict[str, Callable[[np.ndarray], object]]:
     import torch
 
-    from agent.perception.enhancement import enhance, fast_enhance, lu2net
-    from agent.perception.enhancement.grey_world import classic
+    from agent.perception.enhancement import enhance, lu2net
+    from agent.perception.enhancement import enhance as fast_enhance
+    from agent.perception.enhancement.enhance import classic
 
     torch.manual_seed(0)
     stored, last = lu2net.LU2Net().eval(), lu2net.LU2Net().eval().to(memory_format=torch.channels_last)

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from agent.core.ranging.camera_model import CameraFit
-from agent.perception.landmarks.flow import begin, follow
-from agent.perception.landmarks.tags import find_tags
+from agent.perception.flow import begin, follow
+from agent.perception.tags import find_tags
 from tests.perception.landmarks.floor import frame, pose, texture
 from tests.perception.landmarks.printed import WALL, bend, corner_slopes, photograph, tag_light, turned
 

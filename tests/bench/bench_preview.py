@@ -9,9 +9,8 @@ import cv2
 from agent.core.config import Link
 from agent.core.step_io import Sighting
 from agent.perception.detection.detect import find_ball
-from agent.perception.enhancement.enhance import default, one_thread
-from agent.perception.enhancement.on_demand import DUE_NS, SHARE, OnDemandEnhancer
-from agent.perception.preview import Preview
+from agent.perception.enhancement.enhance import DUE_NS, SHARE, OnDemandEnhancer, default, one_thread
+from agent.perception.vision import Preview
 from hw.camera.camera import Frame
 from tests.bench.bench_vision import CAMERA, ball, medians_s, row
 

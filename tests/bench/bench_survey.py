@@ -14,13 +14,11 @@ from agent.core.config import Fleet, Tag
 from agent.core.ranging.camera_model import Calibration, at_lens_position
 from agent.core.ranging.focus import lens_position
 from agent.experiments.posed_robot import PosedRobot
-from agent.perception.landmarks.tags import find_tags
+from agent.perception.tags import find_tags
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from agent.tools.landmarks import known_tags, survey
-from agent.tools.rotation import turned_by
-from agent.tools.survey_bundle import SurveyFrame
-from agent.tools.survey_views import Views, fresh
+from agent.tools.tag_bundle import SurveyFrame, turned_by
+from agent.tools.tag_map import Views, fresh, known_tags, survey
 from hw.twin.landmarks import PaintedTag, true_tags
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

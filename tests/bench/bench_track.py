@@ -6,10 +6,8 @@ from pathlib import Path
 
 import cv2
 
-from agent.perception.tracking.appearance import remember, search
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.box_trackers import load_box_tracker, model_files
-from agent.perception.tracking.follow import Follower
+from agent.perception.tracking.appearance import Box, remember, search
+from agent.perception.tracking.follow import Follower, load_box_tracker, model_files
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 

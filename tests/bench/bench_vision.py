@@ -12,9 +12,7 @@ import numpy as np
 
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import fit_peak, fit_peaks
-from agent.perception.clarity.clarity import grid, tenengrad_grid
-from agent.perception.clarity.peaks import block_peaks
-from agent.perception.clarity.region import around, disc_clarity
+from agent.perception.clarity import around, block_peaks, disc_clarity, grid, tenengrad_grid
 from agent.perception.detection.detect import find_ball
 from hw.camera.camera import Frame, Roi
 from hw.compiled import compiled

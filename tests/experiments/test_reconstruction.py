@@ -27,7 +27,7 @@ from agent.experiments.reconstruction.world import (
     scene_of_seed,
     trained,
 )
-from agent.reconstruction.camera import Camera
+from agent.reconstruction.views import Camera
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 from tests.reconstruction.drawn import drawn_view, plane_depth

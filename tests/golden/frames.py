@@ -16,7 +16,7 @@ from agent.core.codec import decode, encode
 from agent.core.config import Fleet, dump
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Inputs, Sighting, SweepPlan
-from agent.perception.rerun_vision import rerun_vision
+from agent.perception.vision import rerun_vision
 from agent.process.agent_process import run_facts
 from agent.robot.step import Agent
 from replay.files.backlog import Entry

@@ -19,7 +19,7 @@ from agent.core.config import Fleet
 from agent.core.messages import MAX_JPEG, Image, State
 from agent.core.topics import IMAGE, STATE
 from agent.ground.schemas import decode as printed
-from agent.perception.preview import compressed
+from agent.perception.vision import compressed
 from agent.process.transport import Observer, Transport
 from replay.files.info import describe, info
 from replay.files.log import read

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.perception.frame_checks import FROZEN_FRAMES, FROZEN_NS, FrozenWatch, check
+from agent.perception.vision import FROZEN_FRAMES, FROZEN_NS, FrozenWatch, check
 from hw.camera.camera import CameraError, Frame, Roi
 from hw.camera.files import StackCamera
 

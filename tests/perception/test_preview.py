@@ -8,9 +8,8 @@ from agent.core.codec import decode, encode
 from agent.core.messages import MAX_JPEG, Image
 from agent.core.step_io import Sighting
 from agent.core.topics import IMAGE
-from agent.perception.enhancement.enhance import Enhancer
-from agent.perception.enhancement.on_demand import OnDemandEnhancer
-from agent.perception.preview import KEPT_BYTES, Preview, compressed
+from agent.perception.enhancement.enhance import Enhancer, OnDemandEnhancer
+from agent.perception.vision import KEPT_BYTES, Preview, compressed
 from hw.camera.camera import Frame, Roi
 
 WHOLE = (640, 480)

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.reconstruction.camera import Camera, pixel_grid, ray_slopes
-from agent.reconstruction.view import View, diagonal_prior, rotation_of
+from agent.reconstruction.views import Camera, View, diagonal_prior, pixel_grid, ray_slopes, rotation_of
 
 Floats = NDArray[np.float64]
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from agent.reconstruction.camera import Camera, pixel_grid, ray_slopes
-from agent.reconstruction.view import View, diagonal_prior
+from agent.reconstruction.views import Camera, View, diagonal_prior, pixel_grid, ray_slopes
 
 CAMERA = Camera(220.0, 79.2, 60.4, 0.39, 0.004, 160, 120)
 

@@ -7,14 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.reconstruction.camera import project
-from agent.reconstruction.poses.bundle import DAMPING, Loss, Prior, State, first_state, normal_of, step
-from agent.reconstruction.poses.corners import Corners
-from agent.reconstruction.poses.matches import Matches
-from agent.reconstruction.poses.shared_prior import FOCUS_SHARED, VIEW_SIGMA, certainty_of, information_of
-from agent.reconstruction.poses.twist import apart, between, by_motion, moved_about
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.view import View, moved, rotation_of, surface_points, to_camera
+from agent.reconstruction.matches import Corners, Matches
+from agent.reconstruction.pose_evidence import apart, between, by_motion, moved_about
+from agent.reconstruction.refine_poses import (
+    DAMPING,
+    FOCUS_SHARED,
+    VIEW_SIGMA,
+    Loss,
+    Prior,
+    State,
+    certainty_of,
+    first_state,
+    information_of,
+    normal_of,
+    step,
+)
+from agent.reconstruction.views import View, moved, project, rotation_of, stacked, surface_points, to_camera
 from tests.reconstruction.a_plane import CAMERA, some_views
 
 LOSS = Loss(2.0, 0.5)

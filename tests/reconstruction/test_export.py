@@ -12,15 +12,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from agent.reconstruction.colours import coloured
-from agent.reconstruction.export.encoded import encoded
-from agent.reconstruction.export.kinds import export
-from agent.reconstruction.export.pinhole import quaternion
-from agent.reconstruction.export.splat import from_z
-from agent.reconstruction.extract import Mesh, mesh_of
+from agent.reconstruction.export import encoded, export, from_z, quaternion
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.view import View, rotation_of, see
+from agent.reconstruction.mesh import Mesh, coloured, mesh_of
+from agent.reconstruction.views import View, rotation_of, see, stacked
 from tests.reconstruction.drawn import drawn_view, plane_depth
 
 PLACES = [(0.05, -0.45, 0.5), (0.3, -0.3, 0.5), (-0.35, -0.2, 0.45)]

@@ -8,17 +8,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.reconstruction.field.settings import FieldSettings
+from agent.reconstruction.held_back import FieldSettings
 from tests.reconstruction.a_plane import NORMAL, OFFSET_M, a_view, some_views
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
-from agent.reconstruction.field.density import density, ray_weights, through_water  # noqa: E402
-from agent.reconstruction.field.march import NEAREST_M, look, trace  # noqa: E402
-from agent.reconstruction.field.picture import picture  # noqa: E402
-from agent.reconstruction.field.rays import Bundle  # noqa: E402
-from agent.reconstruction.field.train import learn, loss  # noqa: E402
-from agent.reconstruction.field.volume import Box, Field  # noqa: E402
+from agent.reconstruction.field import (  # noqa: E402
+    NEAREST_M,
+    Box,
+    Bundle,
+    Field,
+    density,
+    learn,
+    look,
+    loss,
+    picture,
+    ray_weights,
+    through_water,
+    trace,
+)
 
 
 def plane_box(cell_m: float = 0.02) -> Box:
@@ -64,7 +72,7 @@ def test_rays_are_those_of_the_view() -> None:
     chosen = torch.tensor([0, 161, 19_200 * 3 + 5])
     rays, true = bundle.rays(chosen), bundle.pixels(chosen)
     for n, (view, row, col) in enumerate(((views[0], 0, 0), (views[0], 1, 1), (views[3], 0, 5))):
-        from agent.reconstruction.view import surface_points
+        from agent.reconstruction.views import surface_points
 
         t = (true.depth_m[n] - rays.ahead_m[n]) / rays.forward[n]
         found = (rays.origin_m[n] + t * rays.toward[n]).numpy()

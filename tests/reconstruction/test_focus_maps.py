@@ -7,8 +7,7 @@ from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import range_variance
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
-from agent.reconstruction.composite import composite, linear, shrunk_frame
-from agent.reconstruction.focus_maps import FLOOR_M, focus_map, range_sigma_m
+from agent.reconstruction.views import FLOOR_M, composite, focus_map, linear, range_sigma_m, shrunk_frame
 
 FOCUS = FocusFit(u_inf_m=0.001, b_m=130.0, rho0=90.0, covariance=(0.0,) * 6, noise=0.7, width=250.0, lowest=190,
                  highest=700, r2=1.0, rmse_m=0.0, held_out_rmse_m=0.0)  # fmt: skip

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from agent.reconstruction.camera import Camera
-from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.fusion import TRUNCATION_M, fuse
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.view import View
+from agent.reconstruction.mesh import mesh_of
+from agent.reconstruction.views import Camera, View, stacked
 from tests.reconstruction.drawn import ball_depth, drawn_view, plane_depth
 
 CELL_M, CENTRE, RADIUS_M = 5e-3, np.array([0.0, 0.0, 0.06]), 0.07

@@ -8,14 +8,13 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.experiments.reconstruction.noisy import SHARED, noisy
-from agent.reconstruction.extract import mesh_of
+from agent.reconstruction import image_model as seam
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.image import model as seam
-from agent.reconstruction.image.judged import judged, psnr_db, smaller
-from agent.reconstruction.image.model import ImageModel, ImageSettings, filled, image
-from agent.reconstruction.poses.twist import apart
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.view import moved, surface_points
+from agent.reconstruction.held_back import judged, psnr_db, smaller
+from agent.reconstruction.image_model import ImageModel, ImageSettings, filled, image
+from agent.reconstruction.mesh import mesh_of
+from agent.reconstruction.pose_evidence import apart
+from agent.reconstruction.views import moved, stacked, surface_points
 from tests.reconstruction.a_plane import a_view, some_views
 
 
@@ -46,7 +45,7 @@ def test_without_torch_there_are_surfels(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_device_that_is_not_there_is_said_in_one_line() -> None:
     torch = pytest.importorskip("torch", reason="the extra `reconstruct` is not installed")
-    from agent.reconstruction.field.model import device_of
+    from agent.reconstruction.field import device_of
 
     assert device_of("cpu") == torch.device("cpu")
     if not torch.cuda.is_available():

@@ -8,12 +8,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.reconstruction.camera import project, unproject
-from agent.reconstruction.poses.corners import MOST, corners
-from agent.reconstruction.poses.matches import matched
-from agent.reconstruction.poses.windows import correlate, read, summit, top
-from agent.reconstruction.stack import Stack, camera_at, stacked
-from agent.reconstruction.view import View, moved
+from agent.reconstruction.matches import MOST, corners, correlate, matched, read, summit, top
+from agent.reconstruction.views import Stack, View, camera_at, moved, project, stacked, unproject
 from tests.reconstruction.drawn import drawn_view, plane_depth
 
 FLOOR = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.reconstruction.camera import Camera
-from agent.reconstruction.export.transforms import write_transforms
-from agent.reconstruction.extract import Mesh
-from agent.reconstruction.run import Settings, run
-from agent.reconstruction.transforms_in import transforms_views
-from agent.reconstruction.view import View
-from agent.reconstruction.without_focus import looked_at, scale_of
+from agent.reconstruction.export import write_transforms
+from agent.reconstruction.mesh import Mesh
+from agent.reconstruction.run import Settings, looked_at, run, scale_of
+from agent.reconstruction.sources import transforms_views
+from agent.reconstruction.views import Camera, View
 from tests.reconstruction.drawn import drawn_view, plane_depth
 
 STRAIGHT = Camera(154.0, 55.5, 41.5, 0.0, 0.0, 112, 84)

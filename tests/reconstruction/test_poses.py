@@ -8,12 +8,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.reconstruction.camera import project, unproject
-from agent.reconstruction.poses.evidence import evidence, flow
-from agent.reconstruction.poses.place import clipped, place
-from agent.reconstruction.poses.refine import refine
-from agent.reconstruction.poses.twist import Motion, apart, between, by_motion, carried, moved_about
-from agent.reconstruction.view import diagonal_prior, moved, rotation_of, to_camera
+from agent.reconstruction.pose_evidence import (
+    Motion,
+    apart,
+    between,
+    by_motion,
+    carried,
+    clipped,
+    evidence,
+    flow,
+    moved_about,
+    place,
+)
+from agent.reconstruction.refine_poses import refine
+from agent.reconstruction.views import diagonal_prior, moved, project, rotation_of, to_camera, unproject
 from tests.reconstruction.a_plane import CAMERA, a_view, look, some_views
 from tests.reconstruction.drawn import drawn_view, plane_depth
 

@@ -5,13 +5,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.reconstruction import colours, fusion
-from agent.reconstruction.camera import Camera, pixel_grid, project, unproject
-from agent.reconstruction.extract import mesh_of
-from agent.reconstruction.raster import pieces_of, rendered
-from agent.reconstruction.reach import balls_of, cone, cones, meets, touched
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.view import View, rotation_of
+from agent.reconstruction import fusion
+from agent.reconstruction import mesh as colours
+from agent.reconstruction.bricks import balls_of, cone, cones, meets, touched
+from agent.reconstruction.mesh import mesh_of, pieces_of, rendered
+from agent.reconstruction.views import Camera, View, pixel_grid, project, rotation_of, stacked, unproject
 from tests.reconstruction.drawn import CAMERA, drawn_view, plane_depth
 
 FLOOR = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)

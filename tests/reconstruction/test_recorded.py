@@ -9,9 +9,9 @@ import pytest
 from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.step_io import Outputs, SweepOutcome
-from agent.reconstruction.poses.prior import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
-from agent.reconstruction.recorded import aligned, recorded_views
-from agent.reconstruction.view import rotation_of, see, surface_points
+from agent.reconstruction.refine_poses import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
+from agent.reconstruction.sources import aligned, recorded_views
+from agent.reconstruction.views import rotation_of, see, surface_points
 from replay.check.black_box import open_box
 from replay.files.log import read
 from replay.viewers.whole_sweeps import SweepFrame, whole_sweeps

@@ -6,11 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo.neighbours import neighbours
-from agent.reconstruction.stereo.plane_sweep import Swept, plane_sweep
-from agent.reconstruction.stereo.warp import slopes_of_map
-from agent.reconstruction.view import View
+from agent.reconstruction.plane_sweep import Swept, neighbours, plane_sweep, slopes_of_map
+from agent.reconstruction.views import View, stacked
 from tests.reconstruction.drawn import drawn_view, plane_depth
 
 PLACES = [(0.0, -0.45, 0.4), (0.12, -0.42, 0.42), (-0.13, -0.42, 0.41), (0.02, -0.36, 0.5)]

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from agent.process.command import Failed
-from agent.reconstruction.colours import coloured
-from agent.reconstruction.extract import mesh_of
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.view import View
+from agent.reconstruction.mesh import coloured, mesh_of
+from agent.reconstruction.views import View, stacked
 from tests.reconstruction.drawn import ball_depth, drawn_view, plane_depth, texture
 
 CELL_M = 5e-3

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.reconstruction.surfels.cloud import Cloud, thinned
-from agent.reconstruction.surfels.fit import fit, picture
-from agent.reconstruction.surfels.splat import blended, gathered, splats
+from agent.reconstruction.surfels import Cloud, blended, fit, gathered, picture, splats, thinned
 from tests.reconstruction.a_plane import NORMAL, OFFSET_M, a_view, look, some_views
 
 CELL_M = 5e-3

@@ -9,8 +9,24 @@ from hypothesis import strategies as st
 
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.camera_model import pixel as kernel_pixel
-from agent.reconstruction.camera import Camera, pixel_grid, pixel_of, project, ray_slopes, shrunk, slopes_of, unproject
-from agent.reconstruction.view import View, diagonal_prior, moved, rotation_of, see, surface_points, to_camera, to_world
+from agent.reconstruction.views import (
+    Camera,
+    View,
+    diagonal_prior,
+    moved,
+    pixel_grid,
+    pixel_of,
+    project,
+    ray_slopes,
+    rotation_of,
+    see,
+    shrunk,
+    slopes_of,
+    surface_points,
+    to_camera,
+    to_world,
+    unproject,
+)
 
 CAMERAS = st.builds(
     Camera,

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from agent.capabilities.swim.landmarks import axes
 from agent.core.config import Landmarks, Tag, Tank
 from agent.core.step_io import SeenTag
-from agent.tools.survey_bundle import SurveyFrame
+from agent.tools.tag_bundle import SurveyFrame
 
 TANK = Tank(size_m=(1.5, 1.2, 0.6), surface_m=0.5)
 F_PX, SIZE_PX = 900.0, (640, 480)

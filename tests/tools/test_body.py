@@ -14,10 +14,9 @@ from agent.capabilities.swim.pose_filter import Hull
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import BodyFit, load_calibration
 from agent.process.command import Failed
-from agent.tools import body
-from agent.tools.body_fit import MIN_FIXES, Trial, fit_body
-from agent.tools.calibration_file import put
-from agent.tools.fit import CalibrationRefused
+from agent.tools import body_calibration
+from agent.tools.body_calibration import MIN_FIXES, Trial, fit_body
+from agent.tools.focus_calibration import CalibrationRefused, put
 from tests.capabilities.swim.planar_tank import Swimmer
 from tests.capabilities.swim.swimming_agent import CALIBRATION
 from tests.known_body import LIGHT
@@ -84,7 +83,7 @@ def test_what_is_no_trial_is_refused() -> None:
 
 def test_a_moored_robot_has_no_trial() -> None:
     with pytest.raises(Failed, match="was moored; record a robot that swims, with behaviour 'trial'"):
-        body.run(GOLDEN / "three" / "r1.mcap", None, Console(quiet=True))
+        body_calibration.run(GOLDEN / "three" / "r1.mcap", None, Console(quiet=True))
 
 
 def test_a_fit_stands_in_the_robot_s_file_and_the_file_before_is_kept(tmp_path, found) -> None:
@@ -101,11 +100,11 @@ def test_another_robot_s_file_is_left_alone(tmp_path) -> None:
     path = tmp_path / "r2.toml"
     path.write_text(dump(CALIBRATION))
     with pytest.raises(ConfigError, match=r"is the calibration of 'any'.* is of 'r1'"):
-        body.run(GOLDEN / "three" / "r1.mcap", path, Console(quiet=True))
+        body_calibration.run(GOLDEN / "three" / "r1.mcap", path, Console(quiet=True))
 
 
 def test_what_the_trial_did_not_show_is_said_so() -> None:
     console = Console(width=120, record=True, file=StringIO())
-    console.print(body.table(replace(LIGHT, sigma=(0.02, 0.7, 0.1, 0.01, 0.69, 0.1, 0.2))))
+    console.print(body_calibration.table(replace(LIGHT, sigma=(0.02, 0.7, 0.1, 0.01, 0.69, 0.1, 0.2))))
     shown = console.export_text().splitlines()
     assert [("not seen" in line) for line in shown if "│" in line] == [False, True, False, False, True, False, True]

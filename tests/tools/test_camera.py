@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from agent.core.config import ConfigError, read_toml
-from agent.tools.camera import calibrate_camera
+from agent.tools.camera_calibration import calibrate_camera
 
 F, CX, CY = 820.0, 330.0, 232.0
 QUIET = Console(quiet=True)

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from agent.__main__ import main
 from agent.core.config import ConfigError, dump
-from agent.perception.depth_box import BoxRange, box_clarity, box_range
-from agent.perception.tracking.box import Box
+from agent.perception.depth_peaks import BoxRange, box_clarity, box_range
+from agent.perception.tracking.appearance import Box
 from agent.tools.depth_map import run
 from tests.tools.planes import CALIBRATION, FOCUS, Breathing
 

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.perception.depth_edges import cuts, middle, off_plane, with_edges
-from agent.perception.depth_peaks import GridPeaks, Reason
-from agent.perception.depth_shown import enclosed, shown
+from agent.perception.depth_peaks import GridPeaks, Reason, cuts, enclosed, middle, off_plane, shown, with_edges
 from agent.perception.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
 from tests.bench.pictures.bench_edges import jumps

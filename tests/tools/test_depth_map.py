@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.focus import h
 from agent.perception.depth_peaks import Reason
-from agent.perception.tracking.box import Box
+from agent.perception.tracking.appearance import Box
 from agent.process.command import Failed
 from agent.tools.depth_map import depth_map, run
 from hw.camera.camera import CameraError

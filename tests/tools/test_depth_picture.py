@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.tools.depth_picture import GREY, LIGHT, coloured, scale_of, ticks
+from agent.tools.depth_map import GREY, LIGHT, coloured, scale_of, ticks
 
 
 def test_squares_are_drawn_at_their_size():

@@ -11,7 +11,7 @@ from agent.core.ranging.focus import h
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
 from agent.process.command import Failed
-from agent.tools.depth_ranges import ranges_in_words
+from agent.tools.depth_map import ranges_in_words
 from tests.tools.planes import FOCUS
 
 OWN = replace(FOCUS, u_inf_m=0.05, b_m=0.1, rho0=0.0, width=0.1, lowest=0, highest=1)  # of the lens of PEAKS

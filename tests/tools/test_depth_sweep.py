@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.perception.clarity.breathing import measure_growth
+from agent.perception.depth_peaks import measure_growth
 from agent.perception.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
 from tests.tools.planes import FOCUS, Breathing, Lens, quiet, two_planes

@@ -12,8 +12,8 @@ from agent.__main__ import main
 from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import WEIGHTS
 from agent.tools import enhance as enhance_source
-from agent.tools import evaluate as enhance_evaluate
-from agent.tools.sources import pictures
+from agent.tools import evaluate_enhance as enhance_evaluate
+from agent.tools.enhance import pictures
 
 PICTURE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
 

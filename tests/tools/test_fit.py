@@ -9,8 +9,8 @@ import pytest
 from agent.core.config import Body
 from agent.core.ranging.focus import h
 from agent.process.command import Failed
-from agent.tools.camera_fit import Corner, fit_camera
-from agent.tools.fit import CalibrationRefused, FocusRow, fit_focus
+from agent.tools.camera_calibration import Corner, fit_camera
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
 
 BODY = Body()
 DISTANCES_M = 1 / np.linspace(1 / 1.2, 1 / 0.22, 12)

@@ -6,8 +6,8 @@ import pytest
 from agent.core.control.sweep import full_positions
 from agent.core.ranging.camera_model import Calibration, CameraFit
 from agent.core.ranging.focus import h
-from agent.tools.fit import FocusRow, fit_focus
-from agent.tools.run import describe
+from agent.tools.bench_calibration import describe
+from agent.tools.focus_calibration import FocusRow, fit_focus
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from agent.core.config import ConfigError, read_toml
 from agent.process.command import plain_console
-from agent.tools import focus_table
-from agent.tools.focus_table import paper_gauge, read_table, run
+from agent.tools import focus_calibration
+from agent.tools.focus_calibration import paper_gauge, read_table, run
 
 K, F_CM, C_CM = 0.3922, 0.7431, 0.7577  # the paper's printed fit; centimetres is the only plausible unit
 RHO0, B_CM, U_INF_CM = F_CM / K, F_CM * F_CM / K, F_CM + C_CM
@@ -41,7 +41,9 @@ def test_the_papers_curve_comes_back_without_noise(tmp_path: Path) -> None:
 
 
 def test_the_papers_r2_and_rmse_come_back_with_its_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(focus_table, "figure", lambda *_: Figure())  # the plots of fifteen tables take most of the time
+    monkeypatch.setattr(
+        focus_calibration, "figure", lambda *_: Figure()
+    )  # the plots of fifteen tables take most of the time
     fits = [run(table(tmp_path / "t.csv", seed), None, quiet()) for seed in range(15)]
     assert 3.1 < 100 * np.median([fit.rmse_m for fit in fits]) < 3.8
     assert np.median([fit.r2 for fit in fits]) == pytest.approx(0.99, abs=0.004)

@@ -7,8 +7,8 @@ import pytest
 
 from agent.__main__ import main
 from agent.core.config import ConfigError
-from agent.perception.tracking.box_trackers import model_files
-from agent.tools.follow_box import HEADER, Asked, parse_box, run
+from agent.perception.tracking.follow import model_files
+from agent.tools.track import HEADER, Asked, parse_box, run
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from agent.__main__ import main
-from agent.tools.list_tags import HEADER, Asked, run
+from agent.tools.tags import HEADER, Asked, run
 from tests.known_lens import CAMERA, PLAIN
 from tests.perception.landmarks.printed import modules, photograph
 

@@ -8,8 +8,8 @@ import pytest
 
 from agent.core.config import Body, ConfigError, Fleet, Pose, Robot, Target
 from agent.core.ranging.focus import h
-from agent.tools.fit import CalibrationRefused
-from agent.tools.procedure import COLUMNS, ROWS, SETTINGS, calibrate, find_corners, setting
+from agent.tools.bench_calibration import COLUMNS, ROWS, SETTINGS, calibrate, find_corners, setting
+from agent.tools.focus_calibration import CalibrationRefused
 from hw.camera.camera import FocusRange, Frame, Roi
 from tests.perception.painted import (
     CAMERA,

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.tools.metrics import judge, psnr, ssim, uciqe, uiqm
+from agent.tools.evaluate_enhance import judge, psnr, ssim, uciqe, uiqm
 
 
 def picture() -> np.ndarray:

@@ -15,13 +15,23 @@ from agent.core.config import ConfigError, Landmarks, Tag, dump, read_toml
 from agent.core.step_io import Inputs, SeenTags
 from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from agent.tools import landmarks as verb
-from agent.tools.landmarks import Asked, known_tags, priors, run, survey
-from agent.tools.rotation import turn_of, turned_by
-from agent.tools.survey_bundle import bundle
-from agent.tools.survey_result import block, check_out, put, remarks
-from agent.tools.survey_start import start
-from agent.tools.survey_views import Views, fresh, recorded
+from agent.tools import tag_map as verb
+from agent.tools.tag_bundle import bundle, turn_of, turned_by
+from agent.tools.tag_map import (
+    Asked,
+    Views,
+    block,
+    check_out,
+    fresh,
+    known_tags,
+    priors,
+    put,
+    recorded,
+    remarks,
+    run,
+    start,
+    survey,
+)
 from tests.known_lens import CAMERA
 from tests.perception.landmarks.printed import modules, photograph
 from tests.tools.drawn_survey import SIDE_M, SIGMA_DEG, SIGMA_M, SIZE_SPREAD, TANK, drawn, film, listed

@@ -6,10 +6,9 @@ import cv2
 import pytest
 
 from agent.core.config import ConfigError
-from agent.perception.tracking.box import Box
+from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import Followed
-from agent.tools.follow_box import Asked, run
-from agent.tools.track_truth import Truth, check_rows, read_truth, score
+from agent.tools.track import Asked, Truth, check_rows, read_truth, run, score
 from tests.perception.tracking.swimming import clip
 
 HERE, BESIDE = Box(10, 10, 20, 20), Box(16, 10, 20, 20)

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.tools import degrade, scene_pairs
-from agent.tools.dataset import Pairs
-from agent.tools.landscapes import landscape
-from agent.tools.request import check
+from agent.tools import training_pairs, training_scenes
+from agent.tools.train_enhance import check
+from agent.tools.training_pairs import Pairs
+from agent.tools.training_scenes import landscape
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
-from agent.tools import losses  # noqa: E402
-from agent.tools.train import (  # noqa: E402
+from agent.tools import training  # noqa: E402
+from agent.tools.training import (  # noqa: E402
     Plan,
     Run,
     advance,
@@ -29,7 +29,7 @@ TINY = Plan(steps=5, seed=3, sizes=((32, 2), (16, 3)), validate_every=2)
 
 @pytest.fixture(scope="module")
 def pairs() -> Pairs:
-    made = [degrade.pair(*landscape(72, np.random.default_rng(i)), np.random.default_rng(i)) for i in range(6)]
+    made = [training_scenes.pair(*landscape(72, np.random.default_rng(i)), np.random.default_rng(i)) for i in range(6)]
     raw, target = (np.stack([pair[k] for pair in made]) for k in (0, 1))
     return Pairs(raw, target, np.array([f"land-{i}" for i in range(6)]))
 
@@ -99,9 +99,9 @@ def test_the_rate_rises_and_ends_near_zero():
 
 def test_equal_pictures_lose_nothing_and_others_do():
     x = torch.rand(2, 3, 24, 20, generator=torch.Generator().manual_seed(0))
-    assert losses.loss(x, x).item() == pytest.approx(0, abs=1e-5)
+    assert training.loss(x, x).item() == pytest.approx(0, abs=1e-5)
     for worse in (x * 0.5, x.flip(1), torch.rand_like(x)):
-        assert losses.loss(worse, x).item() > 0.1
+        assert training.loss(worse, x).item() > 0.1
 
 
 def test_a_buoy_that_comes_out_olive_costs_as_much_as_a_picture_that_is_too_dark():
@@ -109,28 +109,28 @@ def test_a_buoy_that_comes_out_olive_costs_as_much_as_a_picture_that_is_too_dark
     target[:, :, 20:25, 20:25] = torch.tensor([0.9, 0.3, 0.1]).view(1, 3, 1, 1)
     olive = target.clone()
     olive[:, :, 20:25, 20:25] = torch.tensor([0.4, 0.4, 0.1]).view(1, 3, 1, 1)
-    assert losses.warm_loss(losses.to_lab(olive), losses.to_lab(target)) > 0.2
-    assert losses.loss(olive, target) > losses.loss(target - 0.05, target)
+    assert training.warm_loss(training.to_lab(olive), training.to_lab(target)) > 0.2
+    assert training.loss(olive, target) > training.loss(target - 0.05, target)
     dull = torch.full_like(target, 0.4)
-    assert losses.warm_loss(losses.to_lab(dull + 0.1), losses.to_lab(dull)) == 0
+    assert training.warm_loss(training.to_lab(dull + 0.1), training.to_lab(dull)) == 0
 
 
 def test_lab_agrees_with_opencv():
     rgb = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
     theirs = cv2.cvtColor(rgb[0].permute(1, 2, 0).numpy(), cv2.COLOR_RGB2LAB)
-    assert np.abs(losses.to_lab(rgb)[0].permute(1, 2, 0).numpy() - theirs).max() < 0.3
+    assert np.abs(training.to_lab(rgb)[0].permute(1, 2, 0).numpy() - theirs).max() < 0.3
 
 
 def test_losses_can_be_followed_downhill_from_black_and_white():
     x = torch.tensor([0.0, 1.0]).repeat(1, 3, 16, 8).requires_grad_()
-    losses.loss(x, torch.full_like(x, 0.4)).backward()
+    training.loss(x, torch.full_like(x, 0.4)).backward()
     assert torch.isfinite(x.grad).all() and x.grad.abs().sum() > 0
 
 
 def test_near_things_keep_their_light_and_far_things_are_veil():
-    sea = degrade.draw_sea(np.random.default_rng(0))
+    sea = training_scenes.draw_sea(np.random.default_rng(0))
     lit = np.full((16, 16, 3), 0.5, np.float32)
-    near, far = (degrade.submerge(lit, np.full((16, 16), z, np.float32), sea, 1.0) for z in (0.0, 1e3))
+    near, far = (training_scenes.submerge(lit, np.full((16, 16), z, np.float32), sea, 1.0) for z in (0.0, 1e3))
     assert near[8, 8] == pytest.approx(0.5 * sea.down, rel=1e-5)
     assert far[8, 8] == pytest.approx(sea.veil, rel=1e-5)
 
@@ -145,36 +145,36 @@ def test_clips_stay_together_and_folds_keep_scenes_whole():
     rng = np.random.default_rng(0)
     views = [cv2.resize(rng.integers(0, 256, (6, 6, 3), dtype=np.uint8), (64, 64)) for _ in range(6)]
     clip = [np.roll(views[0], shift, axis=1) for shift in (0, 1, 2)]
-    numbers = scene_pairs.scenes(np.array(clip + views[1:]))
+    numbers = training_pairs.scenes(np.array(clip + views[1:]))
     assert numbers[0] == numbers[1] == numbers[2]
     assert len(set(numbers)) == 6
-    fold = scene_pairs.folds(np.array([f"scene-{n}" for n in numbers]), 3, seed=0)
+    fold = training_pairs.folds(np.array([f"scene-{n}" for n in numbers]), 3, seed=0)
     assert len(set(fold[:3])) == 1 and set(fold) == {0, 1, 2}
     with pytest.raises(ConfigError, match="cannot make 7 folds"):
-        scene_pairs.folds(np.array([f"scene-{n}" for n in numbers]), 7, seed=0)
+        training_pairs.folds(np.array([f"scene-{n}" for n in numbers]), 7, seed=0)
 
 
 def test_real_pairs_are_matched_by_name_and_bad_ones_are_one_line(tmp_path):
     raw, reference = tmp_path / "raw-890", tmp_path / "reference-890"
     with pytest.raises(ConfigError, match="no such folder"):
-        scene_pairs.read_pairs(raw, reference, 32)
+        training_pairs.read_pairs(raw, reference, 32)
     for folder in (raw, reference):
         folder.mkdir()
     cv2.imwrite(str(raw / "a.png"), np.full((40, 50, 3), 60, np.uint8))
     with pytest.raises(ConfigError, match="reference-890: no pictures"):
-        scene_pairs.read_pairs(raw, reference, 32)
+        training_pairs.read_pairs(raw, reference, 32)
     cv2.imwrite(str(reference / "b.bmp"), np.full((40, 50, 3), 90, np.uint8))
     with pytest.raises(ConfigError, match="no two pictures of the same name"):
-        scene_pairs.read_pairs(raw, reference, 32)
+        training_pairs.read_pairs(raw, reference, 32)
     cv2.imwrite(str(reference / "a.bmp"), np.full((40, 50, 3), 90, np.uint8))
-    pairs = scene_pairs.read_pairs(raw, reference, 32)
+    pairs = training_pairs.read_pairs(raw, reference, 32)
     assert pairs.raw.shape == (1, 32, 32, 3) and pairs.raw.max() == 60 and pairs.target.max() == 90
     cv2.imwrite(str(reference / "a.bmp"), np.zeros((40, 40, 3), np.uint8))
     with pytest.raises(ConfigError, match="50x40, but its reference 40x40 pixels"):
-        scene_pairs.read_pairs(raw, reference, 32)
+        training_pairs.read_pairs(raw, reference, 32)
     (raw / "a.png").write_bytes(b"torn")
     with pytest.raises(ConfigError, match="not an image"):
-        scene_pairs.read_pairs(raw, reference, 32)
+        training_pairs.read_pairs(raw, reference, 32)
 
 
 @pytest.mark.parametrize(("asked", "expected"), [

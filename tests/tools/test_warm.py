@@ -2,9 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.tools.metrics import judge
-from agent.tools.summary import hue_kept, summary
-from agent.tools.warm import kept_hue, kept_warm, warm
+from agent.tools.evaluate_enhance import hue_kept, judge, kept_hue, kept_warm, summary, warm
 
 NAMED = {  # blue green red
     "red": (20, 20, 200), "orange": (20, 120, 230), "yellow": (20, 220, 230), "crimson": (60, 20, 180),

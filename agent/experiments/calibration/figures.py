@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.experiments.calibration.run import Result
 from agent.experiments.figure_files import Figures
-from agent.tools.focus_table import figure
+from agent.tools.focus_calibration import figure
 
 
 def figures(result: Result) -> Figures:

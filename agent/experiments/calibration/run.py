@@ -10,10 +10,8 @@ from agent.core.ranging.camera_model import FocusFit
 from agent.experiments.result import ExperimentResult, Row
 from agent.process.command import Progress, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from agent.tools.bench import twin_bench
-from agent.tools.fit import FocusRow, LeftOut, fit_focus, leave_one_out
-from agent.tools.focus_table import badly_foretold, paper_gauge
-from agent.tools.procedure import focus_rows
+from agent.tools.bench_calibration import focus_rows, twin_bench
+from agent.tools.focus_calibration import FocusRow, LeftOut, badly_foretold, fit_focus, leave_one_out, paper_gauge
 
 ROBOT = "r1"
 

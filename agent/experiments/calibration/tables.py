@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Group
 
 from agent.experiments.calibration.run import Result
-from agent.tools.focus_table import result_table, verdict
+from agent.tools.focus_calibration import result_table, verdict
 
 
 def table(result: Result) -> Group:

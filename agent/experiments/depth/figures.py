@@ -9,7 +9,7 @@ from agent.core.ranging.focus import Array
 from agent.experiments.depth.run import Result
 from agent.experiments.figure_files import Figures
 from agent.perception.depth_sweep import DepthMap
-from agent.tools.depth_files import draw_cells
+from agent.tools.depth_map import draw_cells
 
 
 def figures(result: Result) -> Figures:

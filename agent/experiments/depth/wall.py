@@ -16,7 +16,7 @@ from agent.core.ranging.focus import TiltedPeak, fit_peaks, with_sag
 from agent.experiments.still_camera import StillCamera, TankView
 from agent.experiments.sweeps import BLOCK_PX, facing_wall, lens_positions, sweep
 from agent.perception.depth_sweep import MIN_QUALITY, clarity_of
-from agent.tools.fit import FocusRow, fit_focus
+from agent.tools.focus_calibration import FocusRow, fit_focus
 from hw.camera.camera import Roi
 
 WALL_M = 1.0 / np.linspace(1.0 / 1.35, 1.0 / 0.22, 12)  # distances of the calibration, equal steps of 1/u

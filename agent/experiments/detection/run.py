@@ -20,9 +20,7 @@ from agent.experiments.choices import DEFAULT_SENSOR, WATERS, Sensor
 from agent.experiments.detection.ball_views import BallView, ball_views
 from agent.experiments.result import ExperimentResult, Row
 from agent.perception.detection.detect import Ball, find_ball
-from agent.perception.enhancement.enhance import enhance
-from agent.perception.enhancement.grey_world import classic
-from agent.perception.enhancement.on_demand import raw_else_enhanced
+from agent.perception.enhancement.enhance import classic, enhance, raw_else_enhanced
 from agent.process.command import Progress
 from hw.camera.camera import Image
 

@@ -18,7 +18,7 @@ from agent.core.config import Lighting, Tank, WaterOptics
 from agent.core.messages import Vector
 from agent.core.ranging.focus import Peak, fit_peak
 from agent.experiments.peak_shift.run import mm_per_position
-from agent.perception.clarity.region import around, disc_clarity
+from agent.perception.clarity import around, disc_clarity
 from hw.camera.camera import Frame, Roi
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter

@@ -15,8 +15,8 @@ from agent.core.config import Fleet
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Flow, SeenTag, SeenTags
 from agent.experiments.navigation.basin import TANK
-from agent.perception.landmarks.edges import module_px
-from agent.perception.landmarks.flow import MOST, STILL_PX, has_settled, is_due
+from agent.perception.flow import MOST, STILL_PX, has_settled, is_due
+from agent.perception.tags import module_px
 from hw.twin.devices.camera_device import look
 from hw.twin.history import RobotPose
 from hw.twin.landmarks import true_tags

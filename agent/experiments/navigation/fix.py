@@ -28,8 +28,8 @@ from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK
 from agent.experiments.posed_robot import PosedRobot, rotation_of
 from agent.experiments.result import Row
-from agent.perception.landmarks.tags import Found, find_tags
-from agent.perception.landmarks.watch import REST_M
+from agent.perception.flow import REST_M
+from agent.perception.tags import Found, find_tags
 from hw.twin.landmarks import true_tags
 from hw.twin.scene import generator
 

@@ -29,9 +29,7 @@ from agent.experiments.sweeps import (
     sweep_view,
 )
 from agent.perception.depth_sweep import DepthMap, clarity_of, measure
-from agent.perception.enhancement import fast_enhance
-from agent.perception.enhancement.enhance import enhancer, missing
-from agent.perception.enhancement.grey_world import classic
+from agent.perception.enhancement.enhance import apply_colours, classic, enhancer, missing
 from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.twin.optics.lens import Lens
@@ -77,7 +75,7 @@ def ways() -> list[Way]:
 
         def held(sweep: Sweep) -> Sweep:
             colours = estimate(sweep[0])
-            return [fast_enhance.apply_colours(colours, image) for image in sweep]
+            return [apply_colours(colours, image) for image in sweep]
 
         found.append(Way("plain", lambda sweep: [plain.apply(image) for image in sweep]))
         found.append(Way("fast", lambda sweep: [fast.apply(image) for image in sweep]))

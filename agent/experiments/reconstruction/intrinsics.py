@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.sweeps import WATER_INDEX
-from agent.reconstruction.camera import Camera, Floats, project
+from agent.reconstruction.views import Camera, Floats, project
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Optics, ray
 

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.reconstruction.camera import Floats
-from agent.reconstruction.poses.twist import moved_about
-from agent.reconstruction.view import View, diagonal_prior, moved
+from agent.reconstruction.pose_evidence import moved_about
+from agent.reconstruction.views import Floats, View, diagonal_prior, moved
 from hw.twin.scene import generator
 
 SHARED = (3e-3, math.radians(0.5))  # of a robot: m and rad, standard deviations along and about each axis

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from agent.experiments.reconstruction.render import Rendered
 from agent.experiments.result import Row
-from agent.reconstruction.image.judged import HeldBack, judged
-from agent.reconstruction.image.model import ImageModel
-from agent.reconstruction.poses.twist import Motion, apart, between, by_motion
-from agent.reconstruction.view import View
+from agent.reconstruction.held_back import HeldBack, judged
+from agent.reconstruction.image_model import ImageModel
+from agent.reconstruction.pose_evidence import Motion, apart, between, by_motion
+from agent.reconstruction.views import View
 
 Floats = NDArray[np.float64]
 

@@ -29,8 +29,7 @@ from agent.experiments.reconstruction.world import (
 )
 from agent.experiments.still_camera import StillCamera
 from agent.experiments.sweeps import breathing, lens_positions, sweep
-from agent.reconstruction.keyframe import keyframe
-from agent.reconstruction.view import View, diagonal_prior
+from agent.reconstruction.views import View, diagonal_prior, keyframe
 from hw.twin.scene import Scene
 
 EXACT = diagonal_prior(1e-5, 1e-5)
@@ -116,8 +115,7 @@ def rotation_of_view(yaw_deg: float, tilt_deg: float) -> NDArray[np.float64]:
 
 def truth_points(rendered: Rendered) -> Sequence[NDArray[np.float64]]:
     """Of each trained view the places (n, 3) that it truly sees, world."""
-    from agent.reconstruction.camera import unproject
-    from agent.reconstruction.view import to_world
+    from agent.reconstruction.views import to_world, unproject
 
     points = []
     for view, depth in zip(rendered.trained, rendered.truth_m, strict=True):

@@ -25,18 +25,13 @@ from agent.experiments.reconstruction.size.size import missed_size, size, size_p
 from agent.experiments.reconstruction.swum import swum
 from agent.experiments.result import ExperimentResult, Row
 from agent.process.command import Failed, Progress, step_by_step
-from agent.reconstruction.build import CELL_M, merged, swept_twice
-from agent.reconstruction.camera import Floats
-from agent.reconstruction.colours import coloured
-from agent.reconstruction.extract import Mesh, mesh_of
-from agent.reconstruction.fusion import fuse
-from agent.reconstruction.image.model import ImageSettings, image
-from agent.reconstruction.poses.refine import refine
-from agent.reconstruction.report.beside import psnr_db, render_of
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo.neighbours import neighbours
-from agent.reconstruction.stereo.plane_sweep import plane_sweep
-from agent.reconstruction.view import View
+from agent.reconstruction.fusion import CELL_M, fuse, merged, swept_twice
+from agent.reconstruction.image_model import ImageSettings, image
+from agent.reconstruction.mesh import Mesh, coloured, mesh_of
+from agent.reconstruction.plane_sweep import neighbours, plane_sweep
+from agent.reconstruction.refine_poses import refine
+from agent.reconstruction.report import psnr_db, render_of
+from agent.reconstruction.views import Floats, View, stacked
 
 SENSOR: Sensor = "crop_1280"
 WATERS: tuple[WaterKind, ...] = ("tap", "coastal")

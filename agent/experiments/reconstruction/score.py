@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from agent.experiments.reconstruction.render import Rendered, truth_points
 from agent.process.command import shipped_fleet
-from agent.reconstruction.camera import Floats
-from agent.reconstruction.view import View, see
+from agent.reconstruction.views import Floats, View, see
 from agent.robot.fleet_reader import load_fleet
 from hw.compiled import compiled
 from hw.twin.optics.view import turned

@@ -7,20 +7,312 @@ colour is a candidate, and one score decides.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import Colour
 from agent.core.ranging.camera_model import CameraFit
-from agent.perception.detection import cone as cones
-from agent.perception.detection.colour import BURNT, GLARE, MIN_STRENGTH, NAMED, ColourModel
-from agent.perception.detection.cone import Array, Cone
-from agent.perception.detection.outline import OutlineFit, both_edges, combined, first_guess, look, tolerance_px
-from agent.perception.detection.patch import Patch, patch
-from agent.perception.detection.picture import Image, Picture, exposed
-from agent.perception.detection.spots import Spot, spots
+from agent.perception.detection import outline_cone as cones
+from agent.perception.detection.colour import (
+    BURNT,
+    GLARE,
+    MIN_STRENGTH,
+    NAMED,
+    ColourModel,
+    Image,
+    Light,
+    Picture,
+    exposed,
+    weights,
+)
+from agent.perception.detection.outline_cone import (
+    AROUND,
+    RAYS,
+    Array,
+    Cone,
+    Lines,
+    Patch,
+    colour_profile,
+    edges,
+    lines,
+    local_profile,
+    patch,
+)
+
+# @@ spots
+# Where in a picture a ball of a colour may be: spots that have more of its hue than what is around them.
+#
+# The picture is looked at in octaves, each half as large as the one before, so that a ball of any size is a few
+# pixels large in one of them. In each, what stands out from its surroundings gives a spot: all that is connected
+# above half of its height. A small ball beside large coloured things is a spot of its own, with a threshold of its
+# own.
+
+FINEST = 2  # the first octave is this much smaller than the picture: a ball of 5 px radius is 5 px across
+SMALLEST = 12  # pixels, of the last octave's shorter side
+WINDOW = 24  # pixels of an octave around a peak in which its spot has to end
+PEAKS = 4  # of each octave, the strongest
+MIN_CONTRAST = 0.05  # of a peak against its surroundings, logarithm of light
+NOISES = 4.0  # of the picture's own unrest
+NEIGHBOURS = np.ones((7, 7), np.uint8)
+SPOTS = 8  # the best are looked at closely
+
+
+class Spot(NamedTuple):
+    points: Array  # (n, 2) pixels of the picture, on its outline, without those on the picture's own border
+    contrast: float
+    rough: float  # how far its outline is from a circle: rms, share of its radius
+    circle: tuple[float, float, float]  # u, v, radius of that circle, pixels
+
+
+def spots(picture: Picture, hue_rad: float) -> list[Spot]:
+    """The most promising spots, best first."""
+    image = picture.image
+    height, width = image.shape[0] // FINEST, image.shape[1] // FINEST
+    if min(height, width) < SMALLEST:
+        return []
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    plane = np.asarray(cv2.transform(cv2.LUT(small, picture.log_light), weights(hue_rad)[None]), np.float32)
+    found: list[Spot] = []
+    octave = 0
+    while min(plane.shape) >= SMALLEST:
+        scale = image.shape[1] / plane.shape[1], image.shape[0] / plane.shape[0]
+        found += (one for one in _octave(plane, scale))
+        if octave == 1:
+            found += _largest_first(plane, scale)
+        plane = np.asarray(cv2.resize(plane, (plane.shape[1] // 2, plane.shape[0] // 2), interpolation=cv2.INTER_AREA))
+        octave += 1
+    return _different(found)[:SPOTS]
+
+
+def _octave(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+    """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
+    fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
+    stands_out = cv2.subtract(cv2.GaussianBlur(fine, (7, 7), 1.5), cv2.blur(fine, (25, 25)))
+    noise = float(np.median(np.abs(stands_out[::4, ::4])))
+    highest = cv2.dilate(stands_out, NEIGHBOURS)
+    at = np.flatnonzero((stands_out >= highest) & (stands_out > max(MIN_CONTRAST, NOISES * noise)))
+    strongest = at[np.argsort(stands_out.ravel()[at])[::-1][:PEAKS]]
+    for place in strongest:
+        v, u = divmod(int(place), plane.shape[1])
+        top, left = max(v - WINDOW, 0), max(u - WINDOW, 0)
+        part = fine[top : v + WINDOW + 1, left : u + WINDOW + 1]
+        height = float(fine[v, u])
+        rim = np.sort(np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]]))
+        floor = float(rim[len(rim) // 2])
+        mask = np.asarray(part > 0.5 * (height + floor), np.uint8)
+        cv2.floodFill(mask, None, (u - left, v - top), 2)
+        yield from _outlined((mask == 2).view(np.uint8), (left, top), plane.shape, scale, height - floor)
+
+
+def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+    """The largest spot above a threshold for the whole picture: a ball that leaves little around itself."""
+    low, high = float(plane.min()), float(plane.max())
+    if high - low < MIN_CONTRAST:
+        return
+    level = np.asarray((plane - low) * (255.0 / (high - low)), np.uint8)
+    _, mask = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    contours, _ = cv2.findContours(np.asarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if contours:
+        spot = np.zeros(plane.shape, np.uint8)
+        cv2.drawContours(spot, [max(contours, key=cv2.contourArea)], -1, 1, cv2.FILLED)
+        yield from _outlined(spot, (0, 0), plane.shape, scale, 0.5 * (high - low))
+
+
+def _outlined(
+    spot: NDArray[np.uint8],
+    corner: tuple[int, int],
+    shape: tuple[int, ...],
+    scale: tuple[float, float],
+    contrast: float,
+) -> Iterator[Spot]:
+    """One spot of a window, if it ends within the window."""
+    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    points: Array = contours[0][:, 0, :].astype(np.float64)
+    last = np.array([spot.shape[1] - 1, spot.shape[0] - 1])
+    at_window = (points == 0) | (points == last)
+    points += corner
+    edge = np.array([shape[1] - 1, shape[0] - 1])
+    at_picture = (points == 0) | (points == edge)
+    if (at_window & ~at_picture).any():
+        return
+    points = points[~at_picture.any(axis=1)]
+    if len(points) < 6:
+        return
+    points = (points + 0.5) * scale - 0.5
+    circle, rough = _circle(points)
+    # Contours run through the middle of a spot's outer pixels; the spot ends half a pixel farther out.
+    middle = np.array(circle[:2])
+    growth = 1.0 + 0.5 * scale[0] / circle[2]
+    yield Spot(middle + growth * (points - middle), contrast, rough, (*circle[:2], growth * circle[2]))
+
+
+def _circle(points: Array) -> tuple[tuple[float, float, float], float]:
+    """Least squares circle through points: u, v, radius, and the rms distance from it in radii."""
+    middle = points.mean(axis=0)
+    x = points - middle
+    terms = np.column_stack([2.0 * x, np.ones(len(x))])
+    square = (x * x).sum(axis=1)
+    a, b, c = np.linalg.solve(terms.T @ terms + 1e-6 * np.eye(3), terms.T @ square)
+    radius = math.sqrt(max(c + a * a + b * b, 1e-6))
+    off = np.sqrt((x[:, 0] - a) ** 2 + (x[:, 1] - b) ** 2) - radius
+    return (float(middle[0] + a), float(middle[1] + b), radius), math.sqrt(float(off @ off) / len(off)) / radius
+
+
+def _different(found: list[Spot]) -> list[Spot]:
+    """Best first, without those that show the same circle again."""
+    kept: list[Spot] = []
+    for spot in sorted(found, key=lambda one: one.contrast * max(0.0, 1.0 - 2.0 * one.rough), reverse=True):
+        u, v, r = spot.circle
+        if not any(max(math.hypot(u - a, v - b), abs(r - c)) < 0.3 * c for a, b, c in (one.circle for one in kept)):
+            kept.append(spot)
+    return kept
+
+
+# @@ outline
+# The outline around a spot: a cone through the edge as colour shows it, and one through the edge as lightness does.
+#
+# Neither is right everywhere. Colour leads through shadow and texture, but JPEG blurs it and the sun burns it out;
+# lightness is sharp, but what a camera makes of light moves the edge of a blurred thing. Each counts for as much as
+# it is determined, and where they disagree the radius is the less certain.
+
+BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess,
+BAND_FRAME = 0.05  # and within this share of the frame's width: twice the largest blur's radius;
+LEAST_PX = 4.0  # but so far at least: a camera's own blur and JPEG reach 2 px from an edge
+# The second look reaches so many widths of the edge (a quarter to three quarters of its height), so that the levels
+# inside and outside are taken beyond the blur, but not where the ball is shaded otherwise than at its rim.
+WIDTHS, BEYOND_PX = 2.5, 1.5
+INWARD, OUTWARD = 0.65, 1.2  # of the radius, at most: of a small ball there is not more
+MIN_ARC = 0.28  # share of the whole outline: what is left of 120 deg where it runs into the edge of the frame
+FIRST_ARC = 0.18  # of a first look, whose wide band loses more lines at that edge
+LOOSE_PX, LOOSE = 2.0, 0.04  # an edge agrees with the cone within so many pixels, or this share of the radius:
+TIGHT = 0.1  # of small ones never more than this, or anything would be round
+MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
+# Radius errors that the scatter of the edges does not show. Colour: the blocks of JPEG, the twin's texture at the rim;
+# lightness: share of the edge's width by which a camera's gamma moves it (rms 0.1 on the twin's defocused frames).
+COLOUR_PX, GAMMA = 0.15, 0.10
+ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
+
+
+class Edge(NamedTuple):
+    """A cone through one profile's edges."""
+
+    cone: Cone
+    agree: float  # share of the visible rays whose edge is on it
+    rms_px: float  # of these
+    width_px: float  # of the edge
+    sigma_px: float  # of the radius, from scatter and arc
+    rays: NDArray[np.bool_]  # (RAYS,) those that agree
+
+
+class OutlineFit(NamedTuple):
+    """Both edges together."""
+
+    axis: Array  # (3,) of the ray to the centre
+    radius_px: float  # apparent angular radius times f_px
+    sigma_px: float  # its standard deviation
+    agree: float  # share of the visible rays, the mean of both
+    rms_px: float
+    width_px: float  # of the wider of both edges
+    visible: float  # share of all rays
+    rays: NDArray[np.bool_]  # (RAYS,) on which colour has its edge
+
+
+def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
+    """A cone through the outline of a spot (n, 2)."""
+    tolerance_px = max(LOOSE_PX, 0.2 * math.sqrt(len(points)))
+    return cones.consensus(cones.to_rays(points + origin, camera), camera, tolerance_px)
+
+
+def look(
+    picture: Picture, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
+) -> Lines | None:
+    """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while it is not
+    known. None if too little of the outline is in the picture and in the light."""
+    if width_px is None:
+        reach = max(min(BAND * radius, BAND_FRAME * camera.width_px), LEAST_PX) / radius
+    else:
+        reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
+    seen = lines(picture, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
+    return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
+
+
+def both_edges(
+    seen: Lines, found: Patch, dark: float, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
+) -> tuple[Edge | None, Edge | None]:
+    """By colour and by lightness. `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be
+    right."""
+    gain = np.clip(found.ring.mean() / (found.ring + dark), 1.0 / MAX_GAIN, MAX_GAIN)
+    coloured = colour_profile(seen, weights(found.tone.hue_rad) * gain)
+    return (
+        _edge(seen, coloured, True, origin, camera, tolerance_px, near),
+        _edge(seen, local_profile(seen), False, origin, camera, tolerance_px, near),
+    )
+
+
+def tolerance_px(radius_px: float, last: bool) -> float:
+    """How far from the cone an edge may be; at a first look the guess itself is off."""
+    return max(LOOSE_PX if not last else min(LOOSE_PX, TIGHT * radius_px), LOOSE * radius_px)
+
+
+def combined(
+    colour: Edge | None, lightness: Edge | None, burnt: bool, visible: float, camera: CameraFit
+) -> OutlineFit | None:
+    """One outline of two; of one alone with half of its evidence and twice its uncertainty.
+
+    `burnt`: the disc is too bright to have a colour, which then ends somewhere within it or in the glow around it, so
+    lightness alone says it all.
+    """
+    one, other = colour or lightness, lightness or colour
+    if one is None or other is None:
+        return None
+    if burnt and other.agree >= one.agree:
+        one = other
+    variances = one.sigma_px**2 + COLOUR_PX**2, other.sigma_px**2 + (GAMMA * other.width_px) ** 2
+    share = variances[1] / sum(variances)
+    axis = share * one.cone.axis + (1.0 - share) * other.cone.axis
+    radii = [edge.cone.theta_rad * camera.f_px for edge in (one, other)]
+    apart_px = radii[0] - radii[1] if one is not other else 2.0 * math.sqrt(variances[0])
+    return OutlineFit(
+        axis / np.sqrt((axis * axis).sum()),
+        share * radii[0] + (1.0 - share) * radii[1],
+        math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
+        0.5 * (one.agree + other.agree) if one is not other or burnt else 0.5 * one.agree,
+        max(one, other, key=lambda edge: edge.agree).rms_px,
+        max(one.width_px, other.width_px),
+        visible,
+        one.rays,
+    )
+
+
+def _edge(
+    seen: Lines, profile: Array, shaded: bool, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
+) -> Edge | None:
+    found = edges(seen, profile, shaded)
+    if len(found.points) < (MIN_ARC if near else FIRST_ARC) * RAYS:
+        return None
+    rays = cones.to_rays(found.points + origin, camera)
+    cone = cones.refined(near, rays, camera, tolerance_px) if near else cones.consensus(rays, camera, tolerance_px)
+    if cone is None:
+        return None
+    misses = cones.misses_px(rays, cone, camera)
+    agree = np.abs(misses) < tolerance_px
+    count = int(agree.sum())
+    if count < (0.2 if near else FIRST_ARC) * RAYS:
+        return None
+    rms_px = math.sqrt(float((misses[agree] ** 2).mean()))
+    terms = AROUND[found.on][agree]  # of a radius and a shift of the centre
+    variance = np.linalg.inv(terms.T @ terms + 1e-9 * np.eye(3))[0, 0] * ALIKE
+    sigma_px = max(rms_px, 0.05) * math.sqrt(float(variance))
+    on = np.zeros(RAYS, bool)
+    on[np.flatnonzero(found.on)[agree]] = True
+    return Edge(cone, count / int(seen.visible.sum()), rms_px, found.width_px, sigma_px, on)
+
+
+# @@ detect
 
 MIN_RADIUS_PX = 5.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 16 m
 ROUGH = 0.4  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2

@@ -15,8 +15,184 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.perception.tracking.box import Box, Image, cut, same
-from agent.perception.tracking.colours import Colours, agreement, balanced, chance_of, gains_of, learn
+# @@ box
+# A box in a picture, and what of a picture lies in it.
+
+Image = NDArray[np.uint8]  # (height, width, 3), blue green red
+
+SAME_SHARE = 0.5  # of the smaller box that lies in the larger: they are one place
+
+
+class Box(NamedTuple):
+    """A region of a frame, pixels from the outer corner of its upper left one."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """(u, v) from the centre of the upper left pixel, as every other pixel position."""
+        return self.x + self.width / 2 - 0.5, self.y + self.height / 2 - 0.5
+
+    @property
+    def area_px(self) -> float:
+        return self.width * self.height
+
+    def grown(self, factor: float) -> Box:
+        """Of `factor` times the sides, about the same middle."""
+        width, height = self.width * factor, self.height * factor
+        return Box(self.x - (width - self.width) / 2, self.y - (height - self.height) / 2, width, height)
+
+    def moved(self, across_px: float, down_px: float) -> Box:
+        return self._replace(x=self.x + across_px, y=self.y + down_px)
+
+    def inside(self, size: tuple[int, int]) -> Box:
+        """What of it lies in a picture of (width, height); a side is 0 where nothing does."""
+        left, top = max(self.x, 0.0), max(self.y, 0.0)
+        right, bottom = min(self.x + self.width, size[0]), min(self.y + self.height, size[1])
+        return Box(left, top, max(right - left, 0.0), max(bottom - top, 0.0))
+
+
+def common_px(a: Box, b: Box) -> float:
+    """Area that lies in both, pixels."""
+    width = min(a.x + a.width, b.x + b.width) - max(a.x, b.x)
+    height = min(a.y + a.height, b.y + b.height) - max(a.y, b.y)
+    return max(width, 0.0) * max(height, 0.0)
+
+
+def overlap(a: Box, b: Box) -> float:
+    """Intersection over union, 0 to 1."""
+    both = common_px(a, b)
+    return both / (a.area_px + b.area_px - both) if both else 0.0
+
+
+def same(a: Box, b: Box) -> bool:
+    """Whether two boxes show one thing, if not its whole."""
+    return common_px(a, b) >= SAME_SHARE * min(a.area_px, b.area_px)
+
+
+def uncut(box: Box, whole: Box, size: tuple[int, int]) -> Box:
+    """The box as it would be without the picture's border, at which trackers cut it: as large as when it was whole."""
+    x, y, width, height = box
+    if (x <= 1) != (x + width >= size[0] - 1) and whole.width > width:
+        x, width = (x + width - whole.width if x <= 1 else x), whole.width
+    if (y <= 1) != (y + height >= size[1] - 1) and whole.height > height:
+        y, height = (y + height - whole.height if y <= 1 else y), whole.height
+    return Box(x, y, width, height)
+
+
+def cut(image: Image, box: Box, size: tuple[int, int]) -> Image:
+    """What a box shows, resampled to size (width, height); beyond the picture its border goes on."""
+    left, top = round(box.x), round(box.y)
+    right, bottom = max(round(box.x + box.width), left + 1), max(round(box.y + box.height), top + 1)
+    height, width = image.shape[:2]
+    rows = slice(min(max(top, 0), height - 1), max(min(bottom, height), 1))
+    columns = slice(min(max(left, 0), width - 1), max(min(right, width), 1))
+    part = image[rows, columns]
+    if (bottom - top, right - left) != part.shape[:2]:
+        missing_rows, missing_columns = bottom - top - part.shape[0], right - left - part.shape[1]
+        above, before = min(max(-top, 0), missing_rows), min(max(-left, 0), missing_columns)
+        below, after = missing_rows - above, missing_columns - before
+        part = np.asarray(cv2.copyMakeBorder(part, above, below, before, after, cv2.BORDER_REPLICATE), np.uint8)
+    shrinks = size[0] < part.shape[1]
+    return np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.uint8)
+
+
+# @@ colours
+# Which colours a thing has that its surroundings have not, and how much of a box shows them.
+#
+# A histogram of colours inside the box that was drawn, and one of all around it, give for each colour the chance that
+# it belongs to the thing (Bayes, with even odds). Colours are taken relative to the mean of the whole frame, channel
+# by channel, so that neither the lamp nor the tint of the water counts. Pose does not count either: a fish that turns
+# keeps its colours.
+
+BINS = 16  # of each channel
+BLUR_BINS = 1.0  # colours one bin apart are nearly one: exposure and distance move them by as much
+SURROUNDINGS = 3.0  # boxes: what is compared with
+LEVEL = 96.0  # to which a frame's mean is brought in each channel
+LARGEST_GAIN = 3.0  # of a channel: water takes red away nearly wholly, and what is left is noise
+RARE = 2e-4  # share of pixels below which a colour says nothing
+SIDE_PX = 32  # of the pictures whose colours are counted
+
+
+class Colours(NamedTuple):
+    """What tells a thing from the rest of its first picture."""
+
+    chances: NDArray[np.float32]  # (BINS, BINS, BINS), that a pixel of this colour belongs to the thing
+    mixture: NDArray[np.float32]  # the same shape: how much of each colour it has, each weighted by that chance; sum 1
+    weight: float  # the sum before: which part of it has colours of its own
+    contrast: float  # by how much the chance is higher over the thing than over its surroundings, 0 to 1
+
+
+def learn(image: Image, box: Box) -> Colours:
+    """What tells the thing in this box from the rest of the picture."""
+    gains = gains_of(image)
+    side = round(SIDE_PX * SURROUNDINGS)
+    around = balanced(cut(image, box.grown(SURROUNDINGS), (side, side)), gains)
+    inside = _ellipse(side, 1.0 / SURROUNDINGS) > 0
+    beyond = _ellipse(side, 1.25 / SURROUNDINGS) == 0  # the edge between is either
+    its, others = _counts(around[inside]), _counts(around[beyond])
+    whole = balanced(np.asarray(cv2.resize(image, (96, 72), interpolation=cv2.INTER_AREA), np.uint8), gains)
+    others = np.maximum(others, 0.5 * _counts(whole.reshape(-1, 3)))
+    chances = (its / (its + others + RARE)).astype(np.float32)
+    weighted = chances * its
+    weight = max(float(weighted.sum()), 1e-6)
+    contrast = weight - float((chances * _counts(around[beyond])).sum())
+    return Colours(chances, np.asarray(weighted / weight, np.float32), weight, contrast)
+
+
+def gains_of(image: Image) -> NDArray[np.float32]:
+    """(3,) by which a frame's channels are multiplied before its colours are compared."""
+    means = np.asarray(cv2.mean(image)[:3], np.float32)
+    return np.asarray(np.minimum(LEVEL / np.maximum(means, 1.0), LARGEST_GAIN), np.float32)
+
+
+def balanced(image: Image, gains: NDArray[np.float32]) -> Image:
+    return np.asarray(np.minimum(image * gains, 255.0), np.uint8)
+
+
+def agreement(colours: Colours, image: Image, box: Box, gains: NDArray[np.float32]) -> float:
+    """How much of its own colours, in their mixture, an ellipse in the box shows.
+
+    Bhattacharyya's coefficient of the two weighted histograms: 1 for the box that was drawn, 0 where none of its
+    colours is.
+    """
+    here = balanced(cut(image, box, (SIDE_PX, SIDE_PX)), gains)
+    weighted = colours.chances * _counts(here[_ellipse(SIDE_PX, 1.0) > 0])
+    return min(float(np.sqrt(weighted * colours.mixture / colours.weight).sum()), 1.0)
+
+
+def chance_of(colours: Colours, image: Image) -> NDArray[np.float32]:
+    """For each pixel of a balanced picture the chance that it belongs to the thing."""
+    b, g, r = (image[..., channel] // (256 // BINS) for channel in range(3))
+    return np.asarray(colours.chances[b, g, r], np.float32)
+
+
+def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(BINS, BINS, BINS) share of the pixels (n, 3) in each bin, blurred."""
+    bins = (pixels // (256 // BINS)).astype(np.int64)
+    index = (bins[:, 0] * BINS + bins[:, 1]) * BINS + bins[:, 2]
+    counts = np.bincount(index, minlength=BINS**3).reshape(BINS, BINS, BINS).astype(np.float32)
+    counts /= max(len(pixels), 1)
+    kernel = np.exp(-0.5 * (np.arange(-2, 3) / BLUR_BINS) ** 2).astype(np.float32)
+    kernel /= kernel.sum()
+    for axis in range(3):
+        lines = np.moveaxis(counts, axis, 0).reshape(BINS, -1)
+        blurred = cv2.sepFilter2D(lines, -1, np.ones(1, np.float32), kernel, borderType=cv2.BORDER_REPLICATE)
+        counts = np.asarray(np.moveaxis(blurred.reshape(BINS, BINS, BINS), 0, axis), np.float32)
+    return counts
+
+
+def _ellipse(side: int, share_of_side: float) -> NDArray[np.uint8]:
+    """(side, side) mask of an ellipse in the middle."""
+    mask, middle = np.zeros((side, side), np.uint8), (side // 2, side // 2)
+    radius = max(round(0.5 * share_of_side * side), 1)
+    return np.asarray(cv2.circle(mask, middle, radius, 255, -1), np.uint8)
+
+
+# @@ appearance
 
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
 SEARCH_PX = 14  # the same where a whole picture is searched: a third of the time

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from agent.capabilities.light.allocate import Scene
 from agent.capabilities.light.followers import best, view
 from agent.core.config import Lighting, WaterOptics
-from agent.perception.detection.creature import named_hues
-from agent.perception.detection.detectors import CreatureDetector
+from agent.perception.detection.detectors import CreatureDetector, named_hues
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.creatures.school import School

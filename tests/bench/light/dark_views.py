@@ -27,7 +27,7 @@ from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import h
 from agent.core.step_io import SweepPlan
 from agent.experiments.posed_robot import PosedRobot
-from agent.perception.clarity.block_sweep import BlockSweep
+from agent.perception.depth_sweep import BlockSweep
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.landmarks import true_tags

@@ -29,7 +29,7 @@ from agent.demo.history import History
 from agent.demo.summary import settled
 from agent.experiments.posed_robot import PosedRobot
 from agent.perception.detection.detectors import load_detectors
-from agent.perception.landmarks.watch import LandmarkWatch
+from agent.perception.flow import LandmarkWatch
 from agent.perception.vision import Vision
 from agent.robot.step import Agent
 from hw.stm32.protocol import HostProtocol

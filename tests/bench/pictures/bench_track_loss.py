@@ -16,10 +16,9 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from agent.perception.tracking.box import overlap
-from agent.perception.tracking.box_trackers import load_box_tracker, model_files
-from agent.perception.tracking.follow import FOLLOWED, Followed, Follower
-from agent.tools.track_truth import Score, score
+from agent.perception.tracking.appearance import overlap
+from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, load_box_tracker, model_files
+from agent.tools.track import Score, score
 from tests.bench.__main__ import WIDE, table
 from tests.perception.tracking.disturbed import DISTURBANCES
 from tests.perception.tracking.later_clips import anew, kept_back

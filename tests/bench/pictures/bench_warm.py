@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agent.tools.warm import Kept, kept_warm
+from agent.tools.evaluate_enhance import Kept, kept_warm
 from tests.places import DATA
 
 BALLS = DATA / "real_water" / "balls"
@@ -27,7 +27,7 @@ def run() -> dict[str, dict]:
     if not (BALLS / "truth.csv").is_file():
         return {}
     from agent.perception.enhancement import enhance
-    from agent.perception.enhancement.grey_world import clahe, classic, white_balance
+    from agent.perception.enhancement.enhance import clahe, classic, white_balance
 
     ways: dict[str, Way] = {"identity": lambda image: image, "grey_world": white_balance, "clahe": clahe}
     ways["classic"] = classic
@@ -74,6 +74,6 @@ def rows(way: str, found: list[Kept]) -> dict[str, dict]:
 
 
 def _balanced(image: np.ndarray) -> np.ndarray:
-    from agent.perception.enhancement.grey_world import white_balance
+    from agent.perception.enhancement.enhance import white_balance
 
     return white_balance(image)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from agent.experiments.detection.marked_pictures import MarkedBall
-from agent.perception.detection.other_light import LIGHTS
-from agent.perception.detection.picture import ENCODED
+from agent.perception.detection.colour import ENCODED
+from agent.perception.detection.detectors import LIGHTS
 
 NOISE = 4.0  # standard deviation, of 255
 SMALLER = 0.75

@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.core.config import Goto, Pose, Trial
 from agent.core.ranging.camera_model import BodyFit
-from agent.tools import body_fit
+from agent.tools import body_calibration
 from hw.twin.physics.forces import RING_M, RING_RAD
 from tests.bench.swim.drawn import MIDDLE, DrawnSwimmer, drawn, swimming
 
@@ -22,7 +22,7 @@ FROM, TO = Pose(x_m=1.25, y_m=1.0, yaw_deg=0.0), Goto(x_m=1.75, y_m=1.0, yaw_deg
 NEAR_M = 0.02
 
 
-def swum(seed: int, gyro: bool = False) -> tuple[body_fit.Trial, dict[str, float]]:
+def swum(seed: int, gyro: bool = False) -> tuple[body_calibration.Trial, dict[str, float]]:
     """A trial, and what is true of the robot for each newton that it asked for."""
     of = swimming(seed, Trial(x_m=MIDDLE.x_m, y_m=MIDDLE.y_m), gyro=gyro)
     given, asked = [], []
@@ -48,7 +48,7 @@ def swum(seed: int, gyro: bool = False) -> tuple[body_fit.Trial, dict[str, float
         "turn_drag_nm": (body["linear_drag"][5] * r + body["quadratic_drag"][5] * r * r) / twist,
         "thrust_gain": push,
     }
-    return body_fit.Trial(tuple(sorted(one.events)), gyro), {key: float(value) for key, value in truth.items()}
+    return body_calibration.Trial(tuple(sorted(one.events)), gyro), {key: float(value) for key, value in truth.items()}
 
 
 def planar_n(one: DrawnSwimmer) -> tuple[float, float, float]:
@@ -81,14 +81,14 @@ def gone(seed: int, body: BodyFit | None) -> dict[str, float]:
 def run() -> dict[str, dict]:
     """One seed; more by hand."""
     trial, truth = swum(1)
-    mass = body_fit.fit_body(trial).mass_kg
+    mass = body_calibration.fit_body(trial).mass_kg
     return {"trial_mass": {"value": mass, "unit": "kg", "against": "true", "ratio": mass / truth["mass_kg"]}}
 
 
 if __name__ == "__main__":
     for seed in map(int, sys.argv[1:]):
         trial, truth = swum(seed)
-        fit = body_fit.fit_body(trial)
+        fit = body_calibration.fit_body(trial)
         ratios = {key: round(value / truth[key], 3) for key, value in found(fit).items()}
         sigma = [round(s, 3) for s in fit.sigma]
         told = {

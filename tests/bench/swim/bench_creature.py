@@ -15,9 +15,8 @@ import time
 import msgspec
 import numpy as np
 
-from agent.perception.detection.creature import named_hues
-from agent.perception.detection.detectors import CreatureDetector
-from agent.perception.tracking.box import Box, overlap
+from agent.perception.detection.detectors import CreatureDetector, named_hues
+from agent.perception.tracking.appearance import Box, overlap
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.creatures.school import School

@@ -18,7 +18,7 @@ from agent.core.config import Behaviour, Look
 from agent.core.step_io import Inputs
 from agent.experiments.posed_robot import PosedRobot
 from agent.perception.detection.detectors import load_detectors
-from agent.perception.landmarks.watch import LandmarkWatch
+from agent.perception.flow import LandmarkWatch
 from agent.perception.vision import Vision
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet

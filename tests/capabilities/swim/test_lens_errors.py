@@ -8,7 +8,7 @@ from agent.capabilities.swim.tag_fix import tag_fix
 from agent.core.config import Body
 from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import SeenTag
-from agent.perception.landmarks.slopes import to_pixels, to_slopes
+from agent.perception.tags import to_pixels, to_slopes
 from tests.capabilities.swim.tank_with_tags import MAP, VIEW, priors, sight
 
 THETA = (1.1, 0.9, 0.6, 0.3, 0.01, -0.02, 0.3, -0.5)

@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.perception.clarity.clarity import (
-    grid,
-    tenengrad_blocks,
-    tenengrad_disc,
-    tenengrad_grid,
-    tenengrad_region,
-)
-from agent.perception.clarity.gradient import gradient_energy, luminance
+from agent.perception.clarity import grid, tenengrad_blocks, tenengrad_disc, tenengrad_grid, tenengrad_region
+from agent.perception.depth_peaks import gradient_energy, luminance
 
 
 def sobel_energy(grey):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.core.ranging.focus import fit_peaks
-from agent.perception.clarity.peaks import block_peaks
+from agent.perception.clarity import block_peaks
 
 SWEEP = np.linspace(0, 1023, 30).round()
 

@@ -5,11 +5,9 @@ import math
 import cv2
 import numpy as np
 
-from agent.perception.detection.colour import NAMED, Tone
-from agent.perception.detection.detect import LIMIT, find_ball, score
-from agent.perception.detection.outline import OutlineFit
-from agent.perception.detection.patch import Patch
-from agent.perception.detection.picture import exposed
+from agent.perception.detection.colour import NAMED, Tone, exposed
+from agent.perception.detection.detect import LIMIT, OutlineFit, find_ball, score
+from agent.perception.detection.outline_cone import Patch
 from tests.perception.painted import CAMERA, ball_light, expose
 
 

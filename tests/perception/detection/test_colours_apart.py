@@ -10,8 +10,7 @@ import pytest
 from agent.core.config import Colour, Fleet, Target
 from agent.ground.check_files import target_findings
 from agent.perception.detection.colour import NAMED, Sample, sampled
-from agent.perception.detection.colours_apart import Sought, mistaken_in, named_paint
-from agent.perception.detection.detectors import colours_too_alike
+from agent.perception.detection.detectors import Sought, colours_too_alike, mistaken_in, named_paint
 from agent.robot.fleet_reader import ALIKE
 
 WATER = (120, 95, 60)  # blue, green, red

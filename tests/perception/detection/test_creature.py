@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError, Target
-from agent.perception.detection.creature import find_creature, named_hues, sampled_hues
-from agent.perception.detection.detectors import CreatureDetector, creature_hues
+from agent.perception.detection.detectors import (
+    CreatureDetector,
+    creature_hues,
+    find_creature,
+    named_hues,
+    sampled_hues,
+)
 
 ORANGE, CREAM, YELLOW = (70, 120, 205), (200, 205, 205), (60, 190, 195)  # blue green red
 AT = (200, 180, 340, 240)

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.enhancement.fast_enhance import Colours, apply_colours, estimate_colours, guided_filter, red_share
+from agent.perception.enhancement.enhance import Colours, apply_colours, estimate_colours, guided_filter, red_share
 
 MATRIX = np.array([[1.1, 0.1, -0.1], [0.0, 0.8, 0.2], [-0.2, 0.3, 1.2]], np.float32)
 

@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
 
-from agent.perception.enhancement.grey_world import classic, white_balance
+from agent.perception.enhancement.enhance import classic, white_balance
 from tests.perception.painted import ball_frame
 
 

@@ -8,9 +8,9 @@ from agent.core.config import ConfigError
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
 from agent.perception.enhancement import lu2net  # noqa: E402
-from agent.perception.enhancement.grey_world import white_balance  # noqa: E402
+from agent.perception.enhancement.enhance import white_balance  # noqa: E402
 from agent.perception.enhancement.lu2net import LU2Net  # noqa: E402
-from agent.tools.warm import kept_warm  # noqa: E402
+from agent.tools.evaluate_enhance import kept_warm  # noqa: E402
 from tests.bench.pictures import bench_warm  # noqa: E402
 
 
@@ -96,11 +96,8 @@ def test_weights_of_another_network_are_one_line(tmp_path):
 @pytest.mark.parametrize("name", ["own", "real"])
 def test_shipped_weights_bring_new_pictures_closer_to_their_targets_and_keep_what_is_warm(name):
     from agent.perception.enhancement.enhance import WEIGHTS
-    from agent.tools.degrade import pair
-    from agent.tools.landscapes import landscape
-    from agent.tools.metrics import psnr
-    from agent.tools.things import with_things
-    from agent.tools.warm import kept_hue
+    from agent.tools.evaluate_enhance import kept_hue, psnr
+    from agent.tools.training_scenes import landscape, pair, with_things
 
     file = WEIGHTS / f"{name}.safetensors"
     assert file.stat().st_size < 1_000_000

@@ -2,9 +2,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.perception.enhancement.enhance import Enhancer
-from agent.perception.enhancement.fast_enhance import Colours
-from agent.perception.enhancement.on_demand import DUE_NS, OLD_NS, SHARE, OnDemandEnhancer
+from agent.perception.enhancement.enhance import DUE_NS, OLD_NS, SHARE, Colours, Enhancer, OnDemandEnhancer
 from hw.camera.camera import Frame, Roi
 
 WHOLE = (64, 48)

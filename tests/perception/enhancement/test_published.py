@@ -12,7 +12,7 @@ from agent.core.config import ConfigError
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
 
-from agent.perception.enhancement import lu2net, published  # noqa: E402
+from agent.perception.enhancement import lu2net  # noqa: E402
 from tests.perception.enhancement.random_network import random_network  # noqa: E402
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (20, 24, 3), dtype=np.uint8)
@@ -112,7 +112,7 @@ def test_callables_are_refused_by_name(expression, tmp_path):
     module, name = expression.split()
     archive(tmp_path / "a.pth", f"c{module}\n{name}\n(S'1'\ntR.".encode())
     with pytest.raises(ConfigError, match=rf"asks for {module}\.{name}"):
-        published.read(tmp_path / "a.pth")
+        lu2net.read(tmp_path / "a.pth")
 
 
 def tensor(size, stride, offset=0):
@@ -125,7 +125,7 @@ def tensor(size, stride, offset=0):
 
 def test_a_tensor_may_be_laid_over_its_storage(tmp_path):
     archive(tmp_path / "a.pth", tensor((4, 4), (4, 1)), **{"0": np.arange(16, dtype="<f4").tobytes()})
-    assert published._tensors(tmp_path / "a.pth")["a"][1].tolist() == [4, 5, 6, 7]
+    assert lu2net._tensors(tmp_path / "a.pth")["a"][1].tolist() == [4, 5, 6, 7]
 
 
 @pytest.mark.parametrize("data", [
@@ -142,11 +142,11 @@ def test_a_tensor_may_be_laid_over_its_storage(tmp_path):
 def test_tensors_that_lie_are_one_line(data, tmp_path):
     archive(tmp_path / "a.pth", data, **{"0": b"\0" * 64})
     with pytest.raises(ConfigError, match=r"a\.pth: not a checkpoint of LU2Net by its authors"):
-        published.read(tmp_path / "a.pth")
+        lu2net.read(tmp_path / "a.pth")
 
 
 def test_what_unpacks_to_too_much_or_is_no_zip_is_one_line(tmp_path):
-    archive(tmp_path / "bomb.pth", pickle.dumps({}), big=bytes(published.MOST_BYTES))
+    archive(tmp_path / "bomb.pth", pickle.dumps({}), big=bytes(lu2net.MOST_BYTES))
     (tmp_path / "text.pth").write_bytes(b"text")
     (tmp_path / "old.pth").write_bytes(pickle.dumps(Runs(tmp_path / "touched")))
     with zipfile.ZipFile(tmp_path / "empty.pth", "w"):

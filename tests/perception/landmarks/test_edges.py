@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 from agent.core.ranging.camera_model import CameraFit
-from agent.perception.landmarks.edge_line import fit_line
-from agent.perception.landmarks.edges import fit_corners, light_of_bytes, module_px
-from agent.perception.landmarks.slopes import to_pixels, to_slopes
+from agent.perception.tags import fit_corners, fit_line, light_of_bytes, module_px, to_pixels, to_slopes
 from tests.perception.landmarks.printed import WALL, bend, corner_slopes, photograph, tag_light, turned
 
 CAMERA = CameraFit(width_px=280, height_px=240, f_px=1184.0, cx_px=90.0, cy_px=150.0, bend=0.39)

@@ -6,7 +6,7 @@ import pytest
 
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import Flow
-from agent.perception.landmarks.flow import MOST, begin, flow, follow
+from agent.perception.flow import MOST, begin, flow, follow
 from tests.perception.landmarks.floor import frame, meet, pose, seen_from, texture
 
 CAMERA = CameraFit(width_px=320, height_px=240, f_px=500.0, cx_px=159.5, cy_px=119.5, bend=0.39)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import SeenTags
-from agent.perception.landmarks.tags import find_tags, seen_tags
+from agent.perception.tags import find_tags, seen_tags
 from tests.perception.landmarks.printed import (
     CODES,
     SIZE_M,

@@ -8,9 +8,8 @@ import pytest
 from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Sighting
-from agent.perception.landmarks.flow import OLDEST_NS
-from agent.perception.landmarks.slopes import to_pixels
-from agent.perception.landmarks.watch import NEAR_M, QUEUE, REST_M, LandmarkWatch
+from agent.perception.flow import NEAR_M, OLDEST_NS, QUEUE, REST_M, LandmarkWatch
+from agent.perception.tags import to_pixels
 from hw.camera.camera import Frame, Roi
 from tests.known_lens import PLAIN
 from tests.perception.landmarks.floor import frame as floor_frame

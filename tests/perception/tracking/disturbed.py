@@ -7,8 +7,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from agent.perception.tracking.box import Box
-from agent.tools.track_truth import Truth
+from agent.perception.tracking.appearance import Box
+from agent.tools.track import Truth
 from tests.perception.tracking.loss_clips import Clip
 
 

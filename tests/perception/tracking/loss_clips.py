@@ -16,8 +16,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from agent.perception.tracking.box import Box
-from agent.tools.track_truth import Truth
+from agent.perception.tracking.appearance import Box
+from agent.tools.track import Truth
 
 WATER = "real_water"
 WINDOW = (320, 240)  # width and height of the moving window, pixels

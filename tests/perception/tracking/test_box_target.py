@@ -13,8 +13,7 @@ from agent.core.control.sweep import Measurement, Sweep
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, FocusFit
 from agent.core.ranging.fix import BOX_NOISE, locate
 from agent.experiments.still_camera import StillCamera, TankView
-from agent.perception.clarity.clarity import tenengrad_blocks
-from agent.perception.clarity.region import around, box_clarity
+from agent.perception.clarity import around, box_clarity, tenengrad_blocks
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
 from hw.camera.camera import CameraError, Frame, Roi

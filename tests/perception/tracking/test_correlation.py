@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.correlation import CorrelationTracker
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.follow import CorrelationTracker
 from tests.perception.tracking.swimming import clip, overlap
 
 

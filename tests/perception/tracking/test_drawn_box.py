@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 
 from agent.perception.detection.detectors import BoxDetector
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.box_trackers import load_box_tracker
-from agent.perception.tracking.follow import Follower
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.follow import Follower, load_box_tracker
 from tests.perception.tracking.swimming import overlap
 
 RED, YELLOW, RADIUS = (40, 40, 190), (40, 170, 190), 14  # blue green red

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.perception.tracking.appearance import likeness, remember, search
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.box_trackers import load_box_tracker
-from agent.perception.tracking.follow import FOUND_LIKE, HOLD_SHAPE, SURE_SHAPE, Follower
-from agent.perception.tracking.motion import Motion
+from agent.perception.tracking.appearance import Box, likeness, remember, search
+from agent.perception.tracking.distractors import Motion
+from agent.perception.tracking.follow import FOUND_LIKE, HOLD_SHAPE, SURE_SHAPE, Follower, load_box_tracker
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from agent.perception.tracking import follow
-from agent.perception.tracking.appearance import Likeness, Place
-from agent.perception.tracking.box import Box
+from agent.perception.tracking.appearance import Box, Likeness, Place
 
 IMAGE, HERE, ELSEWHERE = np.full((120, 160, 3), 90, np.uint8), Box(40, 40, 30, 30), Box(110, 10, 30, 30)
 

@@ -4,10 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.box_trackers import load_box_tracker
-from agent.perception.tracking.colours import agreement, gains_of, learn
-from agent.perception.tracking.follow import FOLLOWED, Follower
+from agent.perception.tracking.appearance import Box, agreement, gains_of, learn
+from agent.perception.tracking.follow import FOLLOWED, Follower, load_box_tracker
 from tests.perception.tracking.swimming import overlap
 
 WIDTH, HEIGHT, RADIUS = 240, 180, 14

@@ -2,10 +2,18 @@
 
 import pytest
 
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.look_alikes import KEPT, LookAlike, Seen, followed, merged, unexplained
-from agent.perception.tracking.meeting import APART, Meeting
-from agent.perception.tracking.motion import Motion
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.distractors import (
+    APART,
+    KEPT,
+    LookAlike,
+    Meeting,
+    Motion,
+    Seen,
+    followed,
+    merged,
+    unexplained,
+)
 
 
 def at(u, v=100.0):

@@ -2,11 +2,9 @@
 
 import pytest
 
-from agent.perception.tracking.box import Box
-from agent.perception.tracking.box_trackers import load_box_tracker
-from agent.perception.tracking.follow import FOLLOWED, Follower
-from agent.perception.tracking.look_alikes import Seen
-from agent.perception.tracking.surveys import CLUTTER_KEPT, EVERY, Surveys
+from agent.perception.tracking.appearance import Box
+from agent.perception.tracking.distractors import CLUTTER_KEPT, EVERY, Seen, Surveys
+from agent.perception.tracking.follow import FOLLOWED, Follower, load_box_tracker
 from tests.perception.tracking.test_loss import RED, around, picture, water
 
 __all__ = ["water"]  # the fixture

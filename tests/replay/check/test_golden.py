@@ -15,7 +15,7 @@ import pytest
 from agent.core.codec import decode
 from agent.core.messages import Answer, Explain, LogLine, State
 from agent.core.step_io import Outputs
-from agent.perception.rerun_vision import rerun_vision
+from agent.perception.vision import rerun_vision
 from agent.robot.operator import BROKE
 from agent.robot.verbs import VERBS
 from replay.check.black_box import open_box, open_boxes

@@ -7,7 +7,7 @@ import msgpack
 import pytest
 
 from agent.core.config import ConfigError
-from agent.perception.rerun_vision import rerun_vision
+from agent.perception.vision import rerun_vision
 from replay.check.black_box import open_box, schema_of
 from replay.check.check import check, text
 from replay.check.compare import ABSENT, Difference

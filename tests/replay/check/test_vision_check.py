@@ -8,9 +8,9 @@ from msgspec.structs import replace
 from agent.core.codec import encode
 from agent.core.ranging.focus import Peak, fit_peak
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, SweepOutcome
-from agent.perception.clarity.region import disc_clarity
+from agent.perception.clarity import disc_clarity
 from agent.perception.detection.detect import find_ball
-from agent.perception.rerun_vision import rerun_vision
+from agent.perception.vision import rerun_vision
 from replay.check.black_box import open_box
 from replay.check.vision_check import SightingPair, check_vision, compare
 from replay.files.backlog import Entry
@@ -105,8 +105,8 @@ def one_percent_clearer(*args):
     ("patched", "changed", "found_on", "found_before"),
     [
         ("agent.perception.detection.detectors.find_ball", one_px_right, "centre, px", True),
-        ("agent.perception.clarity.region.disc_clarity", one_percent_clearer, "clarity, relative", False),
-        ("agent.perception.clarity.region.INNER_DISC", 0.95, "clarity, relative", False),  # looks elsewhere
+        ("agent.perception.clarity.disc_clarity", one_percent_clearer, "clarity, relative", False),
+        ("agent.perception.clarity.INNER_DISC", 0.95, "clarity, relative", False),  # looks elsewhere
     ],
 )
 def test_vision_that_has_changed_is_noticed_on_the_frames_that_are_lossless(
@@ -123,7 +123,7 @@ def test_vision_that_has_changed_is_noticed_on_the_frames_that_are_lossless(
 
 
 def test_a_peak_that_moves_by_its_sigmas_is_noticed(jpeg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.perception.clarity.region.disc_clarity", growing)
+    monkeypatch.setattr("agent.perception.clarity.disc_clarity", growing)
     (moved,) = check_vision([jpeg], rerun_vision)
     shares = [moved.quantities[f"peak of each sweep, in its own sigma, {what}"] for what in ("rms", "worst")]
     assert not any(share.passed for share in shares)

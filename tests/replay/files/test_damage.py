@@ -12,7 +12,7 @@ import pytest
 
 from agent.core.codec import stated_size
 from agent.core.config import ConfigError
-from agent.perception.rerun_vision import rerun_vision
+from agent.perception.vision import rerun_vision
 from replay.check.check import check
 from replay.check.explain import explain
 from replay.check.vision_check import check_vision

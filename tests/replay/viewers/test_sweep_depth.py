@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.core.codec import encode
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Sighting
-from agent.perception.recorded_depth import BLOCK_PX, growth, sweep_depth
+from agent.perception.depth_sweep import BLOCK_PX, growth, sweep_depth
 from replay.files.channels import VISION, entry_on
 from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read

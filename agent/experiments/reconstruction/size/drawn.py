@@ -22,11 +22,7 @@ from agent.experiments.reconstruction.size.basin import Stop, basin, stops, tank
 from agent.experiments.sweeps import WATER_INDEX
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
-from agent.reconstruction.camera import Camera
-from agent.reconstruction.composite import linear
-from agent.reconstruction.focus_maps import MOST_SPREAD, FocusMap, focus_map
-from agent.reconstruction.keyframe import BLOCKS_ACROSS, reduction
-from agent.reconstruction.view import View
+from agent.reconstruction.views import BLOCKS_ACROSS, MOST_SPREAD, Camera, FocusMap, View, focus_map, linear, reduction
 from hw.twin.optics.lens import Lens, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.view import Eye

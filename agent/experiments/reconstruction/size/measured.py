@@ -18,18 +18,15 @@ from agent.experiments.reconstruction.noisy import noisy
 from agent.experiments.reconstruction.score import distances_to
 from agent.experiments.reconstruction.size.basin import SIZE_M, SURFACE_M, basin
 from agent.experiments.result import Row
-from agent.reconstruction.build import CELL_M, build
-from agent.reconstruction.camera import Camera
-from agent.reconstruction.export.kinds import export
-from agent.reconstruction.image.judged import psnr_db
-from agent.reconstruction.image.model import ImageModel, ImageSettings, image
-from agent.reconstruction.poses.refine import refine
-from agent.reconstruction.poses.twist import apart, between, by_motion
+from agent.reconstruction.export import export
+from agent.reconstruction.fusion import CELL_M, build
+from agent.reconstruction.held_back import psnr_db
+from agent.reconstruction.image_model import ImageModel, ImageSettings, image
+from agent.reconstruction.plane_sweep import COMPARED, neighbours
+from agent.reconstruction.pose_evidence import apart, between, by_motion
+from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.run import figures_of
-from agent.reconstruction.stack import stacked
-from agent.reconstruction.stereo.neighbours import neighbours
-from agent.reconstruction.stereo.plane_sweep import COMPARED
-from agent.reconstruction.view import View
+from agent.reconstruction.views import Camera, View, stacked
 
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many
 MB = 1e6

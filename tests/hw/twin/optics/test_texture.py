@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agent.perception.clarity.clarity import tenengrad_blocks
+from agent.perception.clarity import tenengrad_blocks
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics import texture

@@ -1,1 +1,0 @@
-"""What a robot finds itself by: tags at surveyed places, and points that stay where they are."""

@@ -1,1 +1,0 @@
-"""Surfaces and views in the formats of other programs."""

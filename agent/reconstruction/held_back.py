@@ -1,0 +1,105 @@
+"""An image model held against photographs that it has not seen: peak signal to noise, where the camera really was.
+
+What is a millimetre off costs more than all that a model gets wrong, and says nothing about it: so each photograph
+first finds its place in the model's pictures (poses/place.py), as if it were a robot's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Annotated, Literal, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from agent.reconstruction.pose_evidence import place
+from agent.reconstruction.views import View, shrunk
+
+Pictures = NDArray[np.float32]
+Look = Callable[[View], tuple[Pictures, Pictures]]
+
+GAMMA = 1.0 / 2.2  # PSNR is of tones, as an eye and a file have them
+ROUNDS, SMALLER = 4, 2  # of placing, in pictures so many times smaller
+
+
+class HeldBack(NamedTuple):
+    """One photograph and what the model made of it."""
+
+    view: View  # where it was found to be
+    light: Pictures  # (h, w, 3) what the model shows from there
+    depth_m: Pictures  # (h, w)
+    psnr_db: float
+    unplaced_db: float  # from where it was said to be
+
+
+def judged(look: Look, views: Sequence[View]) -> list[HeldBack]:
+    """Each of the photographs, placed and compared."""
+    return [_judged(look, view) for view in views]
+
+
+def _judged(look: Look, view: View) -> HeldBack:
+    small = smaller(view, SMALLER)
+    found = place(small, lambda there: _floats(look(there)), rounds=ROUNDS).view
+    there = replace(view, rotation=found.rotation, position_m=found.position_m)
+    light, depth_m = look(there)
+    return HeldBack(there, light, depth_m, psnr_db(light, view.picture), psnr_db(look(view)[0], view.picture))
+
+
+def psnr_db(light: Pictures, true: Pictures) -> float:
+    """Of tones 0 to 1 of linear light (h, w, 3)."""
+    a, b = (np.clip(picture, 0.0, 1.0) ** GAMMA for picture in (light, true))
+    return float(-10.0 * np.log10(max(np.mean((a - b) ** 2), 1e-12)))
+
+
+def smaller(view: View, times: int) -> View:
+    """The view with a picture so many times smaller; its depths are those of every so-many-th pixel."""
+    camera = shrunk(view.camera, times)
+    cut = np.s_[: camera.height * times, : camera.width * times]
+    size = (camera.width, camera.height)
+    picture = cv2.resize(view.picture[cut], size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    every = np.s_[times // 2 : camera.height * times : times, times // 2 : camera.width * times : times]
+    return replace(view, camera=camera, picture=picture, depth_m=view.depth_m[every], sigma_m=view.sigma_m[every])
+
+
+def _floats(seen: tuple[Pictures, Pictures]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return seen[0].astype(float), seen[1].astype(float)
+
+
+# @@ held_back
+# Which pictures nothing is made of, so that what is rendered can be held against them.
+
+ENOUGH = 12  # views from which on some can be spared
+EVERY = 10
+
+
+def held_back(views: Sequence[View]) -> tuple[list[View], list[View]]:
+    """Views to build from, and one in EVERY to judge by, each in order; none where there are fewer than ENOUGH."""
+    if len(views) < ENOUGH:
+        return list(views), []
+    spared = range(EVERY // 2, len(views), EVERY)
+    return [view for n, view in enumerate(views) if n not in spared], [views[n] for n in spared]
+
+
+# @@ settings
+# What can be asked of the field. Nothing here is heavy: whoever reads a fleet file reads this.
+
+Start = Literal["surface", "nothing"]
+Device = Literal["auto", "cpu", "cuda", "mps"]
+
+
+class FieldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Time is what a field is bought with: it has learnt most of it in a minute, and goes on for ten."""
+
+    device: Device = "auto"
+    seconds: Annotated[float, Meta(gt=0)] = 300.0  # of the clock on the wall, for learning alone
+    steps: Annotated[int, Meta(ge=1)] | None = None  # so many instead, however long they take: the same on each run
+    rays: Annotated[int, Meta(ge=1)] = 4096  # a step
+    seed: int = 0
+    plane_mm: Annotated[float, Meta(gt=0)] = 3.0  # cells of the colours' planes
+    line_mm: Annotated[float, Meta(gt=0)] = 6.0  # and of their lines
+    start: Start = "surface"  # nothing: a thin fog everywhere, no depths; what a field is worth without focus
+    anchor: Annotated[float, Meta(ge=0)] = 0.01  # weight of the depths that focus and stereo found

@@ -1,0 +1,264 @@
+"""Black boxes -> views: what each whole sweep shows, and where the camera was when the frame was taken it is drawn on.
+
+A moored robot is where the fleet file says, at the depth, roll and pitch that its pressure sensors tell; one that swims
+is where it logged that it was. While the lens moves the robot drifts by some pixels. The target's centre says where the
+frames lie on each other; where there is none they are registered.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from agent.core.config import ConfigError, Pose
+from agent.core.ranging.camera_model import camera_pose, gimbal_deg
+from agent.perception.depth_peaks import luminance
+from agent.process.command import Progress, Show
+from agent.reconstruction.refine_poses import Sigmas, covariance_of
+from agent.reconstruction.views import (
+    Camera,
+    Floats,
+    Swept,
+    View,
+    diagonal_prior,
+    keyframe,
+    linear,
+    reduction,
+    shrunk_frame,
+)
+from replay.check.black_box import BlackBox, open_boxes
+from replay.taken_sweeps import Motion, TakenSweep, taken_sweeps, told
+from replay.viewers.whole_sweeps import SweepFrame
+
+MOORED = (3e-3, 0.5)  # of a survey by hand and tape: m in x and in y, degrees of yaw
+LEAST_PX = 128  # of the part that all frames of a sweep show, across and down
+MOST_DRIFT_PX = 0.1  # of the picture's width from one frame to the next: more is no drift
+
+
+class Recorded(NamedTuple):
+    """Views, and in words why sweeps gave none."""
+
+    views: list[View]
+    passed_over: dict[str, int]
+
+
+def recorded_views(paths: Sequence[Path], progress: Progress) -> Recorded:
+    """Views of all whole sweeps in black boxes and folders of them; progress counts recordings.
+
+    Raises ConfigError where there is none, or one is damaged.
+    """
+    boxes = open_boxes(paths)
+    views: list[View] = []
+    passed_over: dict[str, int] = {}
+    for done, box in enumerate(boxes):
+        progress(done, len(boxes))
+        for found in _views_of(box):
+            if isinstance(found, str):
+                passed_over[found] = passed_over.get(found, 0) + 1
+            else:
+                views.append(found)
+    progress(len(boxes), len(boxes))
+    return Recorded(views, passed_over)
+
+
+def _views_of(box: BlackBox) -> Iterator[View | str]:
+    steps = told(box)
+    for sweep in taken_sweeps(box, steps.views):
+        yield view_of(box, steps.motion, sweep)
+
+
+def view_of(box: BlackBox, moved: Motion, sweep: TakenSweep) -> View | str:
+    """The view of one sweep, or why there is none."""
+    frames = sorted(sweep.frames, key=lambda frame: frame.sighting.focus or 0)
+    if any(frame.sighting.focus is None for frame in frames):
+        return "lens positions unknown"
+    lens_positions = np.array([float(frame.sighting.focus or 0) for frame in frames])
+    if len(np.unique(lens_positions)) < len(lens_positions):
+        return "a lens position twice"
+    largest = -1 if box.calibration.camera.breathing >= 0.0 else 0
+    cut = aligned(frames, largest)
+    if cut is None:
+        return "frames that do not lie on each other"
+    t_ns = frames[largest].sighting.t_ns
+    pose = _pose(box, moved, t_ns)
+    if pose is None:
+        return "whereabouts unknown"
+    rotation, position, covariance, tilt_rad = pose
+    images, corner, middle = cut
+    swept: Swept = keyframe(images, lens_positions, box.calibration, tilt_rad, corner, middle)
+    return View(
+        robot=box.robot,
+        incarnation=str(box.incarnation),
+        seq=sweep.number,
+        camera=swept.camera,
+        rotation=rotation,
+        position_m=position,
+        pose_covariance=covariance,
+        picture=swept.picture,
+        depth_m=swept.depth.depth_m,
+        sigma_m=swept.depth.sigma_m,
+    )
+
+
+Cut = tuple[list[np.ndarray], tuple[int, int], tuple[float, float] | None]
+
+
+def aligned(frames: Sequence[SweepFrame], reference: int) -> Cut | None:
+    """The part that all frames show, cut out of each where it lies in it; its corner in the whole picture of the
+    reference; and where pictures grow about, in the part (None: about the optical axis).
+    """
+    seen = [frame.sighting.centre_px for frame in frames if frame.sighting.radius_px]
+    if len(seen) == len(frames):
+        at = np.array(seen, float)
+        about: tuple[float, float] | None = None
+    else:
+        drift = _drift(frames)
+        if drift is None:
+            return None
+        at = drift
+        about = None
+    rois = np.array([frame.roi for frame in frames], float)
+    anchor = np.rint(at - rois[:, :2]).astype(int)  # in each frame
+    before = anchor.min(axis=0)
+    after = (rois[:, 2:].astype(int) - anchor).min(axis=0)
+    width, height = (before + after).tolist()
+    if min(width, height) < LEAST_PX:
+        return None
+    images = [
+        frame.image[y - before[1] : y + after[1], x - before[0] : x + after[0]]
+        for frame, (x, y) in zip(frames, anchor.tolist(), strict=True)
+    ]
+    corner = rois[reference, :2].astype(int) + anchor[reference] - before
+    if len(seen) == len(frames):
+        about = float(before[0]), float(before[1])
+    return images, (int(corner[0]), int(corner[1])), about
+
+
+def _drift(frames: Sequence[SweepFrame]) -> Floats | None:
+    """Where the first frame's middle is in each whole picture (n, 2), by registering each with the one before."""
+    x, y, width, height = frames[0].roi
+    if any(frame.roi[2:] != (width, height) for frame in frames):
+        return None
+    at = [np.array([x + width / 2.0, y + height / 2.0])]
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    before = luminance(frames[0].image).astype(np.float32)
+    for last, frame in itertools.pairwise(frames):
+        grey = luminance(frame.image).astype(np.float32)
+        shift, _ = cv2.phaseCorrelate(before, grey, window)
+        moved = np.array(shift) + np.array(frame.roi[:2], float) - np.array(last.roi[:2], float)
+        if np.abs(moved).max() > MOST_DRIFT_PX * width:
+            return None
+        at.append(at[-1] + moved)
+        before = grey
+    return np.array(at)
+
+
+def _pose(box: BlackBox, moved: Motion, t_ns: int) -> tuple[Floats, Floats, Floats, float] | None:
+    """Rotation, position and covariance of the camera at a time, and how far it looks up, rad; None: unknown."""
+    level = moved.level(t_ns)
+    if level is None:
+        return None
+    moored = box.fleet.navigation is None
+    known = None if moored else moved.whereabouts(t_ns)
+    if known is not None:
+        pose = Pose(x_m=known.x_m, y_m=known.y_m, yaw_deg=known.yaw_deg)
+        place_m, yaw_deg = known.place_sigma_m / math.sqrt(2.0), known.yaw_sigma_deg
+    elif moored:
+        pose, (place_m, yaw_deg) = box.fleet.robot[box.robot].pose, MOORED
+    else:
+        return None
+    fleet, camera = box.fleet, box.calibration.camera
+    pan, tilt = gimbal_deg(camera, fleet.body, level.servos_us)
+    surface_m = fleet.tank.surface_m
+    eye = camera_pose(pose, fleet.body, level.depth_m, level.roll_deg, level.pitch_deg, pan, tilt, surface_m)
+    rotation, position = np.array(eye.rotation), np.array(eye.position_m)
+    sigmas = Sigmas(place_m, math.radians(yaw_deg), math.radians(camera.noise_deg))
+    covariance = covariance_of(rotation, position - np.array(eye.body_m), sigmas)
+    return rotation, position, covariance, math.asin(max(-1.0, min(1.0, float(rotation[2, 2]))))
+
+
+# @@ transforms_in
+# Pictures that others took: a folder in nerfstudio's layout -> views without depths of their own.
+#
+# Nothing there says how far anything is. A view gets a depth range instead, as a prior as wide as the scene: the
+# plane sweep then looks all along the line of sight. Scenes have any unit and any size.
+
+TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+GAMMA = 2.2
+LENS = ("k1", "k2", "k3", "k4", "p1", "p2")
+
+
+def transforms_views(path: Path, show: Show) -> list[View]:
+    """Views of a transforms.json, or of the folder that has one. Raises ConfigError with one line."""
+    file = path / "transforms.json" if path.is_dir() else path
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        frames = list(data["frames"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ConfigError(f"{file}: no transforms.json; give a folder in nerfstudio's layout, or its file") from None
+    views = []
+    for n, frame in enumerate(frames):
+        show(n, len(frames), "reading pictures")
+        views.append(_view(file, data, frame, n))
+    return views
+
+
+def _view(file: Path, data: dict[str, Any], frame: dict[str, Any], n: int) -> View:
+    try:
+        name = frame["file_path"]
+        pose = np.array(frame["transform_matrix"], float).reshape(4, 4) @ TO_OPENCV
+    except (KeyError, TypeError, ValueError):
+        raise ConfigError(f"{file}: frame {n} has no file_path or no transform_matrix of 4 x 4") from None
+    image = _image(file.parent / name)
+    height, width = image.shape[:2]
+    f, camera, image = _pinhole(file, {**data, **frame}, image, n)
+    times = reduction(width)
+    small = shrunk_frame(image, 1.0, (0.0, 0.0), times, GAMMA) if times > 1 else linear(image, GAMMA)
+    half = (times - 1) / 2.0
+    intrinsics = Camera(
+        f / times, (camera[0] - half) / times, (camera[1] - half) / times, 0.0, 0.0, width // times, height // times
+    )
+    rotation: Floats = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
+    unknown = np.full(small.shape[:2], np.nan, np.float32)
+    return View(
+        "pictures", "", n, intrinsics, rotation, pose[:3, 3], diagonal_prior(1e-3, 1e-3), small, unknown, unknown
+    )
+
+
+def _image(path: Path) -> np.ndarray:
+    found = [path, *(path.with_name(path.name + ending) for ending in (".png", ".jpg", ".jpeg"))]
+    there = next((one for one in found if one.is_file()), None)
+    image = None if there is None else cv2.imread(str(there), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ConfigError(f"{path}: no such picture, or none that can be read")
+    return np.asarray(image, np.uint8)
+
+
+def _pinhole(
+    file: Path, about: dict[str, Any], image: np.ndarray, n: int
+) -> tuple[float, tuple[float, float], np.ndarray]:
+    """Focal length and centre of the picture as a straight pinhole would have taken it, and that picture."""
+    height, width = image.shape[:2]
+    try:
+        narrow = "fl_x" not in about
+        fx: float = 0.5 * width / math.tan(0.5 * float(about["camera_angle_x"])) if narrow else float(about["fl_x"])
+        fy = float(about.get("fl_y", fx))
+        cx, cy = float(about.get("cx", width / 2.0)) - 0.5, float(about.get("cy", height / 2.0)) - 0.5
+        k1, k2, k3, _, p1, p2 = (float(about.get(name) or 0.0) for name in LENS)
+    except (KeyError, TypeError, ValueError):
+        raise ConfigError(f"{file}: frame {n} has no fl_x and no camera_angle_x") from None
+    scale = width / float(about.get("w") or width)  # a folder of smaller copies has the intrinsics of the large ones
+    fx, fy, cx, cy = fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5
+    straight = not any((k1, k2, k3, p1, p2)) and fx == fy
+    if not straight:
+        lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        flat = np.array([[fx, 0.0, cx], [0.0, fx, cy], [0.0, 0.0, 1.0]])
+        image = np.asarray(cv2.undistort(image, lens, np.array([k1, k2, p1, p2, k3]), None, flat), np.uint8)
+    return fx, (cx, cy), image

@@ -1,1 +1,0 @@
-"""Depths by comparing pictures: what one view's windows look like from others, and where they fit."""

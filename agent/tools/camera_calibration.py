@@ -1,0 +1,391 @@
+"""`aucamp calibrate camera`: intrinsics from photographs of a chessboard, taken in the water that will be dived in.
+
+A flat port bends rays much as a lens with some pincushion distortion would, so the water needs no model of its own:
+focal length, centre and two radial terms take it in (perception of a target near the optical axis uses the first two).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from agent.core.config import Body, ConfigError
+from agent.core.messages import Vector
+from agent.core.ranging.camera_model import CameraFit
+from agent.perception.tags import Plane, all_tags, green, light_of_bytes, module_px
+from agent.process.command import Progress, with_bar
+from agent.tools.focus_calibration import HUBER, Array, CalibrationRefused, check_file, gauss_newton, put, scale, solve
+from agent.tools.tags import plain_camera
+from hw.camera.camera import Image
+from hw.picture_files import picture_files, read_picture
+
+MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
+MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred
+
+
+class Intrinsics(NamedTuple):
+    """Pinhole with one radial term, as OpenCV defines them; pixels from the centre of the upper left pixel."""
+
+    width_px: int
+    height_px: int
+    f_px: float
+    cx_px: float
+    cy_px: float
+    k1: float
+    residual_px: float
+    views: int
+
+
+def calibrate_camera(
+    folder: Path, columns: int, rows: int, square_mm: float, out: Path | None, console: Console
+) -> Intrinsics:
+    """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
+    kept = check_file(out).get("camera", {}) if out is not None else {}
+    fit = with_bar(console, "looking for the board", lambda show: intrinsics(folder, columns, rows, square_mm, show))
+    corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
+    radius = corner_px / fit.f_px
+    bend_px = corner_px * abs(fit.k1) * radius**2
+    console.print(
+        f"{fit.views} views: f {fit.f_px:.1f} px, centre ({fit.cx_px:.1f}, {fit.cy_px:.1f}), residual "
+        f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners"
+    )
+    if out is not None:
+        sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
+        lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
+        # OpenCV's k1 is our bend; what else the old scale went with does not belong to the new one.
+        fresh = {"bend": fit.k1, "ahead_m": 0.0, "lens": 0.0, "breathing": 0.0, "scale_covariance": [0.0, 0.0, 0.0]}
+        kept = {key: value for key, value in kept.items() if key != "covariance"}  # it was of the old one
+        console.print(put(out, "camera", {**kept, **sizes, **lens, **fresh}, folder))
+    return fit
+
+
+def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
+    """Fit all photographs of a folder that show the whole board of columns x rows inner corners.
+
+    Progress counts photographs. Raises ConfigError where they cannot be used or do not fit, one line.
+    """
+    paths = picture_files(folder)
+    found: list[NDArray[np.float32]] = []
+    size: tuple[int, int] | None = None
+    for done, path in enumerate(paths, start=1):
+        grey = read_picture(path, grey=True, stretch=True)  # each is looked at by itself
+        if size not in (None, grey.shape[::-1]):
+            raise ConfigError(f"{path}: is {grey.shape[1]}x{grey.shape[0]}, others are {size[0]}x{size[1]}")
+        size = (grey.shape[1], grey.shape[0])
+        seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if seen:
+            found.append(corners.astype(np.float32))
+        progress(done, len(paths))
+    if size is None or len(found) < MIN_VIEWS:
+        raise ConfigError(
+            f"{folder}: the board of {columns}x{rows} inner corners is whole in {len(found)} of {len(paths)} "
+            f"photographs; {MIN_VIEWS} are needed, from different sides"
+        )
+    board = np.zeros((columns * rows, 3), np.float32)
+    board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
+    start = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1]], float)
+    residual, matrix, distortion, *_ = cv2.calibrateCamera(
+        [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+    )
+    if residual > MAX_RESIDUAL_PX:
+        raise ConfigError(
+            f"{folder}: corners miss by {residual:.1f} px; check --columns, --rows, --square-mm and the focus"
+        )
+    return Intrinsics(
+        *size,
+        float(matrix[0, 0]),
+        float(matrix[0, 2]),
+        float(matrix[1, 2]),
+        float(distortion.ravel()[0]),
+        float(residual),
+        len(found),
+    )
+
+
+# @@ camera_fit
+# Fit a camera and the servos of its gimbal to corners of a board at known places.
+#
+# The optical axis meets the sensor some pixels beside its middle. A turn of the gimbal moves the picture by as much,
+# but bends it otherwise: towards the picture's edge the two differ by a third of a pixel where the axis is 6 px off,
+# which puts a robot that goes by tags 10 mm beside its place. Half a thousand corners tell them apart.
+
+MIN_CORNERS = 40  # ten unknowns; half a board seen once
+MIN_SETTINGS = 3  # of the gimbal: zero and gain of two axes
+MAX_NOISE_PX = 2.0  # a wrong board is worse than this
+# What to expect, give or take: a small port; growth of the picture from far to near; the axis, of the picture's width.
+AHEAD_M, BREATHING, CENTRE = 0.005, 0.05, 0.01
+PRIOR_PX = 0.1  # noise of one corner, to weigh that against the corners
+PRIORS = 4  # of the unknowns, the last ones
+
+
+class Corner(NamedTuple):
+    """One corner of the board: pulses of pan and tilt, its place about the pivot in the body frame, its pixel."""
+
+    servos_us: tuple[float, float]
+    point_m: Vector
+    px: tuple[float, float]
+    lens_position: float = 0.0
+    number: int | None = None  # of this corner on the board
+
+
+def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> CameraFit:
+    """The picture's scale, centre and bend, and zero and gain of pan and tilt. Raises CalibrationRefused.
+
+    Where rays meet shows in boards at different distances, breathing in different lens positions, the centre in boards
+    that fill the picture; what the corners do not tell of these stays near nothing (priors of a millimetre's order, of
+    a few percent over the lens's travel, and of some pixels).
+    """
+    settings = {corner.servos_us for corner in corners}
+    if len(corners) < MIN_CORNERS or len(settings) < MIN_SETTINGS:
+        raise CalibrationRefused(
+            f"{len(corners)} corners at {len(settings)} gimbal settings; at least {MIN_CORNERS} at {MIN_SETTINGS} are "
+            "needed: light the board, and show all of it"
+        )
+    middle_px = (size[0] - 1) / 2.0, (size[1] - 1) / 2.0
+    nominal = np.radians((np.array([c.servos_us for c in corners]) - body.servo_centre_us) / body.servo_us_per_deg)
+    points, px = np.array([c.point_m for c in corners]), np.array([c.px for c in corners])
+    for axis, name in enumerate(("pan", "tilt")):
+        if float(np.ptp(nominal[:, axis])) < math.radians(5.0):
+            raise CalibrationRefused(f"{name} moved by less than 5 degrees; use settings further apart")
+
+    lens_positions = np.array([c.lens_position for c in corners])
+    middle, travel = float(lens_positions.mean()), max(float(np.ptp(lens_positions)), 1.0)
+    expected = AHEAD_M, BREATHING, CENTRE * size[0], CENTRE * size[0]
+
+    def residual(p: Array) -> Array:
+        """Pixels; p = f_px, pan zero, tilt zero (rad), pan gain, tilt gain, bend, ahead (m), growth over the travel,
+        the axis from the picture's middle (px, px)."""
+        pan, tilt = p[1] + p[3] * nominal[:, 0], p[2] + p[4] * nominal[:, 1]
+        ahead = np.cos(pan) * points[:, 0] + np.sin(pan) * points[:, 1]
+        left = np.cos(pan) * points[:, 1] - np.sin(pan) * points[:, 0]
+        z = np.cos(tilt) * ahead + np.sin(tilt) * points[:, 2] - p[6]
+        up = np.cos(tilt) * points[:, 2] - np.sin(tilt) * ahead
+        f_px = p[0] * (1.0 + p[7] * (lens_positions - middle) / travel) * (1.0 + p[5] * (left**2 + up**2) / z**2)
+        cx, cy = middle_px[0] + p[8], middle_px[1] + p[9]
+        seen = [cx - f_px * left / z - px[:, 0], cy - f_px * up / z - px[:, 1]]
+        return np.concatenate([*seen, PRIOR_PX * p[-PRIORS:] / expected])
+
+    def jacobian(p: Array) -> Array:
+        steps = np.array([1e-2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-5, 1e-6, 1e-6, 1e-2, 1e-2])
+        both = [(residual(p + e), residual(p - e)) for e in np.diag(steps)]
+        return np.stack([(plus - minus) / (2.0 * s) for (plus, minus), s in zip(both, steps, strict=True)])
+
+    start = np.array([1.5 * size[0], 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    p, normal, weights = gauss_newton(start, residual, jacobian)
+    r, weights = residual(p)[:-PRIORS], weights[:-PRIORS]
+    noise_px = scale(weights * r, len(p))
+    if noise_px > MAX_NOISE_PX:
+        raise CalibrationRefused(f"corners miss by {noise_px:.1f} px; check the board's squares and where it stood")
+    # A whole view that is off by the same shift is a servo that did not come back to the same angle.
+    shift = np.array([r.reshape(2, -1)[:, [c.servos_us == s for c in corners]].mean(axis=1) for s in sorted(settings)])
+    C = _covariance(p, residual, jacobian, normal, [corner.number for corner in corners], noise_px)
+    order = [0, 5, 8, 9, 6, 7, 1, 2, 3, 4]  # of CameraFit.covariance, and its units
+    units = np.array([1.0 / p[0], 1.0, 1.0, 1.0, 1.0, 1.0 / travel, math.degrees(1.0), math.degrees(1.0), 1.0, 1.0])
+    of_all = (units[:, None] * C[order][:, order] * units)[np.triu_indices(len(p))]
+    return CameraFit(
+        width_px=size[0],
+        height_px=size[1],
+        f_px=float(p[0]),
+        cx_px=middle_px[0] + float(p[8]),
+        cy_px=middle_px[1] + float(p[9]),
+        bend=float(p[5]),
+        ahead_m=float(p[6]),
+        lens=middle,
+        breathing=float(p[7]) / travel,
+        scale_covariance=(float(C[0, 0] / p[0] ** 2), float(C[0, 6] / p[0]), float(C[6, 6])),
+        pan_zero_deg=math.degrees(p[1]),
+        tilt_zero_deg=math.degrees(p[2]),
+        pan_gain=float(p[3]),
+        tilt_gain=float(p[4]),
+        noise_px=max(noise_px, 0.05),
+        noise_deg=max(math.degrees(math.sqrt(float((shift * shift).mean())) / p[0]), 0.02),
+        covariance=tuple(of_all.tolist()),
+    )
+
+
+def _covariance(
+    p: Array,
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    normal: Array,
+    numbers: Sequence[int | None],
+    noise_px: float,
+) -> Array:
+    """Of p, px2 and so on. What the print and its grain shift a corner by, they do in every view: what is summed over
+    the views of a corner is independent, not what is in each (Liang and Zeger 1986, the sandwich)."""
+    inverse = solve(normal, np.eye(len(p)))
+    known = [number for number in numbers if number is not None]
+    if len(known) < len(numbers) or len(set(known)) <= 2 * len(p):
+        return np.asarray(max(noise_px, PRIOR_PX) ** 2 * inverse, np.float64)
+    r, J = residual(p), jacobian(p)
+    limit = HUBER * noise_px
+    r = np.clip(r, -limit, limit)
+    values, group = np.unique(np.array(known), return_inverse=True)
+    pulls = np.zeros((len(p), len(values)))
+    for axis in range(2):
+        part = slice(axis * len(known), (axis + 1) * len(known))
+        for i in range(len(p)):
+            pulls[i] += np.bincount(group, J[i, part] * r[part], len(values))
+    K = len(values)
+    meat = (pulls[:, None] * pulls[None]).sum(axis=-1) * K / (K - len(p))
+    priors = J[:, -PRIORS:] * PRIOR_PX
+    meat += (priors[:, None] * priors[None]).sum(axis=-1)
+    out: Array = _times(_times(inverse, meat), inverse)
+    return 0.5 * (out + out.T)
+
+
+def _times(a: Array, b: Array) -> Array:
+    out: Array = (a[:, :, None] * b[None]).sum(axis=1)
+    return out
+
+
+# @@ gamma
+# `aucamp calibrate gamma`: how a camera codes light, from tags that it sees out of focus.
+#
+# Blur spreads light evenly to both sides of an edge. So along a line across a black edge on white the light is half-
+# way up where the centroid of its gradient is. Where bytes are made light by a wrong gamma the two come apart, the
+# farther the wider the blur. Paper, lamp and the water's veil scale light and add to it, which moves neither.
+
+LEAST, MOST = 0.6, 4.0  # gammas that are looked at
+NARROWEST_BLUR_PX = 3.0  # diameter: a narrower edge is lopsided by less than its noise
+WIDEST_BLUR = 0.6  # of a module: beyond it the code's blur comes within REACH of the border's edge
+REACH = 0.5  # of a module to either side of the edge
+PLATEAU = 0.1  # of a module: at either end, where no blur comes
+PROFILES, FIRST, LAST = 41, 0.1, 0.9  # across each edge, from this to that share of its length
+STEP_PX = 0.25
+DARKEST, BRIGHTEST = 2.0, 250.0  # mean bytes of black and paper: beyond these light was cut off
+FEWEST = 8  # tags: their scatter is what the answer's uncertainty is made of
+ROUGHEST = 0.1  # standard deviation of the answer: twice as much moves corners by 0.1 px at a blur of 6 px
+BISECTIONS = 20
+
+
+class Gamma(NamedTuple):
+    gamma: float
+    sigma: float  # standard deviation
+    tags: int
+    pictures: int  # that showed them
+    blur_px: tuple[float, float]  # diameters, from .. to
+
+
+def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
+    """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
+    kept = check_file(out).get("camera") if out is not None else None
+    if out is not None and kept is None:
+        raise ConfigError(f"{out}: has no table [camera] that a gamma could go to; make it by aucamp calibrate camera")
+    fit = with_bar(console, "looking for blurred tags", lambda show: gamma_of_folder(folder, show))
+    low, high = fit.blur_px
+    console.print(
+        f"gamma {fit.gamma:.2f} +- {fit.sigma:.2f}, from {fit.tags} tags in {fit.pictures} pictures, "
+        f"blurred by {low:.0f} to {high:.0f} px"
+    )
+    if out is not None and kept is not None:
+        console.print(put(out, "camera", {**kept, "gamma": round(fit.gamma, 3)}, folder))
+    return fit
+
+
+def gamma_of_folder(folder: Path, progress: Progress) -> Gamma:
+    """The gamma of all pictures of a folder. Progress counts pictures. Raises ConfigError where they cannot say it."""
+    paths = picture_files(folder)
+    gammas, blurs_px, showing = [], [], 0
+    for done, path in enumerate(paths, start=1):
+        found = gammas_of_picture(read_picture(path))
+        gammas += [gamma for gamma, _ in found]
+        blurs_px += [blur_px for _, blur_px in found]
+        showing += bool(found)
+        progress(done, len(paths))
+    if len(gammas) < FEWEST:
+        raise ConfigError(
+            f"{folder}: {len(gammas)} tags are blurred by {NARROWEST_BLUR_PX:.0f} px to {WIDEST_BLUR} of a module and "
+            f"neither black nor burnt out; {FEWEST} are needed: take more pictures, with the lens out of focus"
+        )
+    middle = float(np.median(gammas))
+    # of a median: pi/2 of the variance of a mean
+    sigma = 1.25 * 1.48 * float(np.median(np.abs(np.subtract(gammas, middle)))) / len(gammas) ** 0.5
+    if sigma > ROUGHEST:
+        raise ConfigError(
+            f"{folder}: the tags say {middle:.2f} +- {sigma:.2f}, which is too rough; take larger tags and more light, "
+            "and switch the camera's sharpening and contrast curve off"
+        )
+    return Gamma(middle, sigma, len(gammas), showing, (min(blurs_px), max(blurs_px)))
+
+
+def gammas_of_picture(image: Image) -> list[tuple[float, float]]:
+    """(gamma, diameter of the blur in px) that each tag of a picture says which can say one."""
+    plane, out = green(image), []
+    for one in all_tags(image, plain_camera(image)):
+        module = module_px(one.corners_px)
+        if one.blur_px is None or not NARROWEST_BLUR_PX <= one.blur_px <= WIDEST_BLUR * module:
+            continue
+        gamma = gamma_of_square(plane, one.corners_px, module)
+        if gamma is not None:
+            out.append((gamma, one.blur_px))
+    return out
+
+
+def gamma_of_square(plane: Plane, corners_px: Array, module: float) -> float | None:
+    """The gamma at which the edges of a black square are blurred evenly to both sides.
+
+    plane: (height, width) bytes. corners_px: (4, 2), clockwise as seen. None where light was cut off, an edge leaves
+    the picture, or no gamma makes them even.
+    """
+    offsets_px = np.arange(-REACH * module, REACH * module + STEP_PX / 2, STEP_PX)
+    edges = [_samples(plane, corners_px[k], corners_px[(k + 1) % 4], offsets_px) for k in range(4)]
+    if any(each is None for each in edges):
+        return None
+    flat = max(int(PLATEAU * module / STEP_PX), 2)
+
+    def lopsided_px(gamma: float) -> float:
+        light = light_of_bytes(gamma)
+        profiles = [(light[each.bytes] * each.weights).sum(axis=0).mean(axis=0) for each in edges if each is not None]
+        return float(np.mean([_lopsided_px(profile, offsets_px, flat) for profile in profiles]))
+
+    linear = [(each.bytes * each.weights).sum(axis=0).mean(axis=0) for each in edges if each is not None]
+    if any(each[:flat].mean() < DARKEST or each[-flat:].mean() > BRIGHTEST for each in linear):
+        return None
+    low, high = LEAST, MOST
+    if not lopsided_px(low) * lopsided_px(high) < 0.0:
+        return None
+    at_low = lopsided_px(low)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if lopsided_px(middle) * at_low > 0.0 else (low, middle)
+    return 0.5 * (low + high)
+
+
+class _Samples(NamedTuple):
+    bytes: Array  # (4, PROFILES, n): of the pixels around each place
+    weights: Array  # the same shape: how much of each is in it
+
+
+def _samples(plane: Plane, start: Array, end: Array, offsets_px: Array) -> _Samples | None:
+    """Where PROFILES lines cross an edge, outwards: the square is on the right of who goes from start to end."""
+    along = end - start
+    outwards = np.array([along[1], -along[0]]) / np.hypot(*along)
+    share = np.linspace(FIRST, LAST, PROFILES)[:, None, None]
+    place = start + share * along + offsets_px[None, :, None] * outwards
+    height, width = plane.shape
+    if place.min() < 0.0 or (place.max(axis=(0, 1)) > (width - 2, height - 2)).any():
+        return None
+    corner = place.astype(int)
+    u, v = np.moveaxis(place - corner, -1, 0)
+    x, y = np.moveaxis(corner, -1, 0)
+    around = np.stack([plane[y, x], plane[y, x + 1], plane[y + 1, x], plane[y + 1, x + 1]])
+    return _Samples(around, np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]))
+
+
+def _lopsided_px(profile: Array, offsets_px: Array, flat: int) -> float:
+    """How far the centroid of a step's gradient is outwards of where the step is half-way up."""
+    black, white = profile[:flat].mean(), profile[-flat:].mean()
+    risen = (profile - black) / (white - black)
+    centroid = offsets_px[-1] - float(np.trapezoid(risen, offsets_px))
+    k = int(np.argmax(risen >= 0.5))
+    half = offsets_px[k] - (risen[k] - 0.5) / (risen[k] - risen[k - 1]) * STEP_PX
+    return float(centroid - half)

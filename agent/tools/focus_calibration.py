@@ -1,0 +1,383 @@
+"""`aucamp calibrate focus`: a table of (range, sharpest lens position) -> h(rho), its worth, and a verdict in words."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomli_w
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from agent.core.config import ConfigError, read_toml
+from agent.core.linear_algebra import upper
+from agent.core.messages import Symmetric
+from agent.core.ranging.camera_model import FocusFit
+from agent.core.ranging.focus import TiltedPeak, with_sag
+from agent.process.command import Failed, free_name
+
+# @@ fit
+# Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
+# Newton with Huber weights.
+#
+# The noise of a peak is in the lens position, so the hyperbola is fitted there; fitted in range, as the paper does,
+# it comes out 5 mm wrong at half a metre.
+
+Array = NDArray[np.float64]
+
+MIN_DISTANCES = 6  # three unknowns, and some to check them with
+MIN_SPAN_PER_M = 2.0  # of 1/u: a shorter arc of a hyperbola is a straight line
+HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
+HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
+PASSES = 25
+NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
+
+
+class FocusRow(NamedTuple):
+    """One accepted peak: distance of the board (z-depth from the pivot, m), lens position and half width."""
+
+    u_m: float
+    rho: float
+    width: float
+    sigma: float = 1.0  # standard deviation of rho beside that of the other rows; the scale is found from the residuals
+
+
+class CalibrationRefused(Failed):
+    """The measurements do not determine the fit; one line that says what to change."""
+
+
+def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
+    """u = u_inf + b / (rho - rho0) through the rows, by least squares in rho. Raises CalibrationRefused."""
+    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
+    distances = sorted({float(d) for d in u})
+    if len(distances) < MIN_DISTANCES:
+        raise CalibrationRefused(f"{len(distances)} distances have a peak; measure at least {MIN_DISTANCES}")
+    span = 1.0 / distances[0] - 1.0 / distances[-1]
+    if span < MIN_SPAN_PER_M:
+        raise CalibrationRefused(
+            f"1/u spans {span:.1f} 1/m from {distances[0]:.2f} to {distances[-1]:.2f} m; "
+            f"at least {MIN_SPAN_PER_M:.0f} is needed: bring the board nearer"
+        )
+    trust = float(np.median(sigma)) / sigma  # 1 for the row whose noise is reported
+    p, normal, weights = _hyperbola(u, rho, trust)
+    travel = rho - p[2]
+    if float((travel * p[1]).min()) <= 0.0:
+        raise CalibrationRefused("the pole of the fit lies inside the measurements; check the table for wrong peaks")
+    residual = trust * (travel - p[1] / (u - p[0]))
+    noise = max(scale(weights * residual, 3), NOISE_FLOOR * float(np.ptp(rho)))
+    error_m = p[0] + p[1] / travel - u
+    held_out_m = np.concatenate([_held_out_m(u, rho, trust, distance) for distance in distances])
+    return FocusFit(
+        u_inf_m=float(p[0]),
+        b_m=float(p[1]),
+        rho0=float(p[2]),
+        covariance=upper(noise * noise * solve(normal, np.eye(3))),
+        noise=noise,
+        width=float(np.median([row.width for row in rows])),
+        lowest=math.floor(rho.min()),
+        highest=math.ceil(rho.max()),
+        r2=1.0 - float((error_m**2).sum() / ((u - u.mean()) ** 2).sum()),
+        rmse_m=math.sqrt(float((error_m**2).mean())),
+        held_out_rmse_m=math.sqrt(float((held_out_m**2).mean())),
+    )
+
+
+class LeftOut(NamedTuple):
+    """How well the other distances foretell one."""
+
+    u_m: float
+    error_m: float  # rms over its rows, of the fit to all the others
+
+
+def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
+    """Per distance, not per row: the rows of one distance share the error of its tape measure."""
+    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
+    errors = ((d, _held_out_m(u, rho, float(np.median(sigma)) / sigma, d)) for d in sorted({float(d) for d in u}))
+    return [LeftOut(d, math.sqrt(float((e * e).mean()))) for d, e in errors]
+
+
+def solve(A: Array, b: Array) -> Array:
+    """A^-1 b for one small system, by elimination with pivoting: A (k, k), b (k, r). Raises CalibrationRefused."""
+    M = np.concatenate([A, b], axis=1).astype(float)
+    k = len(A)
+    for i in range(k):
+        best = i + int(np.abs(M[i:, i]).argmax())
+        M[[i, best]] = M[[best, i]]
+        if M[i, i] == 0.0:
+            raise CalibrationRefused("the measurements do not determine the fit; vary them more")
+        M[i] /= M[i, i]
+        others = np.arange(k) != i
+        M[others] -= M[others, i : i + 1] * M[i]
+    x: Array = M[:, k:]
+    return x
+
+
+def _hyperbola(u: Array, rho: Array, trust: Array) -> tuple[Array, Array, Array]:
+    """(u_inf, b, rho0), normal matrix and weights, started from rho u = u_inf rho + rho0 u + (b - rho0 u_inf).
+
+    trust: (n,) one over the standard deviation of each rho.
+    """
+    columns = np.stack([rho, u, np.ones_like(u)])
+    start = solve(_products(columns, np.ones_like(u)), (columns * (rho * u)).sum(axis=1)[:, None])[:, 0]
+    u_inf = min(float(start[0]), 0.9 * float(u.min()))
+    p = np.array([u_inf, start[2] + start[1] * u_inf, start[1]])
+
+    def residual(p: Array) -> Array:
+        r: Array = trust * (p[2] + p[1] / (u - p[0]) - rho)
+        return r
+
+    def jacobian(p: Array) -> Array:
+        near = u - p[0]
+        J: Array = trust * np.stack([p[1] / near**2, 1.0 / near, np.ones_like(u)])
+        return J
+
+    return gauss_newton(p, residual, jacobian)
+
+
+def gauss_newton(
+    p: Array, residual: Callable[[Array], Array], jacobian: Callable[[Array], Array]
+) -> tuple[Array, Array, Array]:
+    """Minimise the Huber loss of residual(p) (n,), jacobian(p) (k, n) -> p, normal matrix, weights."""
+    for _ in range(PASSES):
+        r, J = residual(p), jacobian(p)
+        spread = 1.4826 * float(np.median(np.abs(r))) + 1e-12
+        weights = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(r), 1e-15))
+        normal = _products(J, weights)
+        step = solve(normal, -(J * (weights * r)).sum(axis=1)[:, None])[:, 0]
+        p = p + step
+        if bool((np.abs(step) <= 1e-10 * (1.0 + np.abs(p))).all()):
+            break
+    return p, normal, weights
+
+
+def scale(pull: Array, unknowns: int) -> float:
+    """Standard deviation of the residuals from what Huber's weights left of them."""
+    return math.sqrt(float((pull * pull).sum()) / (HUBER_SHARE * max(pull.size - unknowns, 1)))
+
+
+def _products(J: Array, weights: Array) -> Array:
+    products: Array = (J[:, None, :] * J[None, :, :] * weights).sum(axis=-1)
+    return products
+
+
+def _held_out_m(u: Array, rho: Array, trust: Array, distance: float) -> Array:
+    """Errors in range of the rows at one distance, from the fit to all the others."""
+    out = u == distance
+    p, _, _ = _hyperbola(u[~out], rho[~out], trust[~out])
+    error: Array = p[0] + p[1] / (rho[out] - p[2]) - u[out]
+    return error
+
+
+# @@ calibration_file
+# A calibration file that is made of parts: one table of it is measured anew, what it said before is kept beside it.
+
+TABLES = ("focus", "camera")
+
+
+def check_file(path: Path) -> dict[str, Any]:
+    """What the file says now, nothing where it is yet to be made. Raises ConfigError for a file that is no calibration:
+    another file of the user's is not to get a table of ours."""
+    if path.suffix != ".toml":
+        raise ConfigError(f"{path}: give --out a name that ends in .toml")
+    if not path.exists():
+        return {}
+    content = read_toml(path)
+    if "robot" not in content or not any(isinstance(content.get(table), dict) for table in TABLES):
+        raise ConfigError(f"{path}: is no calibration file; give --out a new name, or that of a calibration")
+    return content
+
+
+def put(path: Path, table: str, fields: dict[str, Any], source: Path) -> str:
+    """Write one table of a calibration file and keep its others; says what became of what was there.
+
+    The file as it was is kept beside it, by a name that nothing had. `source`: what was measured.
+    """
+    before, today = check_file(path), datetime.now(UTC).strftime("%Y-%m-%d")
+    content = {"robot": path.stem, "made": today, "source": "", **before}
+    content["source"] = "; ".join(filter(None, (content["source"], f"[{table}] on {today} from {source}")))
+    content[table] = fields
+    path.parent.mkdir(parents=True, exist_ok=True)
+    kept = free_name(path.with_name(path.name + ".before"))
+    if before:
+        shutil.copy2(path, kept)
+    fresh = path.with_name(path.name + ".part")
+    fresh.write_text(tomli_w.dumps(content), encoding="utf-8")
+    fresh.replace(path)
+    if not before:
+        said = f"[{table}] written to {path}, the calibration of robot '{content['robot']}'"
+    else:
+        said = f"[{table}] of {path} {'replaced' if table in before else 'added'}; the file as it was: {kept}"
+    missing = [each for each in TABLES if each not in content]
+    return said + "".join(f"\n[{each}] is missing; a robot needs it: aucamp calibrate {each}" for each in missing)
+
+
+# @@ focus_table
+
+REQUIRED = ("u_mm", "code")
+OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")
+LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positions, within the noise of a peak
+GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
+
+
+class PaperGauge(NamedTuple):
+    """The same curve as the paper prints it: h = f k rho / (k rho - f) + c, lengths in metres."""
+
+    k: float
+    f_m: float
+    c_m: float
+
+
+def run(table: Path, out: Path | None, console: Console) -> FocusFit:
+    """Fit, print, plot beside the table, and put the fit into `out` if given. Raises ConfigError, one line."""
+    rows, tilted = read_table(table)
+    try:
+        fit, left_out = with_sag(fit_focus(rows), tilted), leave_one_out(rows)
+    except CalibrationRefused as error:
+        raise ConfigError(f"{table}: {error}") from None
+    if out is not None:
+        check_file(out)
+    console.print(result_table(fit, left_out))
+    console.print(verdict(fit, left_out))
+    picture = free_name(table.with_suffix(".png"))
+    figure(rows, fit, left_out).savefig(picture)
+    console.print(f"picture: {picture}")
+    if out is not None:
+        console.print(put(out, "focus", _fields(fit), table))
+    return fit
+
+
+class Measured(NamedTuple):
+    """The rows of a table: those of a level camera, which the curve is fitted to, and the others."""
+
+    level: list[FocusRow]
+    tilted: list[TiltedPeak]
+
+
+def read_table(path: Path) -> Measured:
+    """A CSV with at least the columns u_mm and code. Raises ConfigError that names line and column.
+
+    tilt_deg: how far the camera looked up; u_mm is then counted along its axis.
+    """
+    try:
+        lines = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give a CSV file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: not a CSV file ({error}); save the table as CSV in UTF-8") from None
+    if not lines:
+        raise ConfigError(f"{path}: no rows; write one line per peak under the header {','.join(REQUIRED)}")
+    header = set(lines[0])
+    for column in header - set(REQUIRED) - set(OPTIONAL):
+        raise ConfigError(f"{path}: unknown column '{column}'; known are {', '.join((*REQUIRED, *OPTIONAL))}")
+    for column in set(REQUIRED) - header:
+        raise ConfigError(f"{path}: column '{column}' is missing; add it")
+    for column in ("direction", "camera", "medium"):
+        values = sorted({line.get(column) or "" for line in lines})
+        if len(values) > 1:
+            raise ConfigError(f"{path}: column '{column}' mixes {', '.join(values)}; fit each by itself")
+    rows, tilted = [], []
+    for number, line in enumerate(lines, start=2):
+        u_mm, code = (_number(path, number, column, line[column]) for column in REQUIRED)
+        if u_mm <= 0:
+            raise ConfigError(f"{path}: line {number}: u_mm is {u_mm:g}; a range is positive")
+        tilt_deg = _number(path, number, "tilt_deg", line["tilt_deg"]) if line.get("tilt_deg") else 0.0
+        if abs(tilt_deg) > LEVEL_DEG:
+            tilted.append(TiltedPeak(u_mm * 1e-3, code, math.radians(tilt_deg)))
+            continue
+        width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
+        rows.append(FocusRow(u_mm * 1e-3, code, width))
+    known = [row.width for row in rows if math.isfinite(row.width)]
+    rho = [row.rho for row in rows] or [0.0]
+    typical = float(np.median(known)) if known else 0.1 * (max(rho) - min(rho))
+    return Measured([row if math.isfinite(row.width) else row._replace(width=typical) for row in rows], tilted)
+
+
+def paper_gauge(fit: FocusFit) -> PaperGauge:
+    """k, f, c with v = k rho: a choice of zero that the measurements do not fix, for comparison with the paper only."""
+    f_m = fit.b_m / fit.rho0
+    return PaperGauge(f_m / fit.rho0, f_m, fit.u_inf_m - f_m)
+
+
+def badly_foretold(left_out: Sequence[LeftOut]) -> list[LeftOut]:
+    """The distances that the others foretell too badly for the fit to be good."""
+    return [one for one in left_out if one.error_m > GOOD_LEFT_OUT * one.u_m]
+
+
+def verdict(fit: FocusFit, left_out: Sequence[LeftOut]) -> str:
+    """Good or not, and what to do, in one or two sentences."""
+    bad = badly_foretold(left_out)
+    reach = f"{left_out[0].u_m:.2f} to {left_out[-1].u_m:.2f} m"
+    if not bad:
+        return f"Good from {reach}: every distance is foretold by the others to {100 * GOOD_LEFT_OUT:.0f} %."
+    places = ", ".join(f"{one.u_m:.2f} m ({1e3 * one.error_m:.0f} mm)" for one in bad)
+    return f"Doubtful: leaving a distance out misses it at {places}. Measure there again, or add distances around."
+
+
+def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
+    """The curve in both gauges, its worth, and the error at each distance that is left out."""
+    table = Table(title="h(rho) = u_inf + b / (rho - rho0)")
+    table.add_column("what")
+    table.add_column("value", justify="right")
+    paper = paper_gauge(fit)
+    sigma = [math.sqrt(max(fit.covariance[i], 0.0)) for i in (0, 3, 5)]
+    for what, value in (
+        ("u_inf, m", f"{fit.u_inf_m:.5g} ± {sigma[0]:.2g}"),
+        ("b, m", f"{fit.b_m:.5g} ± {sigma[1]:.2g}"),
+        ("rho0", f"{fit.rho0:.6g} ± {sigma[2]:.2g}"),
+        ("one peak, lens positions", f"± {fit.noise:.3g}"),
+        (
+            "sag looking straight up, lens positions",
+            "not measured" if fit.sag_sigma is None else f"{fit.sag:.3g} ± {fit.sag_sigma:.2g}",
+        ),
+        ("k, f (m), c (m) as in the paper", f"{paper.k:.4g}, {paper.f_m:.4g}, {paper.c_m:.4g}"),
+        ("R²", f"{fit.r2:.4f}"),
+        ("RMSE, mm", f"{1e3 * fit.rmse_m:.2f}"),
+        ("RMSE of distances left out, mm", f"{1e3 * fit.held_out_rmse_m:.2f}"),
+    ):
+        table.add_row(what, value)
+    for one in left_out:
+        table.add_row(f"left out: {one.u_m:.3f} m", f"{1e3 * one.error_m:.1f} mm")
+    return table
+
+
+def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut]) -> Figure:
+    """Measurements and curve above, errors below."""
+    u, rho = np.array([r.u_m for r in rows]), np.array([r.rho for r in rows])
+    ranges = np.linspace(u.min(), u.max(), 300)
+    drawn = Figure(figsize=(6, 6))
+    above, below = drawn.subplots(2, 1, height_ratios=(2, 1))
+    above.plot(fit.rho0 + fit.b_m / (ranges - fit.u_inf_m), ranges, label="h(rho)")
+    above.plot(rho, u, ".", label="measured")
+    above.set(xlabel="lens position", ylabel="range, m", title=f"R² {fit.r2:.4f}, RMSE {1e3 * fit.rmse_m:.1f} mm")
+    above.legend()
+    below.plot(u, 1e3 * (fit.u_inf_m + fit.b_m / (rho - fit.rho0) - u), ".", label="residual")
+    below.plot([o.u_m for o in left_out], [1e3 * o.error_m for o in left_out], "x", label="left out, rms")
+    below.axhline(0.0, color="grey", linewidth=0.7)
+    below.set(xlabel="range, m", ylabel="mm")
+    below.legend()
+    drawn.tight_layout()
+    return drawn
+
+
+def _fields(fit: FocusFit) -> dict[str, Any]:
+    covariance: Symmetric = fit.covariance
+    known = {name: getattr(fit, name) for name in fit.__struct_fields__ if getattr(fit, name) is not None}
+    return known | {"covariance": list(covariance)}
+
+
+def _number(path: Path, line: int, column: str, text: str | None) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{path}: line {line}, column '{column}': '{text}' is no number")
+    return value

@@ -1,0 +1,327 @@
+"""`aucamp track SOURCE --box X,Y,W,H`: follow what is in the box through a folder, a video or a camera's frames.
+
+One line a frame on standard output; with --out also the pictures, with the box drawn in; with --truth how well the box
+agrees with boxes that somebody has marked.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from rich.table import Table
+
+from agent.core.config import ConfigError
+from agent.perception.tracking.appearance import Box, overlap
+from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, State, load_box_tracker, parse_box
+from agent.process.command import new_file, new_folder, plain_console, run_folder, with_bar
+from agent.tools.enhance import Picture, Pictures, pictures
+from hw.camera.camera import Image
+
+# @@ followed_pictures
+# Pictures with the box that was followed drawn in: a folder of them, or a video.
+
+VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
+RATE_HZ = 30.0  # of the annotated video
+GREEN, AMBER, RED = (60, 220, 60), (40, 170, 250), (60, 60, 230)
+COLOURS: dict[State, tuple[int, int, int]] = {
+    "followed": GREEN, "found again": GREEN, "ambiguous": AMBER, "lost": RED,
+}  # fmt: skip
+
+Show = Callable[[Image, str], None]  # a picture and its name
+
+
+def annotated(image: Image, now: Followed) -> Image:
+    """The picture with the box in it, where it is or was last seen, and what is said of it: green while it is followed,
+    amber where it is ambiguous, red where it is lost."""
+    drawn, colour, box = image.copy(), COLOURS[now.state], now.box
+    left, top, right, bottom = map(round, (box.x, box.y, box.x + box.width, box.y + box.height))
+    cv2.rectangle(drawn, (left, top), (right, bottom), colour, 2)
+    text = f"{now.score:.2f}" if now.state == "followed" else now.state
+    cv2.putText(drawn, text, (left, max(top - 6, 14)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
+    return drawn
+
+
+def check_out(out: Path) -> None:
+    """Raises ConfigError for what is no new video and no new folder."""
+    if out.suffix.lower() in VIDEOS:
+        new_file(out)
+    elif out.suffix and not out.is_dir():
+        raise ConfigError(f"{out}: give --out a folder, or a video that ends in {' or '.join(VIDEOS)}")
+    else:
+        new_folder(out)
+
+
+@contextmanager
+def writer(out: Path | None) -> Iterator[Show]:
+    """Where annotated pictures go: a video if `out` ends as one, else a folder. Raises ConfigError."""
+    if out is None:
+        yield lambda image, name: None
+    elif out.suffix.lower() in VIDEOS:
+        film: list[cv2.VideoWriter] = []
+
+        def add(image: Image, name: str) -> None:
+            if not film:
+                codec = cv2.VideoWriter.fourcc(*VIDEOS[out.suffix.lower()])
+                film.append(cv2.VideoWriter(str(out), codec, RATE_HZ, (image.shape[1], image.shape[0])))
+                if not film[0].isOpened():
+                    raise ConfigError(f"{out}: cannot be written; choose another place or give a folder")
+            film[0].write(np.ascontiguousarray(image))
+
+        try:
+            yield add
+        finally:
+            for one in film:
+                one.release()
+    else:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another place") from None
+        yield lambda image, name: _save(out, image, name)
+
+
+def _save(folder: Path, image: Image, name: str) -> None:
+    stem = Path(name).stem
+    path = folder / f"{stem.zfill(6) if stem.isdigit() else stem}.png"
+    if not cv2.imwrite(str(path), image):
+        raise ConfigError(f"{path}: cannot be written; choose another folder")
+
+
+# @@ track_truth
+# How well a followed box agrees with boxes that somebody has marked: `aucamp track SOURCE --truth FILE`.
+
+ON_TARGET_IOU = 0.5  # from here on a box is on the thing, as in most tests of trackers
+GRACE_S = 0.5  # within this time of its going it has to be said lost
+COLUMNS = ("frame", "x", "y", "w", "h", "visible")
+
+
+class Truth(NamedTuple):
+    """What is in one frame."""
+
+    frame: int
+    box: Box | None  # None: it cannot be seen
+    counted: bool = True  # False: only a sliver is seen, so that either answer is right
+
+
+class Score(NamedTuple):
+    """What `--truth` finds: numbers of frames, unless it says otherwise.
+
+    Scored is every frame that is to be counted, the first included, whose box is given; of those in which the thing is
+    away, the ones later than GRACE_S after it went.
+    """
+
+    frames: int
+    on_target: int  # it is there, is said to be followed, and the boxes overlap by ON_TARGET_IOU
+    mean_iou: float  # over all in which it is there; 0 where it is called lost
+    absent: int
+    absent_said_lost: int  # or ambiguous
+    present_said_lost: int  # or ambiguous
+    mean_iou_followed: float  # over those in which it is there and followed
+    in_grace: int  # away for GRACE_S or less: not among `frames` and `absent`
+    in_grace_said_lost: int
+
+
+def read_truth(path: Path) -> list[Truth]:
+    """The rows of a CSV with columns frame, x, y, w, h, visible, and count if it likes, in the order of the frames.
+
+    Raises ConfigError, in one line, for a file that is not such a table.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as lines:
+            table = csv.DictReader(lines)
+            names = table.fieldnames or ()
+            if missing := [name for name in COLUMNS if name not in names]:
+                raise ConfigError(f"{path}: no column {', '.join(missing)}; it needs {','.join(COLUMNS)}")
+            truth = [_row(path, number, row) for number, row in enumerate(table, start=2)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read as a table ({error}); give a CSV file") from None
+    frames = [row.frame for row in truth]
+    if len(set(frames)) != len(frames):
+        raise ConfigError(f"{path}: a frame has two rows; leave one")
+    if not truth:
+        raise ConfigError(f"{path}: no rows; mark the thing in some frames")
+    return sorted(truth, key=lambda row: row.frame)
+
+
+def first_box(truth: Sequence[Truth]) -> Box:
+    """Of frame 0. Raises ConfigError where none is marked there."""
+    if truth[0].frame != 0 or truth[0].box is None:
+        raise ConfigError("--truth: the thing is not marked in frame 0; mark it there, or draw it with --box X,Y,W,H")
+    return truth[0].box
+
+
+def check_rows(truth: Sequence[Truth], pictures: int) -> None:
+    """Raises ConfigError for frames that the source has not."""
+    if truth and truth[-1].frame >= pictures:
+        text = f"--truth: frame {truth[-1].frame} is marked, but the source has {pictures} pictures, from 0 on"
+        raise ConfigError(f"{text}; give the table that belongs to it")
+
+
+def _row(path: Path, number: int, row: dict[str, str | None]) -> Truth:
+    try:
+        frame, visible, count = int(row["frame"] or ""), int(row["visible"] or ""), int(row.get("count") or 1)
+        box = Box(*(float(row[side] or "") for side in "xywh")) if visible else None
+        if frame < 0 or visible not in (0, 1) or (box and not (all(map(math.isfinite, box)) and min(box[2:]) > 0)):
+            raise ValueError
+    except ValueError:
+        text = "frame, visible (0 or 1) and where it is visible x, y, w, h have to be numbers"
+        raise ConfigError(f"{path}: line {number}: {text}") from None
+    return Truth(frame, box, count != 0)
+
+
+def score(truth: Iterable[Truth], said: Sequence[Followed], rate_hz: float) -> Score:
+    """truth: in the order of the frames. said: of each frame from 0 on."""
+    overlaps: list[float] = []  # where it is there and followed
+    present, late, early = list[bool](), list[bool](), list[bool]()  # whether it was said to be followed
+    went: int | None = None  # the frame in which it did
+    for row in truth:
+        went = None if row.box else row.frame if went is None else went
+        if not row.counted:
+            continue
+        followed = said[row.frame].state in FOLLOWED
+        if row.box:
+            present.append(followed)
+            overlaps += [overlap(said[row.frame].box, row.box)] if followed else []
+        elif went is not None:
+            (late if row.frame - went > GRACE_S * rate_hz else early).append(followed)
+    return Score(
+        frames=len(present) + len(late),
+        on_target=sum(iou >= ON_TARGET_IOU for iou in overlaps),
+        mean_iou=sum(overlaps) / max(len(present), 1),
+        absent=len(late),
+        absent_said_lost=late.count(False),
+        present_said_lost=present.count(False),
+        mean_iou_followed=sum(overlaps) / max(len(overlaps), 1),
+        in_grace=len(early),
+        in_grace_said_lost=early.count(False),
+    )
+
+
+def write_score(score: Score, path: Path) -> None:
+    """As JSON. Raises ConfigError where that is not possible."""
+    try:
+        path.write_text(json.dumps(score._asdict(), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give --result another place") from None
+
+
+def table(score: Score) -> Table:
+    """For people."""
+    present = score.frames - score.absent
+    shown = Table()
+    for column in ("what", "frames", "of", "share"):
+        shown.add_column(column, justify="left" if column == "what" else "right")
+    for what, frames, of in (
+        (f"there, and the boxes overlap by {ON_TARGET_IOU}", score.on_target, present),
+        ("there, and called lost or ambiguous", score.present_said_lost, present),
+        (f"away for more than {GRACE_S} s, and called so", score.absent_said_lost, score.absent),
+        (f"away for up to {GRACE_S} s, and called so", score.in_grace_said_lost, score.in_grace),
+    ):
+        shown.add_row(what, str(frames), str(of), f"{frames / of:.1%}" if of else "-")
+    text = (
+        f"mean overlap while it is there {score.mean_iou:.2f}, while it is also followed {score.mean_iou_followed:.2f}"
+    )
+    shown.caption = text
+    return shown
+
+
+# @@ follow_box
+
+HEADER = "picture,t_s,x_px,y_px,width_px,height_px,score,state"
+
+
+class Asked(NamedTuple):
+    """The options of `aucamp track`."""
+
+    box: str | None = None  # X,Y,W,H; None: the truth's first
+    backbone: Path | None = None
+    neck: Path | None = None
+    frames: int | None = None
+    out: Path | None = None
+    truth: Path | None = None
+    rate_hz: float | None = None
+    result: Path | None = None
+
+
+def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
+    """Say HEADER and a line for each picture; returns whether the thing is still there at the end, or with a truth
+    that its figures are written.
+
+    Raises ConfigError and CameraError, one line each, before anything is said or written where the first picture, the
+    box and the truth do not go together.
+    """
+    truth = () if asked.truth is None else read_truth(asked.truth)
+    if asked.box is None and not truth:
+        raise ConfigError("track: say what to follow, with --box X,Y,W,H or with --truth FILE")
+    drawn = first_box(truth) if asked.box is None else parse_box(asked.box)
+    follower = Follower(load_box_tracker(asked.backbone, asked.neck))
+    if asked.out is not None:
+        check_out(asked.out)
+    if asked.result is not None:
+        new_file(asked.result)
+    found = pictures(source, asked.frames)
+    if found.kind == "images" and asked.frames is None:
+        check_rows(truth, found.total or 0)
+    first = next(found.each)  # there is one, or the walk has said why not
+    follower.start(first.image, drawn)
+    found = found._replace(each=itertools.chain((first,), found.each))
+    console = plain_console(stderr=True)
+    with writer(asked.out) as show:
+        say(HEADER)
+        said = with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
+    if not truth:
+        return said[-1].state in FOLLOWED
+    if asked.frames is None:
+        check_rows(truth, len(said))
+    figures = score([row for row in truth if row.frame < len(said)], said, asked.rate_hz or found.rate_hz or RATE_HZ)
+    path = result_file(asked)
+    write_score(figures, path)
+    console.print(table(figures))
+    console.print(f"written to {path}")
+    return True
+
+
+def follow(
+    found: Pictures,
+    box: Box,
+    follower: Follower,
+    show: Show,
+    say: Callable[[str], None],
+    progress: Callable[[int, int], None],
+) -> list[Followed]:
+    """What is said of each picture. `follower` has been started on the first one, with this box."""
+    size, said = None, [Followed(box, 1.0, "followed")]
+    for k, picture in enumerate(found.each):
+        if size is None:
+            size = picture.image.shape
+        elif picture.image.shape != size:
+            raise ConfigError(f"{picture.name}: not of the size of the first picture; give pictures of one size")
+        else:
+            said.append(follower.look(picture.image))
+        say(line(picture, said[-1]))
+        show(annotated(picture.image, said[-1]), picture.name)
+        progress(k + 1, found.total or k + 2)
+    return said
+
+
+def line(picture: Picture, now: Followed) -> str:
+    t_s = "" if picture.t_s is None else f"{picture.t_s:.3f}"
+    return f"{picture.name},{t_s},{','.join(f'{side:.1f}' for side in now.box)},{now.score:.2f},{now.state}"
+
+
+def result_file(asked: Asked) -> Path:
+    """Where the figures go: the file that was asked for, else result.json in the folder of the pictures, else in
+    runs/<UTC>. Raises ConfigError."""
+    if asked.result is not None:
+        return asked.result
+    folder = asked.out if asked.out is not None and asked.out.is_dir() else run_folder(None)
+    return folder / "result.json"
