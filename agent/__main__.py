@@ -13,21 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.main import get_command
 
-from agent.cli import (
-    boards,
-    bridging,
-    calibrating,
-    diving,
-    experimenting,
-    exporting,
-    looking,
-    operating,
-    ordering,
-    paging,
-    reconstructing,
-    replaying,
-    seeing,
-)
+from agent.cli import diving, experiments, ground, pictures, recordings
 from agent.core.config import ConfigError
 from agent.process.command import Failed
 from agent.process.launch import exit_with_parent, leave
@@ -40,18 +26,18 @@ app = typer.Typer(
     help="Small groups of low-cost underwater robots that find a target together.",
 )
 app.add_typer(diving.app)
-app.add_typer(operating.app)
-app.add_typer(ordering.app)
-app.add_typer(looking.app)
-app.add_typer(paging.app)
-app.add_typer(bridging.bridge_app, name="bridge")
-app.add_typer(seeing.app)
-app.add_typer(calibrating.calibrate_app, name="calibrate")
-app.add_typer(boards.board_app, name="board")
-app.add_typer(experimenting.app, name="experiment")
-app.add_typer(replaying.app, name="replay")
-app.add_typer(exporting.export_app)
-app.add_typer(reconstructing.reconstruct_app)
+app.add_typer(ground.app)
+app.add_typer(ground.app)
+app.add_typer(ground.app)
+app.add_typer(ground.app)
+app.add_typer(ground.bridge_app, name="bridge")
+app.add_typer(pictures.app)
+app.add_typer(pictures.calibrate_app, name="calibrate")
+app.add_typer(ground.board_app, name="board")
+app.add_typer(experiments.app, name="experiment")
+app.add_typer(recordings.app, name="replay")
+app.add_typer(recordings.export_app)
+app.add_typer(recordings.reconstruct_app)
 
 
 def say_version(wanted: bool) -> None:

@@ -3,7 +3,7 @@
 from msgspec.structs import replace
 
 from agent.core.ranging.camera_model import CameraFit, FocusFit
-from agent.experiments.navigation.drawn_ball import FOCUS
+from agent.experiments.navigation.swimmers import FOCUS
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
 

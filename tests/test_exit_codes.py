@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from agent.__main__ import app, command_line
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import Calibration
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.process import launch
 from agent.process.command import Failed, new_recording, shipped_names, temporary_folder
 from agent.process.launch import free_ports

@@ -6,41 +6,226 @@ until they have settled, stop everything, and only then look at the truth.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
 import shutil
+import socket
+import sys
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 from rich.console import Console
 from rich.live import Live
 
 from agent.clock import machine
 from agent.core.capability_messages import Claim
 from agent.core.codec import Refusal, decode
-from agent.core.config import Fleet, Protocol, dump
+from agent.core.config import Access, ConfigError, Fleet, Protocol, dump
 from agent.core.messages import State
 from agent.core.topics import CLAIM, STATE
-from agent.demo.coverage import SurveyWatch
-from agent.demo.coverage_table import survey_table
-from agent.demo.display import how_to_look, progress_table, progress_title, result_table
-from agent.demo.endpoints import reserved
-from agent.demo.fleet import demo_fleet, listening, with_access
-from agent.demo.following import FOLLOW_S, followed_s, scored, swims
-from agent.demo.history import Histories, History
-from agent.demo.look import open_page
-from agent.demo.summary import is_box, settled, summarize
+from agent.demo.display import how_to_look, progress_table, progress_title, result_table, survey_table
+from agent.demo.summary import (
+    FOLLOW_S,
+    Histories,
+    History,
+    SurveyWatch,
+    followed_s,
+    is_box,
+    scored,
+    settled,
+    summarize,
+    swims,
+)
 from agent.ground.new_fleet import FOLDER, make_all
-from agent.process.command import Failed, fleet_file, run_folder, temporary_folder, with_pictures, with_spinner
+from agent.ground.page.server import PORT, websockets_or_why
+from agent.perception.detection.detectors import target_picture
+from agent.perception.tracking.follow import load_box_tracker, model_files
+from agent.process.command import (
+    Failed,
+    fleet_file,
+    run_folder,
+    shipped_fleet,
+    temporary_folder,
+    with_pictures,
+    with_spinner,
+)
 from agent.process.keys import VARIABLE
-from agent.process.launch import Crew, crew, wait_for
+from agent.process.launch import Crew, crew, free_ports, is_free, wait_for
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.devices.twin_folder import twin_dir
+from hw.twin.scene import scene_of
+from hw.twin.targets import target_creatures, target_solids
+
+# @@ fleet
+# The fleet of a demo: the first robots of a fleet file, all in the twin, which knows the places of their targets.
+
+T = TypeVar("T", bound=msgspec.Struct)
+CONSOLE = "ann"  # who may order in a secured demo whose file names nobody
+OF_THE_TANK = 3  # of its five robots, unless more are asked for: two cores render no more cameras at real time
+
+
+def demo_fleet(
+    robots: int | None,
+    protocol: Protocol | None,
+    loss: float | None,
+    seed: int | None,
+    enhance: bool | None,
+    folder: Path,
+    path: Path | None = None,
+) -> Fleet:
+    """A fleet file, that of the tank if not given, with its first robots only, on ports that are free now.
+
+    `robots`: None for all of the file, of the tank three; of `protocol`, `loss`, `seed` and `enhance` None is what the
+    file has. `folder` is the twin's. It signs nothing: the keys that the file names are of other computers. Raises
+    ConfigError for what cannot dive in the twin, or not be judged there.
+    """
+    path = path or shipped_fleet()
+    fleet = load_fleet(path)
+    names = _first(fleet, robots, path)
+    _lives_in_the_twin(fleet, names, path)
+    _has_its_targets(fleet, path)
+    kept = {
+        name: msgspec.structs.replace(
+            fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names)
+        )
+        for name in names
+    }
+    replace = msgspec.structs.replace
+    fleet = replace(
+        fleet,
+        robot=kept,
+        access=Access(),
+        estimation=_with(fleet.estimation, protocol=protocol),
+        link=_with(fleet.link, loss=loss, loss_seed=seed),
+        camera=_with(fleet.camera, enhance=enhance),
+        twin=_with(fleet.twin, seed=seed, dir=str(folder)),
+    )
+    return listening(fleet, [f"tcp/127.0.0.1:{port}" for port in free_ports(len(names))])
+
+
+def listening(fleet: Fleet, endpoints: list[str]) -> Fleet:
+    """The fleet, its robots listening on these endpoints in the order of the file."""
+    robots = {
+        name: msgspec.structs.replace(robot, listen=endpoint)
+        for (name, robot), endpoint in zip(fleet.robot.items(), endpoints, strict=True)
+    }
+    return msgspec.structs.replace(fleet, robot=robots)
+
+
+def with_access(fleet: Fleet, consoles: tuple[str, ...], secure: bool) -> Fleet:
+    """The fleet, signing with keys of its run; `secure`: with certificates too, and a console at the least."""
+    if secure:
+        endpoints = ["tls/" + robot.listen.partition("/")[2] for robot in fleet.robot.values()]
+        fleet, consoles = listening(fleet, endpoints), consoles or (CONSOLE,)
+    return msgspec.structs.replace(fleet, access=Access(keys=FOLDER, consoles=consoles))
+
+
+def _with(table: T, **asked: object) -> T:
+    """A table of the file, but for what was asked for."""
+    return msgspec.structs.replace(table, **{name: value for name, value in asked.items() if value is not None})
+
+
+def _first(fleet: Fleet, robots: int | None, path: Path) -> list[str]:
+    """Names of the robots that dive."""
+    all_names = list(fleet.robot)
+    if robots is None:
+        return all_names[: OF_THE_TANK if path == shipped_fleet() else None]
+    if not 1 <= robots <= len(all_names):
+        raise ConfigError(f"--robots {robots}: {path.name} has {len(all_names)}; choose 1 to {len(all_names)}")
+    return all_names[:robots]
+
+
+def _lives_in_the_twin(fleet: Fleet, names: list[str], path: Path) -> None:
+    for name in names:
+        devices: Mapping[str, str] = {"serial": fleet.robot[name].serial, "camera": fleet.robot[name].camera}
+        for key, device in devices.items():
+            if device != f"twin:{name}":
+                raise ConfigError(
+                    f"{path}: key 'robot.{name}.{key}': '{device}' is not in the twin, where the demo dives; "
+                    f'write "twin:{name}" in a copy of the file, or start the robots with aucamp agent'
+                )
+
+
+def _has_its_targets(fleet: Fleet, path: Path) -> None:
+    """The twin's scene has all targets, and what tells those that are no ball can be used."""
+    scene = scene_of(fleet)
+    known = {*target_solids(fleet, scene, path), *target_creatures(fleet, scene, path)}
+    for name, target in fleet.target.items():
+        if name not in known:
+            raise ConfigError(
+                f"{path}: key 'target.{name}': nothing in scene '{scene.name}' has this name, so that nobody could "
+                f'judge the estimates; write name = "{name}" under a [[solid]] or [[creature]] of the scene file'
+            )
+        if target.picture is not None:
+            target_picture(name, target, (fleet.camera.width_px, fleet.camera.height_px))
+        if target.models is not None:
+            load_box_tracker(*model_files(Path(target.models)))
+
+
+# @@ endpoints
+# Where the robots of a demo listen: where their fleet file says if that is free, else on other ports.
+#
+# A demo binds its ports only when it has calibrated its cameras. Until then nothing shows that they are taken. So it
+# also holds a name for each, which the kernel forgets with the process: an abstract Unix socket (Linux, unix(7)),
+# which belongs to a network namespace as ports do. Where there are no such names, a demo takes free ports.
+
+NAMES = sys.platform == "linux"
+
+
+@contextlib.contextmanager
+def reserved(wished: Sequence[str]) -> Iterator[list[str]]:
+    """These endpoints where all of them are free, else as many on free ports of this computer; no other demo takes
+    them before the block ends. Raises Failed where there are not so many."""
+    with contextlib.ExitStack() as held:
+        endpoints, first = list(wished), None
+        while not (NAMES and all(map(is_free, endpoints)) and _hold(endpoints, held)):
+            ports = free_ports(len(wished), first)
+            endpoints, first = [f"tcp/127.0.0.1:{port}" for port in ports], ports[-1] + 1
+            if not NAMES:
+                break
+        yield endpoints
+
+
+def _hold(endpoints: Sequence[str], held: contextlib.ExitStack) -> bool:
+    """Whether the names of all are ours now, until `held` is closed."""
+    with contextlib.ExitStack() as ours:
+        for endpoint in endpoints:
+            try:
+                ours.enter_context(socket.socket(socket.AF_UNIX)).bind(f"\0aucamp {endpoint}")
+            except OSError:  # another demo's, or too long for a name
+                return False
+        held.enter_context(ours.pop_all())
+    return True
+
+
+# @@ look
+# The page of a demo: a process of its own, as a user would start it, and where it is to be opened.
+
+PAGE_READY_S = 60.0  # of the wall
+ME = "me"  # as whom orders are given where the fleet file names nobody: on one computer everybody may
+
+
+def open_page(fleet: Fleet, path: Path, processes: Crew) -> str:
+    """Start it; returns the line that says where to look. Raises Failed, and ConfigError without the extra `page`."""
+    with websockets_or_why():
+        import websockets  # noqa: F401 - the process would say it in its log alone
+    port = PORT if is_free(f"tcp/127.0.0.1:{PORT}") else free_ports(1)[0]
+    console = next(iter(fleet.access.consoles), ME)
+    log = path.parent / "logs" / "page.log"
+    processes.start("page", "page", str(path), "--as", console, "--port", str(port), "--out", str(path.parent))
+    wait_for("the page", lambda: "http://" in log.read_text(encoding="utf-8"), processes, PAGE_READY_S)
+    address = next(word for word in log.read_text(encoding="utf-8").split() if word.startswith("http://"))
+    return f"\nlook at it, and give orders, in a browser on this machine:\n  {address}\n"
+
+
+# @@ demo
 
 CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work
 READY_S = 300.0  # of the wall; the first start compiles the twin's kernels

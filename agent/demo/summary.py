@@ -12,14 +12,299 @@ Of what swims there is a track instead of a place (following.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
-from agent.core.messages import State, Vector
-from agent.demo import following
-from agent.demo.coverage import SurveyWatch
-from agent.demo.history import Histories, History
+from agent.core.messages import State, Symmetric, Vector
+from replay.check.black_box import black_boxes, open_boxes
+from replay.report.creature_track import CreatureTrack, Held, creature_track
+
+# @@ coverage
+# How far a survey has come, by what robots tell each other of it.
+
+
+class SurveyWatch:
+    """The newest claim of each robot; of a fleet without [coverage] there is none."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.robots, self._settings = tuple(fleet.robot), fleet.coverage
+        self._newest: dict[str, Claim] = {}
+
+    def add(self, claim: Claim) -> None:
+        before = self._newest.get(claim.src)
+        if claim.src in self.robots and (before is None or claim.sent_ns >= before.sent_ns):
+            self._newest[claim.src] = claim
+
+    def newest(self) -> dict[str, Claim]:
+        """Of each robot that was heard."""
+        return self._newest
+
+    def usual_digest(self) -> str:
+        """That of most maps; of as many that which was heard first."""
+        counts = Counter(claim.digest for claim in self._newest.values()).most_common(1)
+        return counts[0][0] if counts else ""
+
+    @property
+    def over(self) -> bool:
+        """Everybody knows all that is asked for, and has the same map."""
+        return not list(self.reasons())
+
+    def shares(self) -> dict[str, float | None]:
+        """Of the wanted cells that each robot's map knows well enough; None: never heard."""
+        return {name: None if name not in self._newest else self._newest[name].share for name in self.robots}
+
+    def equal(self) -> bool:
+        """Whether all have said the same of their maps last."""
+        digests = {self._newest[name].digest if name in self._newest else None for name in self.robots}
+        return len(digests) == 1 and None not in digests
+
+    def reasons(self) -> Iterator[str]:
+        """Why the survey has not succeeded, or not yet."""
+        assert self._settings is not None
+        for name, share in self.shares().items():
+            if share is None:
+                yield f"{name} never said what it holds"
+            elif share < self._settings.share:
+                yield f"{name} knows {100 * share:.1f} % of what is wanted < {100 * self._settings.share:.0f} %"
+        if not self.equal():
+            yield "the robots' maps differ"
+
+    def as_json(self) -> dict[str, Any]:
+        """`coverage` of summary.json. keyframes: how many of each robot's everybody holds."""
+        assert self._settings is not None
+        held = {name: {has.origin: has.upto for has in claim.has} for name, claim in self._newest.items()}
+        keyframes = {name: min((each.get(name, 0) for each in held.values()), default=0) for name in self.robots}
+        return {
+            "wanted_share": self._settings.share,
+            "goal_mm": self._settings.goal_mm,
+            "cell_mm": self._settings.cell_mm,
+            "faces": list(self._settings.faces),
+            "share": self.shares(),
+            "maps_equal": self.equal(),
+            "digest": {name: claim.digest for name, claim in sorted(self._newest.items())},
+            "keyframes": keyframes,
+        }
+
+    def lines(self) -> Iterator[str]:
+        """For people."""
+        told = self.as_json()
+        shares = (
+            f"{name} {'-' if share is None else format(100 * share, '.1f')} %" for name, share in told["share"].items()
+        )
+        yield f"known of {', '.join(told['faces'])} and what lies there: {', '.join(shares)}"
+        each = ", ".join(f"{name} {count}" for name, count in told["keyframes"].items())
+        yield f"keyframes that all hold: {each}; maps {'are equal' if told['maps_equal'] else 'differ'}"
+
+
+# @@ history
+# What the robots of a demo showed, by target and robot.
+
+
+class History(NamedTuple):
+    """What one robot showed about one target, newest last."""
+
+    states: list[State]
+
+    @property
+    def newest(self) -> State | None:
+        """The last state, if there is one."""
+        return self.states[-1] if self.states else None
+
+    def iterations(self) -> list[State]:
+        """The last state of each iteration."""
+        by_t = {state.t: state for state in self.states}
+        return [by_t[t] for t in sorted(by_t)]
+
+    def priors(self) -> list[Vector]:
+        """Each measurement once."""
+        by_number = {s.measurements: s.prior_m for s in self.states if s.prior_m is not None}
+        return [by_number[n] for n in sorted(by_number)]
+
+
+Histories = dict[str, dict[str, History]]  # by target, then by robot
+
+# @@ following
+# What following a target that swims was worth: who saw it when, and how far off its track each robot was.
+#
+# Judged from when all robots know of it to the end, from the black boxes and the twin's truth. A fish is not a point:
+# what is measured is the middle of what shows of it, and what counts is that of its body.
+#
+# The verdict asks whether the fleet follows it: it is not lost, each robot takes part, everybody knows where it is to
+# within its length, and nobody is surer than right. How good that could be is asked by BARS, which are told and
+# decide nothing here; `aucamp experiment following` holds them against many seeds.
+
+FOLLOW_S = 60.0  # from when all robots know of it until the demo ends
+LEAST_S = 30.0  # less is no following
+# What the verdict asks: shares of the time in which one robot at least, and each of them sees it; then the track.
+ONE_SEES, EACH_SEES = 0.95, 0.5
+LENGTH_M = 0.15  # of a creature of which nobody says how long it is
+MOST_NEES = 3.5  # of three axes: 3 where errors are as large as robots say, less where they are smaller
+BARS: dict[str, tuple[float | None, float | None]] = {  # least and most
+    "seen_by_one": (0.99, None),
+    "seen_by_two": (0.95, None),
+    "seen_each": (0.88, None),
+    "track_rms_mm": (None, 25.0),
+    "nees": (2.5, 3.5),
+}
+LOST_S = 0.3  # out of sight of one for longer, it has been lost
+
+
+def swims(fleet: Fleet, target: str) -> bool:
+    return fleet.target[target].speed_m_s is not None
+
+
+def followed_s(of_target: Mapping[str, History]) -> float:
+    """For how long all robots have known where it is."""
+    firsts, lasts = [], []
+    for history in of_target.values():
+        first = next((state for state in history.states if state.posterior_m is not None), None)
+        if first is None or history.newest is None:
+            return 0.0
+        firsts.append(first.sent_ns)
+        lasts.append(history.newest.sent_ns)
+    return (min(lasts) - max(firsts)) * 1e-9 if firsts else 0.0
+
+
+def scored(run: Path, fleet: Fleet, target: str) -> dict[str, Any]:
+    """The row of summary.json of a target that swims, from the folder of its run. Raises ConfigError without black
+    boxes."""
+    return score_following(creature_track(run, open_boxes(black_boxes(run)), target), fleet, target)
+
+
+def score_following(track: CreatureTrack | None, fleet: Fleet, target: str) -> dict[str, Any]:
+    """The same of a track; None: nobody knows the truth. Lengths in mm, times in seconds of the dive."""
+    known_ns = track.known_ns if track is not None else None
+    row: dict[str, Any] = {
+        "swims": True,
+        "truth_m": None,
+        "radii_m": None,
+        "followed_s": 0.0,
+        "seen_by_one": None,
+        "seen_by_two": None,
+        "seen_each": None,
+        "track_rms_mm": None,
+        "nees": None,
+        "allowed_rms_mm": 1e3 * (fleet.target[target].length_m or LENGTH_M),
+        "bars": {},
+        "agents": {},
+    }
+    if track is None:
+        return row
+    since_ns = known_ns if known_ns is not None else track.ends_ns
+    moments = track.moments(since_ns)
+    seen = {robot: track.sees(robot, moments) for robot in fleet.robot if robot in track.looks}
+    row["agents"] = {robot: _agent(track, robot, since_ns, seen.get(robot)) for robot in fleet.robot}
+    row["truth_m"] = [float(x) for x in track.truth.x_m[-1]]
+    if known_ns is None or len(moments) < 2:
+        return row
+    together = np.sum([seen[robot] for robot in seen], axis=0)
+    errors = [_errors(track, robot, since_ns) for robot in fleet.robot]
+    row |= {
+        "followed_s": float(moments[-1] - moments[0]) * 1e-9,
+        "seen_by_one": float(np.mean(together >= 1)),
+        "seen_by_two": float(np.mean(together >= 2)) if len(fleet.robot) > 1 else None,
+        "seen_each": float(min(np.mean(each) for each in seen.values())),
+        "track_rms_mm": 1e3 * _rms(np.concatenate([off for off, _ in errors])),
+        "nees": float(np.mean(np.concatenate([nees for _, nees in errors]))),
+    }
+    row["bars"] = {key: _within(row[key], *limits) for key, limits in BARS.items() if row[key] is not None}
+    return row
+
+
+def reasons_following(row: Mapping[str, Any]) -> list[str]:
+    """Why following failed; empty where it is as good as it has to be."""
+    if row["followed_s"] < LEAST_S:
+        never = [name for name, about in row["agents"].items() if about["known_s"] is None]
+        return [
+            f"{', '.join(never)} never knew where it is" if never else f"followed for less than {LEAST_S:.0f} s in all"
+        ]
+    asked = (("one robot", "seen_by_one", ONE_SEES), ("each robot", "seen_each", EACH_SEES))
+    found = [
+        f"{who} saw it for {100 * row[key]:.1f} % of the time < {100 * least:.0f} %"
+        for who, key, least in asked
+        if row[key] < least
+    ]
+    for name, about in row["agents"].items():
+        if about["track_rms_mm"] > row["allowed_rms_mm"]:
+            off, length = about["track_rms_mm"], row["allowed_rms_mm"]
+            found.append(f"{name}: its track is off by {off:.0f} mm rms, more than the creature's length, {length:.0f}")
+        if about["nees"] > MOST_NEES:
+            found.append(f"{name}: NEES {about['nees']:.2f} > {MOST_NEES}: it is surer than right")
+    return found
+
+
+def _within(value: float, least: float | None, most: float | None) -> bool:
+    return (least is None or value >= least) and (most is None or value <= most)
+
+
+def _agent(track: CreatureTrack, robot: str, since_ns: int, sees: np.ndarray | None) -> dict[str, Any]:
+    held, looks = track.held.get(robot, []), track.looks.get(robot, [])
+    off, nees = _errors(track, robot, since_ns)
+    late = [look for look in looks if look.t_ns >= since_ns]
+    shown = [look for look in late if look.there == "shows"]
+    newest = held[-1] if held else None
+    return {
+        "known_s": None if not held or not looks else (held[0].t_ns - looks[0].t_ns) * 1e-9,
+        "seen": float(np.mean(sees)) if sees is not None and len(sees) else None,
+        "longest_unseen_s": _longest_s(sees) if sees is not None else None,
+        "times_lost": _times_lost(sees) if sees is not None else None,
+        "frames": len(late),
+        "in_the_picture": len(shown),
+        "found_of_these": sum(look.right for look in shown),
+        "mistaken": sum(look.found and not look.right for look in late),
+        "track_rms_mm": 1e3 * _rms(off) if len(off) else None,
+        "track_p95_mm": 1e3 * float(np.percentile(off, 95)) if len(off) else None,
+        "nees": float(np.mean(nees)) if len(nees) else None,
+        "estimate_m": list(newest.x_m) if newest else None,
+        "iterations": len(held),
+    }
+
+
+def _errors(track: CreatureTrack, robot: str, since_ns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from the truth (n,), m, and its square in the covariance that the robot states (n,)."""
+    rows = [row for row in track.held.get(robot, []) if row.t_ns >= since_ns]
+    if not rows:
+        return np.zeros(0), np.zeros(0)
+    e = np.array([row.x_m for row in rows]) - track.truth.at([row.t_ns for row in rows])
+    known = np.asarray(np.isfinite(e).all(axis=1))
+    squares = [float(d @ np.linalg.solve(_full(row.cov_m2), d)) for d, row in _pairs(e, rows, known)]
+    return np.linalg.norm(e[known], axis=1), np.array(squares)
+
+
+def _pairs(e: np.ndarray, rows: list[Held], known: np.ndarray) -> list[tuple[np.ndarray, Held]]:
+    return [(d, row) for d, row, is_known in zip(e, rows, known, strict=True) if is_known]
+
+
+def _full(cov_m2: Symmetric) -> np.ndarray:
+    xx, xy, xz, yy, yz, zz = cov_m2
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _rms(values: np.ndarray) -> float:
+    return math.sqrt(float(np.mean(np.square(values)))) if len(values) else math.nan
+
+
+def _gaps(sees: np.ndarray) -> list[int]:
+    """Lengths of the runs of moments in which it is not seen."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], sees.astype(int), [1]])))
+    return [int(end - start) for start, end in edges.reshape(-1, 2)]
+
+
+def _longest_s(sees: np.ndarray) -> float:
+    return 0.1 * max(_gaps(sees), default=0)
+
+
+def _times_lost(sees: np.ndarray) -> int:
+    return sum(0.1 * gap > LOST_S for gap in _gaps(sees))
+
+
+# @@ summary
 
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 SIGMAS = 3.0  # how many of its own standard deviations an estimate may lie outside of a thing in a box
@@ -44,7 +329,7 @@ def summarize(
     for target, of_target in histories.items():
         if followed is not None and target in followed:
             targets[target] = followed[target]
-            found = following.reasons_following(followed[target])
+            found = reasons_following(followed[target])
             why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in found]
             continue
         truth_m: Vector = tuple(truth["target_m"][target])

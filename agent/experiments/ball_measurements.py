@@ -10,12 +10,15 @@ drift and noise of the pressure sensors, and the tolerance of the ball.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, NoReturn, get_args
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
 from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
@@ -33,19 +36,115 @@ from agent.core.ranging.camera_model import (
     to_camera,
 )
 from agent.core.ranging.fix import NoRange, distance, locate
-from agent.core.step_io import Sighting
-from agent.experiments.choices import DEFAULT_SENSOR
-from agent.experiments.measured_level import level_of
-from agent.experiments.posed_robot import PosedRobot, rotation_of
-from agent.experiments.result import Row
+from agent.core.step_io import SetPoint, Sighting, Telemetry
+from agent.experiments.experiment import DEFAULT_SENSOR, Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from hw.camera.camera import CameraError
-from hw.twin.physics.body import SURVEY_DEG, SURVEY_M
-from hw.twin.scene import Solid
+from agent.tools.bench_calibration import BACKLASH_US, calibrate
+from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable
+from hw.stm32.protocol import HostProtocol
+from hw.twin.bench import Bench
+from hw.twin.devices.board import Board
+from hw.twin.dive import Dive
+from hw.twin.landmarks import PaintedTag
+from hw.twin.optics.lens import Vcm, draw_lens
+from hw.twin.optics.painter import Painter
+from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
+from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
+from hw.twin.scene import Scene, Solid, generator, load_scene
+
+# @@ posed_robot
+# A robot of the twin put where one likes: its camera behind its own servos, on the bench first, then in the water.
+#
+# Time is virtual. The lens, its motor and the servos are those of one robot throughout, so a calibration made on the
+# bench is as wrong in the water as it would be. It offers what every camera offers (hw.camera.Camera).
+
+Array = NDArray[np.float64]
+
+DIVE_NS = 10_000_000_000_000  # hours after the bench: the coil is warm
+
+
+class PosedRobot:
+    """Robot `name` of a fleet in the fleet's own world, with this sensor; `submerge` takes it off the bench."""
+
+    def __init__(self, fleet: Fleet, name: str, sensor: str) -> None:
+        self._fleet, self._name = fleet, name
+        self._scene = msgspec.structs.replace(load_scene(fleet.twin.scene), camera=sensor)
+        seed = fleet.twin.seed
+        self._lens = draw_lens(self._scene.camera, generator(seed, name, "lens"))
+        self._vcm = Vcm(self._lens, generator(seed, name, "vcm"))
+        self.size = (self._lens.width, self._lens.height)
+        empty = msgspec.structs.replace(self._scene, solid=())
+        self._bench = self._with(empty, 0)
+
+    def calibrate(self) -> Calibration:
+        """The bench's whole procedure. Raises CalibrationRefused."""
+        return calibrate(self._fleet, self._name, self, self._bench.place, lambda done, total: None)
+
+    def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
+        """Hours later, in this kind of water, before these solids and tags alone."""
+        kind = msgspec.structs.replace(self._scene.water, preset=water)
+        self._bench = self._with(msgspec.structs.replace(self._scene, water=kind, solid=solids), DIVE_NS, tags)
+
+    def stand(self, position_m: Vector, rotation: Array, servos_us: tuple[int, int]) -> None:
+        """The body's centre and turn (body to world), and the pulses of pan and tilt, reached from shorter ones."""
+        self._bench.stand(position_m, rotation)
+        self._bench.place(None, (servos_us[0] - BACKLASH_US, servos_us[1] - BACKLASH_US))
+        self._bench.place(None, servos_us)
+
+    def focus_range(self) -> FocusRange:
+        return self._bench.focus_range
+
+    def set_focus(self, lens_position: int) -> int:
+        return self._bench.set_focus(lens_position)
+
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
+        return self._bench.read(deliverable(roi, self.size), settle_s)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def _with(self, scene: Scene, start_ns: int, tags: Sequence[PaintedTag] = ()) -> Bench:
+        fleet = self._fleet
+        index, seed = fleet.water.refractive_index, fleet.twin.seed
+        painter = Painter(scene, fleet.tank, index, self._lens, seed, self._name, tags)
+        painter.prepare()
+        bench = Bench(fleet, self._name, self._lens, self._vcm, painter, start_ns)
+        bench.place(None, (fleet.body.servo_centre_us, fleet.body.servo_centre_us))
+        return bench
+
+
+def rotation_of(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
+    """Body to world, Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.cos(np.radians(a)), np.sin(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)
+    )
+    rz = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    ry = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    rx = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(rz @ ry @ rx)
+
+
+# @@ measured_level
+# What four drifting pressure sensors make of a robot's depth, roll and pitch: drawn from the twin's own figures.
+
+DIVE_S = 120.0  # sensors have drifted for up to so long
+AVERAGED = 10  # samples of a sensor, 0.1 s: what the control module's observer makes of them
+
+
+def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.Generator) -> Vector:
+    """Depth (m), roll and pitch (degrees) as they are measured at some time of a dive, from what they are."""
+    drift = rng.normal(0.0, DRIFT_M_S, 4) * rng.uniform(0.0, DIVE_S)
+    error_m = drift + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
+    # z rises to the left with roll, and falls ahead with pitch: a sensor that reads too deep stands too low.
+    roll_off, pitch_off = (float(math.degrees((error_m * CORNERS[:, k]).sum() / (4.0 * SENSOR_M))) for k in (1, 0))
+    return depth_m + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off
+
+
+# @@ ball_measurements
 
 ROBOT = "r1"
 RANGE_M = (0.25, 1.20)  # camera to ball
@@ -217,3 +316,47 @@ def errors(
 
 def _no_camera() -> NoReturn:
     raise CameraError("frames are handed over")
+
+
+# @@ board_host
+# The driver's own half of the tether (hw.stm32.protocol), in the virtual time of a dive that goes in lock-step.
+#
+# It talks to a board of the twin on its real pty, and is called once a tick.
+
+SET_POINT_TICKS = 5  # 20 Hz
+
+
+class Host:
+    """The ground computer's half of one tether."""
+
+    def __init__(self, board: Board) -> None:
+        self.protocol = HostProtocol(1)
+        self.heard: list[Telemetry] = []
+        self._path = board.port
+        self._port = -1
+
+    def __enter__(self) -> Host:
+        self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self.protocol.connected()
+        self.protocol.arm()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._port)
+
+    def exchange(self, wanted: SetPoint, dive: Dive) -> None:
+        """Take what the board said, say what is due; the set-point in every SET_POINT_TICKS-th tick."""
+        now_ns, protocol = dive.now_ns, self.protocol
+        with contextlib.suppress(BlockingIOError):  # nothing said since
+            protocol.receive(os.read(self._port, 4096), now_ns)
+        self.heard += protocol.telemetry
+        protocol.telemetry.clear()
+        out = protocol.due(now_ns)
+        if dive.ticks % SET_POINT_TICKS == 0:
+            out += protocol.set_point(wanted, now_ns)
+        if out:
+            os.write(self._port, out)
+
+    def last_said(self) -> str:
+        """The board's last line of text."""
+        return self.protocol.lines[-1].text if self.protocol.lines else "nothing heard"

@@ -12,9 +12,8 @@ import numpy as np
 from agent.core.estimation.fuse import Opinion, fuse, vote
 from agent.core.linear_algebra import apply, inverse, invert, quadratic, upper
 from agent.core.messages import Symmetric, Vector
-from agent.experiments.localization.cases import Case
-from agent.experiments.localization.draws import mean_score, score_draw
-from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
+from agent.experiments.localization.draws import Case, mean_score, score_draw
+from agent.experiments.localization.lockstep import TARGET_M, draw_dive, draw_world
 
 DRAWS = {3: 1500, 5: 1000, 10: 500}
 SAMPLES = (1, 10, 60)  # of each robot

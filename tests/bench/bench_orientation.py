@@ -10,8 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from agent.experiments.orientation.manoeuvre import FIND_S, HOVER_S, PUSH, PUSH_S, Case, respond
-from agent.experiments.orientation.settling import LIMIT_S, STAY_S
+from agent.experiments.orientation import FIND_S, HOVER_S, LIMIT_S, PUSH, PUSH_S, STAY_S, Case, respond
 
 ROUNDS = 3
 VIRTUAL_S = FIND_S + HOVER_S + PUSH_S + LIMIT_S + STAY_S  # the seconds before arming are not counted

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from agent.core.config import Fleet, Tag
 from agent.core.ranging.camera_model import Calibration, at_lens_position
 from agent.core.ranging.focus import lens_position
-from agent.experiments.posed_robot import PosedRobot
+from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.tags import find_tags
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet

@@ -20,7 +20,7 @@ import msgspec
 from agent.core.config import Fleet, Robot, dump
 from agent.core.messages import State
 from agent.core.topics import STATE
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.process.launch import free_ports
 from agent.process.transport import Observer
 from tests.network.relay import Links, Relay, refused

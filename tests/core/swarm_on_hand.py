@@ -5,7 +5,7 @@ from pathlib import Path
 from agent.core.codec import encode
 from agent.core.messages import State
 from agent.core.step_io import Heard, Inputs, Outputs
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.robot.step import Agent
 from tests.core.stepped_swarm import START_NS, STEP_NS
 from tests.network.scripted_agent import CALIBRATION, TARGET_M, Motors, Script

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from agent.core.target_state import TargetState
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 
 FLEET = demo_fleet(3, "evidence", 0.0, 0, False, Path("/nowhere"))
 SHOWN = {

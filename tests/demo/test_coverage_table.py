@@ -9,9 +9,8 @@ from agent.capabilities.survey.coverage_map import CoverageMap, along, place_m, 
 from agent.capabilities.survey.exchange import holdings
 from agent.core.capability_messages import Claim, View
 from agent.core.messages import Whereabouts
-from agent.demo.coverage import SurveyWatch
-from agent.demo.coverage_table import floor_spot, survey_table
-from agent.demo.history import History
+from agent.demo.display import floor_spot, survey_table
+from agent.demo.summary import History, SurveyWatch
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
 from tests.demo.test_display import STATE
 

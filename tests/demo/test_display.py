@@ -7,8 +7,7 @@ from rich.console import Console
 
 from agent.core.messages import NeighbourState, State
 from agent.demo.display import progress_row, progress_table, progress_title, result_table, verdict
-from agent.demo.following import score_following
-from agent.demo.history import History
+from agent.demo.summary import History, score_following
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from tests.swum_track import swum

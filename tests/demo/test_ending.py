@@ -8,9 +8,8 @@ from rich.console import Console
 
 import agent.demo.demo
 from agent.core.config import ConfigError
-from agent.demo.demo import calibrate, keeping
+from agent.demo.demo import calibrate, demo_fleet, keeping, with_access
 from agent.demo.display import how_to_look, program
-from agent.demo.fleet import demo_fleet, with_access
 from agent.process.command import Failed
 
 

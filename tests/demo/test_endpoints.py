@@ -4,8 +4,8 @@ import socket
 
 import pytest
 
-import agent.demo.endpoints
-from agent.demo.endpoints import reserved
+import agent.demo.demo
+from agent.demo.demo import reserved
 from agent.process.launch import free_ports, is_free
 
 
@@ -47,6 +47,6 @@ def test_an_address_of_another_computer_is_not_free() -> None:
 
 
 def test_without_names_nobody_can_be_sure_of_the_files_own(wished: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(agent.demo.endpoints, "NAMES", False)
+    monkeypatch.setattr(agent.demo.demo, "NAMES", False)
     with reserved(wished) as endpoints:
         assert len(set(endpoints)) == 2 and all(map(is_free, endpoints))

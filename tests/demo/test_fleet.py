@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 
 from agent.core.config import ConfigError, dump
-from agent.demo.demo import demo
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo, demo_fleet
 from agent.process.command import fleet_file, shipped_fleet, shipped_names
 from agent.robot.fleet_reader import load_fleet
 

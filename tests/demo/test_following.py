@@ -4,8 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.messages import State
-from agent.demo.following import FOLLOW_S, followed_s, reasons_following, score_following, swims
-from agent.demo.history import History
+from agent.demo.summary import FOLLOW_S, History, followed_s, reasons_following, score_following, swims
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from tests.swum_track import OFF_M, SIGMA_M, swum

@@ -7,9 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.config import dump
-from agent.demo.demo import demo_fleet
-from agent.demo.fleet import with_access
-from agent.demo.look import open_page
+from agent.demo.demo import demo_fleet, open_page, with_access
 from agent.process.launch import crew
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")

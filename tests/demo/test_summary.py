@@ -8,8 +8,7 @@ from msgspec.structs import replace
 from agent.core.config import Target
 from agent.core.messages import State
 from agent.demo.display import verdict
-from agent.demo.history import History
-from agent.demo.summary import first_below, outside_m, reasons, score, settled, summarize
+from agent.demo.summary import History, first_below, outside_m, reasons, score, settled, summarize
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 

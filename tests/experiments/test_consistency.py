@@ -7,9 +7,8 @@ import pytest
 
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, FocusFit
 from agent.experiments import ball_measurements as measurements
-from agent.experiments.consistency.run import Result, summary
-from agent.experiments.consistency.tables import cases_table, refusals, table
-from agent.experiments.posed_robot import rotation_of
+from agent.experiments.ball_measurements import rotation_of
+from agent.experiments.consistency import Result, cases_table, refusals, summary, table
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 

@@ -5,11 +5,10 @@ import pytest
 
 from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import lens_position
-from agent.experiments.depth import run as experiment
-from agent.experiments.depth import wall
-from agent.experiments.depth.figures import figure
-from agent.experiments.still_camera import StillCamera
-from agent.experiments.sweeps import VIEWS, breathing, facing_wall, sweep_view
+from agent.experiments import depth
+from agent.experiments import depth as experiment
+from agent.experiments.depth import figure
+from agent.experiments.still_camera import VIEWS, StillCamera, breathing, facing_wall, sweep_view
 from hw.camera.camera import Roi
 
 
@@ -22,10 +21,10 @@ def camera():
 
 @pytest.fixture(scope="module")
 def known(camera):
-    distances, wall.WALL_M = wall.WALL_M, 1.0 / np.linspace(1.0, 4.5, 6)
-    wall.WALL_REPEATS, repeats = 1, wall.WALL_REPEATS
-    fit = wall.calibrate(camera, 0.043, lambda: None)
-    wall.WALL_M, wall.WALL_REPEATS = distances, repeats
+    distances, depth.WALL_M = depth.WALL_M, 1.0 / np.linspace(1.0, 4.5, 6)
+    depth.WALL_REPEATS, repeats = 1, depth.WALL_REPEATS
+    fit = depth.calibrate(camera, 0.043, lambda: None)
+    depth.WALL_M, depth.WALL_REPEATS = distances, repeats
     return Calibration(robot="r1", made="", source="", focus=fit, camera=experiment.nominal_pinhole(camera))
 
 

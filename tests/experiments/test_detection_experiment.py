@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from agent.core.ranging.camera_model import CameraFit
-from agent.experiments.detection.ball_views import outline
-from agent.experiments.detection.run import Settings, run
-from agent.experiments.detection.tables import table
-from agent.experiments.result import write_result
+from agent.experiments.detection import Settings, outline, run, table
+from agent.experiments.experiment import write_result
 
 CAMERA = CameraFit(width_px=320, height_px=240, f_px=600.0, cx_px=159.5, cy_px=119.5)
 

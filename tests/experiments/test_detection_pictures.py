@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.experiments.detection.marked_pictures import marked_pictures
-from agent.experiments.detection.picture_figures import figures
-from agent.experiments.detection.picture_run import Settings, run
-from agent.experiments.detection.picture_tables import table
+from agent.experiments.detection_pictures import Settings, figures, marked_pictures, run, table
 from tests.perception.painted import grain
 from tests.places import DATA
 

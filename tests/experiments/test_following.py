@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 
 from agent.core.config import Body
-from agent.experiments.following import basin as following_basin
-from agent.experiments.following.bars import verdicts
-from agent.experiments.following.cases import FLEET, Case, all_cases
-from agent.experiments.following.counts import losses, row_of, share
-from agent.experiments.following.dive import Draw, reaches
-from agent.experiments.following.figures import figures as drawings
-from agent.experiments.following.run import Result, Shown
-from agent.experiments.following.tables import table
-from agent.experiments.navigation.drawn_ball import Pillar, hides
-from agent.experiments.navigation.pursuit.wanderer import BODY_M, Wanderer
-from agent.experiments.result import write_result
+from agent.experiments import following_dive as following_basin
+from agent.experiments.experiment import write_result
+from agent.experiments.following import Result, Shown, losses, row_of, share, table, verdicts
+from agent.experiments.following import figures as drawings
+from agent.experiments.following_dive import FLEET, Case, Draw, all_cases, reaches
+from agent.experiments.navigation.pursuit import BODY_M, Wanderer
+from agent.experiments.navigation.swimmers import Pillar, hides
 from hw.twin.scene import generator
 
 N, WATCHED = 100, 20

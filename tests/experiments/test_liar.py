@@ -13,18 +13,40 @@ from agent.core.estimation.fuse import Opinion, fuse
 from agent.core.linear_algebra import inverse, upper
 from agent.core.messages import Epoch, Gossip
 from agent.core.trust import entry_bytes
-from agent.experiments.localization.criteria import verdict
-from agent.experiments.localization.graphs import graph
-from agent.experiments.localization.liar import FIRST, LAST, attacked, bound_m, fleet_of, told
-from agent.experiments.localization.liar_bumped import bumped
-from agent.experiments.localization.liar_cases import LiarCase, liar_cases
-from agent.experiments.localization.liar_moving import attacked_moving
-from agent.experiments.localization.liar_rows import TARGETS, attack_draws, liar_row, liar_verdicts
-from agent.experiments.localization.lie_search import CLAIM_M, best_lies
-from agent.experiments.localization.lockstep import Swarm, prior, symmetric
-from agent.experiments.localization.many_lies import conclusions
-from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify
-from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
+from agent.experiments.localization.draws import verdict
+from agent.experiments.localization.liar import (
+    CLAIM_M,
+    FIRST,
+    LAST,
+    LiarCase,
+    attacked,
+    best_lies,
+    bound_m,
+    conclusions,
+    fleet_of,
+    liar_cases,
+    told,
+)
+from agent.experiments.localization.liar_rows import (
+    TARGETS,
+    attack_draws,
+    attacked_moving,
+    bumped,
+    liar_row,
+    liar_verdicts,
+)
+from agent.experiments.localization.lockstep import (
+    TARGET_M,
+    Swarm,
+    draw_dive,
+    draw_world,
+    graph,
+    perfect_signing,
+    prior,
+    public_keys,
+    symmetric,
+    verify,
+)
 from tests.sample_messages import estimate
 
 SECOND_NS = 1_000_000_000

@@ -5,21 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from agent.experiments.lighting import figures, run, tables
-from agent.experiments.lighting.bars import missed
-from agent.experiments.lighting.dark_water import DarkWater, stand
-from agent.experiments.lighting.model_check import correlation
-from agent.experiments.lighting.policies import after_loss, scored, sets_for
-from agent.experiments.lighting.smooth import smoothed
+from agent.experiments import lighting
+from agent.experiments.dark_water import DarkWater, correlation, stand
+from agent.experiments.lighting import after_loss, missed, scored, sets_for
+from agent.experiments.veil_monte_carlo import smoothed
 
 
 @pytest.fixture(scope="module")
-def result() -> run.Result:
+def result() -> lighting.Result:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "LADDER_M", (1.25,))
-        patch.setattr(run, "SIZES", (2,))
-        patch.setattr(run, "model_check", lambda *_: MODEL)
-        return run.run(run.Settings(seed=3, scenes=1, draws=4, waters=("harbour",)), lambda *_: None)
+        patch.setattr(lighting, "LADDER_M", (1.25,))
+        patch.setattr(lighting, "SIZES", (2,))
+        patch.setattr(lighting, "model_check", lambda *_: MODEL)
+        return lighting.run(lighting.Settings(seed=3, scenes=1, draws=4, waters=("harbour",)), lambda *_: None)
 
 
 MODEL = {
@@ -32,13 +30,13 @@ MODEL = {
 }
 
 
-def test_a_neighbours_lamp_is_worth_more_than_the_own_one(result: run.Result) -> None:
+def test_a_neighbours_lamp_is_worth_more_than_the_own_one(result: lighting.Result) -> None:
     of = {row["policy"]: row for row in result.cases if row["distance_m"] == 1.25}
     assert of["rule"]["accepted"] == 1.0
     assert of["own"]["sigma_mm"] is None or of["own"]["sigma_mm"] > 2 * of["rule"]["sigma_mm"]
 
 
-def test_there_is_a_row_for_each_policy_and_one_with_losses(result: run.Result) -> None:
+def test_there_is_a_row_for_each_policy_and_one_with_losses(result: lighting.Result) -> None:
     fleets = [(row["policy"], row["loss"]) for row in result.cases if row["distance_m"] is None]
     assert sorted(fleets) == sorted(
         [("own", 0.0), ("all", 0.0), ("common", 0.0), ("rule", 0.0), ("rule", 0.3), ("optimum", 0.0)]
@@ -46,9 +44,9 @@ def test_there_is_a_row_for_each_policy_and_one_with_losses(result: run.Result) 
     assert all(row["sweeps"] == 2 for row in result.cases if row["distance_m"] is None)
 
 
-def test_it_can_be_shown(result: run.Result) -> None:
-    assert tables.table(result) is not None
-    assert [name for name, _ in figures.figures(result)] == ["sigma.png", "usable.png"]
+def test_it_can_be_shown(result: lighting.Result) -> None:
+    assert lighting.table(result) is not None
+    assert [name for name, _ in lighting.figures(result)] == ["sigma.png", "usable.png"]
 
 
 def test_lost_messages_leave_a_lender_dark_and_a_sweeper_with_its_own_lamp() -> None:
@@ -82,7 +80,7 @@ def test_correlation_needs_sweeps_that_have_a_sigma() -> None:
     assert correlation([{**row, "sigma_mm": None} for row in rows]) is None
 
 
-def test_what_is_missed_is_said(result: run.Result) -> None:
+def test_what_is_missed_is_said(result: lighting.Result) -> None:
     assert not missed(result.cases, MODEL, 1)  # no verdict of one fleet
     slow = {**MODEL, "ms_per_lamp": 30.0, "twin_veil_first_order": 0.1}
     assert missed([], slow, 4) == ["twin_veil_first_order", "ms_per_lamp"]

@@ -8,20 +8,29 @@ import msgspec
 import numpy as np
 import pytest
 
-from agent.experiments.figure_files import write_figures
-from agent.experiments.localization import run as experiment
-from agent.experiments.localization.bounds import bound_m
-from agent.experiments.localization.cases import Case, cases
-from agent.experiments.localization.criteria import EVIDENCE_UNDER_LOSS, verdicts
-from agent.experiments.localization.draws import score_draws
-from agent.experiments.localization.figures import figures
-from agent.experiments.localization.graphs import graph, metropolis_weights, paper_weights
-from agent.experiments.localization.liar_cases import LiarCase
-from agent.experiments.localization.lockstep import Swarm, prior, symmetric
-from agent.experiments.localization.run import Settings, rows_of
-from agent.experiments.localization.tables import cases_table, liars_table, table, verdicts_table
-from agent.experiments.localization.world import draw_dive, draw_world
-from agent.experiments.result import write_result
+from agent.experiments.experiment import write_figures, write_result
+from agent.experiments.localization import localization as experiment
+from agent.experiments.localization.draws import EVIDENCE_UNDER_LOSS, Case, bound_m, cases, score_draws, verdicts
+from agent.experiments.localization.liar import LiarCase
+from agent.experiments.localization.localization import (
+    Settings,
+    cases_table,
+    figures,
+    liars_table,
+    rows_of,
+    table,
+    verdicts_table,
+)
+from agent.experiments.localization.lockstep import (
+    Swarm,
+    draw_dive,
+    draw_world,
+    graph,
+    metropolis_weights,
+    paper_weights,
+    prior,
+    symmetric,
+)
 
 
 def ratios(case: Case, seed: int = 0) -> list[float]:

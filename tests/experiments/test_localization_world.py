@@ -5,9 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from agent.experiments.localization.bounds import bound_m, central_m, central_track_m, closed_form_m
-from agent.experiments.localization.graphs import diameter, graph, metropolis_weights, paper_weights
-from agent.experiments.localization.world import TARGET_M, Dive, circle_m, draw_dive, draw_world, seen
+from agent.experiments.localization.draws import bound_m, central_m, central_track_m, closed_form_m
+from agent.experiments.localization.lockstep import (
+    TARGET_M,
+    Dive,
+    circle_m,
+    diameter,
+    draw_dive,
+    draw_world,
+    graph,
+    metropolis_weights,
+    paper_weights,
+    seen,
+)
 
 TYPICAL = np.random.default_rng(1)
 

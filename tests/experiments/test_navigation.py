@@ -15,19 +15,27 @@ from agent.core.config import Pose
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Estimate
 from agent.core.ranging.fix import Fix
+from agent.experiments.experiment import write_result
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bars import BARS, met
-from agent.experiments.navigation.bodies import CAMERA, PlanarBodies
-from agent.experiments.navigation.drawn_camera import DrawnCamera
-from agent.experiments.navigation.figures import figures
+from agent.experiments.navigation.around_ball import crossing
+from agent.experiments.navigation.basin import CAMERA, PlanarBodies
 from agent.experiments.navigation.joint_filter import JointFilter, full
-from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, goto, off_orbit, settled_s
-from agent.experiments.navigation.run import CASES, Result, Shown, worlds
-from agent.experiments.navigation.separation import crossing
-from agent.experiments.navigation.summaries import SUMMARIES
-from agent.experiments.navigation.swimmers import Swimmers
-from agent.experiments.navigation.tables import aid_table, bars_table, fixes_table, spread_table, table
-from agent.experiments.result import write_result
+from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, SUMMARIES, goto, off_orbit, settled_s
+from agent.experiments.navigation.navigation import (
+    BARS,
+    CASES,
+    Result,
+    Shown,
+    aid_table,
+    bars_table,
+    figures,
+    fixes_table,
+    met,
+    spread_table,
+    table,
+    worlds,
+)
+from agent.experiments.navigation.swimmers import DrawnCamera, Swimmers
 from hw.twin.history import RobotPose
 
 S = 1_000_000_000

@@ -9,13 +9,23 @@ from pathlib import Path
 
 import pytest
 
-from agent.experiments.figure_files import write_figures
-from agent.experiments.orientation.figures import figures
-from agent.experiments.orientation.manoeuvre import HOVER_S, PUSH, Case, respond
-from agent.experiments.orientation.run import MASS_SPREAD, Settings, groups, missed, run
-from agent.experiments.orientation.settling import score_push
-from agent.experiments.orientation.tables import controllers_table, stability_table, table
-from agent.experiments.result import write_result
+from agent.experiments.experiment import write_figures, write_result
+from agent.experiments.orientation import (
+    HOVER_S,
+    MASS_SPREAD,
+    PUSH,
+    Case,
+    Settings,
+    controllers_table,
+    figures,
+    groups,
+    missed,
+    respond,
+    run,
+    score_push,
+    stability_table,
+    table,
+)
 from agent.process.command import Failed
 
 

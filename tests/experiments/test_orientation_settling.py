@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.experiments.orientation.settling import (
-    LIMIT_S,
-    SAMPLE_S,
-    STAY_S,
-    Track,
-    for_good_s,
-    score_push,
-    score_step,
-)
-from agent.experiments.spread import spread
+from agent.experiments.experiment import spread
+from agent.experiments.orientation import LIMIT_S, SAMPLE_S, STAY_S, Track, for_good_s, score_push, score_step
 
 WATCH = round((LIMIT_S + STAY_S) / SAMPLE_S)
 

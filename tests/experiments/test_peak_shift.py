@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from agent.experiments.peak_shift import run as experiment
-from agent.experiments.peak_shift.run import Settings, Way, mm_per_position, shifts
-from agent.experiments.peak_shift.tables import table
-from agent.experiments.result import write_result
-from agent.experiments.sweeps import WATER_INDEX
+from agent.experiments import peak_shift as experiment
+from agent.experiments.experiment import write_result
+from agent.experiments.peak_shift import Settings, Way, mm_per_position, shifts, table
+from agent.experiments.still_camera import WATER_INDEX
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
 from hw.twin.optics.lens import draw_lens

@@ -10,11 +10,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from typer.testing import CliRunner
 
-from agent.cli.experimenting import app
+from agent.cli.experiments import app
 from agent.core.config import ConfigError
-from agent.experiments.choices import WATERS, Sensor
-from agent.experiments.perform import perform
-from agent.experiments.result import ExperimentResult
+from agent.experiments.experiment import WATERS, ExperimentResult, Sensor, perform
 from agent.process.command import Failed
 from hw.twin.optics.lens import PRESETS
 from hw.twin.optics.water import KD_PER_M

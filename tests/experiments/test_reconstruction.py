@@ -9,24 +9,24 @@ import pytest
 from rich.console import Console
 
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.experiments.reconstruction.coverage import missed_coverage
-from agent.experiments.reconstruction.intrinsics import camera_of
-from agent.experiments.reconstruction.noisy import OWN, SHARED, noisy
-from agent.experiments.reconstruction.pictures import into_truth, missed_pictures
-from agent.experiments.reconstruction.render import TRUTH_STEP, Rendered
-from agent.experiments.reconstruction.run import Settings, missed, run
-from agent.experiments.reconstruction.score import distances, nearest_m, score, seen_twice
-from agent.experiments.reconstruction.swum import WideBodies, swimming_fleet, swum
-from agent.experiments.reconstruction.tables import swimmers_table, table
-from agent.experiments.reconstruction.world import (
+from agent.experiments.reconstruction.coverage import WideBodies, missed_coverage, swimming_fleet, swum
+from agent.experiments.reconstruction.reconstruction import Settings, missed, run, swimmers_table, table
+from agent.experiments.reconstruction.render import (
     CLEAR_M,
     MOORED,
     NEW,
+    OWN,
+    SHARED,
+    TRUTH_STEP,
+    Rendered,
+    camera_of,
     held_back_known,
     held_back_new,
+    noisy,
     scene_of_seed,
     trained,
 )
+from agent.experiments.reconstruction.score import distances, into_truth, missed_pictures, nearest_m, score, seen_twice
 from agent.reconstruction.views import Camera
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator

@@ -5,10 +5,24 @@ import math
 import numpy as np
 
 from agent.experiments.reconstruction.score import distances_to
-from agent.experiments.reconstruction.size.basin import MOST, RIM_M, ROBOTS, SIZE_M, basin, stops
-from agent.experiments.reconstruction.size.drawn import FARTHEST_M, BasinCamera, drawn_views
-from agent.experiments.reconstruction.size.measured import keep, kept
-from agent.experiments.reconstruction.size.size import COUNTS, missed_size, size, size_parts, verdict
+from agent.experiments.reconstruction.size import (
+    COUNTS,
+    FARTHEST_M,
+    MOST,
+    RIM_M,
+    ROBOTS,
+    SIZE_M,
+    BasinCamera,
+    basin,
+    drawn_views,
+    keep,
+    kept,
+    missed_size,
+    size,
+    size_parts,
+    stops,
+    verdict,
+)
 from hw.twin.scene import Solid
 
 

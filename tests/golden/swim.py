@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from agent.core.config import Look, Navigation, Pose
 from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import START_NS, STEP_NS, PlanarBodies
+from agent.experiments.navigation.basin import START_NS, STEP_NS, PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from tests.replay.step_box import Recorded, Said
 

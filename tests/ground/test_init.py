@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.core.config import Fleet
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.ground.check import MARKS, mistakes_in
 from agent.ground.new_fleet import MOST, fleet_name, write_fleet
 from agent.process.command import shipped_fleet, shipped_names

@@ -12,7 +12,7 @@ import msgspec
 
 from agent.core.config import Access, dump
 from agent.core.messages import State
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.ground.new_fleet import make_all
 from tests.network.relay import Relay
 from tests.network.scripted_agent import TARGET_M

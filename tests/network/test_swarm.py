@@ -23,7 +23,7 @@ from agent.core.codec import decode, encode, encoding
 from agent.core.config import dump
 from agent.core.messages import Estimate, LogLine, State
 from agent.core.step_io import Outputs
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.process.transport import Observer
 from replay.files.log import read
 from router_config.session import observer_config

@@ -20,7 +20,7 @@ from agent.core.config import Access, Fleet, dump
 from agent.core.messages import Entry, Estimate
 from agent.core.step_io import Heard, Inputs, Outputs
 from agent.core.trust import entry_bytes, verify_signature
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.ground.new_fleet import make_keys
 from agent.process.agent_process import STEP_NS, Runtime, run_facts
 from agent.process.keys import read_public, robot_keys, signing

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.experiments.reconstruction.noisy import SHARED, noisy
+from agent.experiments.reconstruction.render import SHARED, noisy
 from agent.reconstruction import image_model as seam
 from agent.reconstruction.fusion import fuse
 from agent.reconstruction.held_back import judged, psnr_db, smaller

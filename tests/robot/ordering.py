@@ -8,7 +8,7 @@ from agent.core.config import Fleet
 from agent.core.messages import Answer, Arg, Order
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Ordered, Outputs
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
 

@@ -11,7 +11,7 @@ import pytest
 
 from agent.core.codec import encode
 from agent.core.step_io import Inputs
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.robot.step import Agent
 from tests.core.stepped_swarm import steps
 from tests.network.scripted_agent import CALIBRATION

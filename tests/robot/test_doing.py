@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.core.config import Target
 from agent.core.ranging.camera_model import gimbal_deg
 from agent.core.step_io import TargetBox
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from tests.capabilities.light.lit_swarm import lit_fleet
 from tests.known_lens import CAMERA
 from tests.robot.ordering import FLEET, Ordering

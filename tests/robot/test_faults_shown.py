@@ -10,7 +10,7 @@ from msgspec import UNSET
 from agent.core.messages import State
 from agent.core.status import SELDOM_NS
 from agent.core.step_io import Inputs, Telemetry
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION
 

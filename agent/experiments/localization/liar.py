@@ -9,25 +9,305 @@ robot in every message. How far apart the two fleets believe the target to be is
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import combinations
 from random import Random
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
-from agent.core.config import Tank
+from agent.core.config import Protocol, Tank
 from agent.core.estimation.evidence_table import MARGIN_M, R_FLOOR_M
-from agent.core.estimation.fuse import LOW
+from agent.core.estimation.fuse import AGREE, DOUBTED, HIGH, LOW, PAIRS, TEMPER
 from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Symmetric, Vector
+from agent.experiments.experiment import Row
 from agent.experiments.localization.draws import WORLD
-from agent.experiments.localization.graphs import graph
-from agent.experiments.localization.liar_cases import LiarCase
-from agent.experiments.localization.lie_search import CLAIM_M, Lies, best_lies
-from agent.experiments.localization.lockstep import Swarm, prior, symmetric
-from agent.experiments.localization.many_lies import conclusions
-from agent.experiments.localization.world import Array, draw_dive, draw_world
+from agent.experiments.localization.lockstep import (
+    Array,
+    Swarm,
+    Topology,
+    draw_dive,
+    draw_world,
+    graph,
+    prior,
+    symmetric,
+)
+
+# @@ lie_search
+# The best lie that can be told: a search over place and covariance by somebody who knows every honest opinion.
+#
+# Lies that were chosen prove nothing: a rule that shrugs off 300 mm may be moved 50 mm by 15. So the liar looks for
+# what moves the others most, by the cross-entropy method (Rubinstein, 1999): draw candidates, keep the best, draw
+# again where they are. Anyone who thinks that a better lie exists can put a search of his own in the place of
+# `best_lies`.
+
+Gain = Callable[[Array, Array], Array]  # lies (m, k, 3) and their covariances (m, k, 3, 3) -> metres moved (m,)
+
+PARAMETERS = 9  # place, logarithms of the diagonal of a Cholesky factor, what is below it over the diagonal
+START = np.array([0.0] * 9)
+SPREAD = np.array([4.0, 4.0, 4.0, 1.5, 1.5, 1.5, 1.0, 1.0, 1.0])
+CLAIM_M = 0.0001  # sigma below which no lie goes: surer ones gain less than a hundredth
+CHAINS = 4  # searches side by side: the best lie is often one of several far apart
+SAMPLES = 48  # candidates of each, in each generation
+ELITE = 8
+GENERATIONS = 14
+AGAIN = (2, 8)  # chains and generations where the best lie of a moment ago is known
+KEEP = 0.3  # share of the old distribution in the new
+LEAST = 0.02  # spread that is always left
+
+
+class Lies(NamedTuple):
+    """What k liars say, and what they hope to move."""
+
+    x_m: Array  # (k, 3)
+    cov_m2: Array  # (k, 3, 3)
+    moves_m: float
+    parameters: Array  # (k * 9,), to go on from when the honest know more
+
+
+def best_lies(
+    gain: Gain,
+    centre_m: Array,
+    root_m: Array,
+    liars: int,
+    rng: np.random.Generator,
+    last: Lies | None = None,
+    effort: float = 1.0,
+) -> Lies:
+    """Search where honest opinions have their mean, (3,), in units of a root of its covariance, (3, 3).
+
+    last: the lies before, near which one search begins. effort: times as many candidates.
+    """
+    samples = round(SAMPLES * effort)
+    chains, generations = (CHAINS, GENERATIONS) if last is None else AGAIN
+    mean = np.tile(np.tile(START, liars), (chains, 1))
+    spread = np.tile(np.tile(SPREAD, liars), (chains, 1))
+    if last is not None:
+        mean[0], spread[0] = last.parameters, 0.2 * spread[0]
+    best, moved = mean[0], -1.0
+    for _ in range(generations):
+        drawn = mean[:, None] + spread[:, None] * rng.standard_normal((chains, samples, mean.shape[1]))
+        flat = drawn.reshape(-1, mean.shape[1])
+        values = gain(*spoken(flat, centre_m, root_m)).reshape(chains, samples)
+        order = np.argsort(-values, axis=1)[:, :ELITE]
+        elite = np.take_along_axis(drawn, order[:, :, None], axis=1)
+        mean = KEEP * mean + (1.0 - KEEP) * elite.mean(axis=1)
+        spread = np.maximum(KEEP * spread + (1.0 - KEEP) * elite.std(axis=1), LEAST)
+        top = int(np.argmax(values))
+        if values.flat[top] > moved:
+            best, moved = flat[top], float(values.flat[top])
+    x_m, cov_m2 = spoken(best[None], centre_m, root_m)
+    return Lies(x_m[0], cov_m2[0], moved, best)
+
+
+def spoken(parameters: Array, centre_m: Array, root_m: Array) -> tuple[Array, Array]:
+    """Parameters (m, k * 9) -> places (m, k, 3) and covariances (m, k, 3, 3), none below CLAIM_M."""
+    each = parameters.reshape(len(parameters), -1, PARAMETERS)
+    x_m = centre_m + each[..., :3] @ root_m.T
+    size = float(np.sqrt(np.trace(root_m @ root_m.T) / 3.0))
+    diagonal = size * np.exp(np.clip(each[..., 3:6], -8.0, 5.0))
+    L = np.zeros((*each.shape[:2], 3, 3))
+    L[..., [0, 1, 2], [0, 1, 2]] = diagonal
+    L[..., [1, 2, 2], [0, 0, 1]] = each[..., 6:9] * diagonal[..., [0, 0, 1]]
+    return x_m, L @ np.swapaxes(L, -1, -2) + CLAIM_M**2 * np.eye(3)
+
+
+# @@ many_lies
+# What a robot would conclude from each of many lies: the kernel's rule (estimation/fuse.py) on columns of numbers.
+#
+# A search asks for a hundred thousand conclusions a dive. Here one call takes all candidates at once; a test holds
+# the outcome against the kernel's, to the nanometre.
+
+TIED = 1e6  # a member more counts for more than any sum of distances within a group
+
+
+def conclusions(honest_m: Array, honest_m2: Array, lies_m: Array, lies_m2: Array, liars: int = 1) -> Array:
+    """Fuse the honest opinions, (n, 3) and (n, 3, 3), with each candidate of lies: (m, k, 3) -> places (m, 3).
+
+    Lies (m, k, 3) with covariances (m, k, 3, 3): k robots lie, and come before the honest ones in the order of names.
+    liars: how many the robots reckon with.
+    """
+    m, k = lies_m.shape[:2]
+    n = k + len(honest_m)
+    x = np.concatenate([lies_m, np.broadcast_to(honest_m, (m, *honest_m.shape))], axis=1)
+    P = np.concatenate([lies_m2, np.broadcast_to(honest_m2, (m, *honest_m2.shape))], axis=1)
+    known = np.broadcast_to(inverse(honest_m2), (m, n - k, 3, 3))
+    precision = np.concatenate([inverse(lies_m2), known], axis=1)
+    said = Said(x, P, precision, np.einsum("mjab,mjb->mja", precision, x), group(x, P, k))
+    everybody = np.einsum("mab,mb->ma", inverse(said.total), said.sums)
+    size = said.inside.sum(axis=1)
+    outcome = without(said, [(j,) for j in range(n)], everybody)
+    if liars > 1:
+        enough = (size >= PAIRS[0]) & (size <= PAIRS[1])
+        outcome = np.where(enough[:, None], without(said, list(combinations(range(n), 2)), everybody), outcome)
+    return np.asarray(np.where((size >= DOUBTED)[:, None], outcome, everybody))
+
+
+class Said(NamedTuple):
+    """m times what n robots say, and who of them entered, (m, n) of 0 and 1."""
+
+    x: Array  # (m, n, 3)
+    P: Array  # (m, n, 3, 3)
+    precision: Array
+    vector: Array  # P^-1 x
+    inside: Array
+
+    @property
+    def total(self) -> Array:
+        """Information of those who entered, (m, 3, 3)."""
+        return np.asarray(np.einsum("mj,mjab->mab", self.inside, self.precision))
+
+    @property
+    def sums(self) -> Array:
+        return np.asarray(np.einsum("mj,mja->ma", self.inside, self.vector))
+
+
+def group(x: Array, P: Array, lies: int) -> Array:
+    """Who enters, (m, n) of 0 and 1: the largest set that agrees with one of its members, the closest of equals.
+
+    The first `lies` differ from row to row, the others do not.
+    """
+    m, n = x.shape[:2]
+    d2 = np.empty((m, n, n))
+    d2[:, lies:, lies:] = distance2(P[0, lies:, None] + P[0, lies:], x[0, lies:, None] - x[0, lies:])
+    d2[:, :lies] = distance2(P[:, :lies, None] + P[:, None], x[:, :lies, None] - x[:, None])
+    d2[:, lies:, :lies] = np.swapaxes(d2[:, :lies, lies:], 1, 2)
+    near = (d2 < AGREE).astype(float)
+    spread = ((near @ d2) * near).sum(axis=2)
+    leader = np.argmax(TIED * near.sum(axis=2) - spread - 1e-9 * np.arange(n), axis=1)
+    return np.asarray(near[np.arange(m), leader])
+
+
+def without(said: Said, ways: Sequence[tuple[int, ...]], all_m: Array) -> Array:
+    """The mean over the ways to leave some out, (m, 3); all_m: where everybody is heard."""
+    x, P, precision, vector, inside = said
+    total, sums, places, falls = said.total, said.sums, [], []
+    for out in ways:
+        j, *others = out
+        gone, lost = inside[:, j, None, None] * precision[:, j], inside[:, j, None] * vector[:, j]
+        apart, cov, there = np.zeros(len(x)), P[:, j], x[:, j]
+        for k in others:
+            apart = distance2(P[:, j] + P[:, k], x[:, j] - x[:, k])
+            gone, lost = gone + inside[:, k, None, None] * precision[:, k], lost + inside[:, k, None] * vector[:, k]
+            cov = inverse(precision[:, j] + precision[:, k])
+            there = np.einsum("mab,mb->ma", cov, vector[:, j] + vector[:, k])
+        rest = inverse(total - gone + 1e-12 * np.eye(3))  # nobody may be left
+        place = np.einsum("mab,mb->ma", rest, sums - lost)
+        member = np.all(inside[:, list(out)] > 0.0, axis=1)
+        places.append(place)
+        falls.append(np.where(member, apart + distance2(cov + rest, there - place), -np.inf))
+    d2 = np.stack(falls, axis=1)
+    largest = d2.max(axis=1)
+    scale = np.sqrt(len(ways[0]))
+    strength = np.clip((np.sqrt(np.maximum(largest, 0.0)) / scale - LOW) / (HIGH - LOW), 0.0, 1.0)
+    odds = np.exp(-0.5 * TEMPER * (np.where(np.isfinite(largest), largest, 0.0)[:, None] - d2))
+    odds /= np.maximum(odds.sum(axis=1, keepdims=True), 1e-300)
+    mean = np.einsum("mw,mwa->ma", odds, np.stack(places, axis=1))
+    return np.asarray(all_m + strength[:, None] * (mean - all_m))
+
+
+def distance2(P: Array, d: Array) -> Array:
+    """d^T P^-1 d over leading axes: (..., 3, 3) and (..., 3)."""
+    return np.asarray(np.einsum("...a,...ab,...b->...", d, inverse(P), d))
+
+
+def inverse(a: Array) -> Array:
+    """Inverses of symmetric (..., 3, 3), by cofactors: ten times as fast as a factorisation of each."""
+    xx, xy, xz, yy, yz, zz = a[..., 0, 0], a[..., 0, 1], a[..., 0, 2], a[..., 1, 1], a[..., 1, 2], a[..., 2, 2]
+    c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    flat = (
+        np.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22], axis=-1) / (xx * c00 + xy * c01 + xz * c02)[..., None]
+    )
+    return np.asarray(flat.reshape(a.shape))
+
+
+# @@ liar_cases
+# Which lies the localization experiment tells: one list, in the order of the table.
+
+Then = Literal["silent", "honest", "no key"]
+
+QUICK = 20  # times fewer draws
+MORE = 3  # times more draws with --full
+
+
+class LiarCase(NamedTuple):
+    """Robots 0 to `liars` - 1 lie for 20 iterations. `then`: what becomes of them after it."""
+
+    topology: Topology
+    robots: int
+    draws: int
+    liars: int = 1
+    protocol: Protocol = "evidence"
+    keys: bool = True  # `evidence` is signed by its origin
+    clip: bool = False
+    loss: float = 0.1
+    then: Then = "silent"
+    speed_mm_s: float = 0.0  # of the target
+    bumped_mm: float = 0.0  # no lie: robot 0 is wrong by this much for 40 iterations, then repaired
+
+    def named(self) -> Row:
+        """What a row of result.json says of its case."""
+        return self._asdict()
+
+
+def liar_cases(quick: bool = False, full: bool = False) -> list[LiarCase]:
+    """Fifteen minutes of processor time, most of it for ten robots."""
+    found = [*at_rest(), *without_keys(), *afterwards(), *moving(), *two(), *bumped(), *averaging()]
+    if quick:
+        return [
+            case._replace(draws=max(2, case.draws // QUICK))
+            for case in found
+            if not (case.robots > 5 and case.speed_mm_s)
+        ]
+    return [case._replace(draws=case.draws * MORE) if full else case for case in found]
+
+
+def at_rest() -> list[LiarCase]:
+    """All hear all; then graphs on which a lie has to be passed on."""
+    meshes = [LiarCase("full", robots, 100) for robots in (3, 5, 10)]
+    return [*meshes, LiarCase("geometric", 10, 20), LiarCase("line", 5, 40)]
+
+
+def without_keys() -> list[LiarCase]:
+    """Each robot's own mouth counts where it is heard; where it is not, nothing stops a relay."""
+    return [LiarCase("full", 3, 40, keys=False), LiarCase("geometric", 10, 10, keys=False)]
+
+
+def afterwards() -> list[LiarCase]:
+    """It starts again and tells the truth, or its key is taken away."""
+    honest = [LiarCase("full", robots, draws, then="honest") for robots, draws in ((3, 40), (5, 40), (10, 20))]
+    return [*honest, *(LiarCase("full", robots, 20, then="no key") for robots in (3, 5))]
+
+
+def moving() -> list[LiarCase]:
+    """The target swims, and every lie binds the next."""
+    return [LiarCase("full", robots, draws, speed_mm_s=20.0) for robots, draws in ((3, 20), (5, 10), (10, 4))]
+
+
+def two() -> list[LiarCase]:
+    """Two of ten agree on their lies, and the fleet file reckons with two."""
+    return [LiarCase("full", 10, 10, liars=2)]
+
+
+def bumped() -> list[LiarCase]:
+    """One of three is knocked, for forty iterations nobody notices, then it is repaired and starts again."""
+    return [LiarCase("full", 3, 40, bumped_mm=mm) for mm in (30.0, 100.0, 300.0)]
+
+
+def averaging() -> list[LiarCase]:
+    """What the protocols that average beliefs have: a word from the far corner of the tank."""
+    swarms = (3, 5, 10)
+    found = [LiarCase("full", robots, 40, protocol="paper") for robots in swarms]
+    found += [
+        LiarCase("full", robots, 40, protocol="metropolis", clip=clip) for clip in (False, True) for robots in swarms
+    ]
+    return found
+
+
+# @@ liar
 
 FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on

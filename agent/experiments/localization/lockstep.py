@@ -7,17 +7,254 @@ Signatures are perfect ones that cost nothing (perfect_keys.py), where there are
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from hashlib import blake2b
 from random import Random
+from typing import Literal, NamedTuple, cast
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from numpy.typing import NDArray
 
 from agent.core.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
 from agent.core.estimation.interface import Estimator, Mailbox, Prior, Update
 from agent.core.estimation.protocols import estimator
 from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Symmetric
-from agent.experiments.localization.graphs import Graph
-from agent.experiments.localization.perfect_keys import perfect_signing, public_keys, verify
-from agent.experiments.localization.world import Array
+from agent.process.keys import Sign, signing
+
+# @@ graphs
+# Who hears whom: the communication graphs of the experiments, as neighbours by number.
+
+Graph = tuple[tuple[int, ...], ...]  # neighbours of each robot, ascending, never itself
+Matrix = NDArray[np.float64]
+Topology = Literal["full", "ring", "line", "geometric"]
+
+GEOMETRIC_SEED = 7  # ten robots come out hard to serve: 11 links, three dead ends, six hops from end to end
+DRAWS = 1000  # until a connected graph is found; at the radius below one in a few is
+
+
+def graph(topology: Topology, robots: int) -> Graph:
+    """The graph of this name. `geometric` is one fixed draw for each number of robots."""
+    if topology == "geometric":
+        return geometric(robots, GEOMETRIC_SEED)
+    linked = np.zeros((robots, robots), dtype=bool)
+    for i in range(robots):
+        for j in range(robots):
+            apart = abs(i - j)
+            linked[i, j] = {
+                "full": apart > 0,
+                "line": apart == 1,
+                "ring": apart in (1, robots - 1),
+            }[topology]
+    return _neighbours(linked)
+
+
+def geometric(robots: int, seed: int) -> Graph:
+    """Robots anywhere in a square, linked when near: the first connected draw of the seeds from `seed` on.
+
+    The radius sqrt(2 ln N / (pi N)) of the unit square is sqrt(2) times that at which large graphs become connected
+    (Gupta and Kumar, 1998).
+    """
+    radius = math.sqrt(2.0 * math.log(robots) / (math.pi * robots))
+    for attempt in range(seed, seed + DRAWS):
+        random = Random(attempt)
+        place = np.array([[random.random(), random.random()] for _ in range(robots)])
+        linked = np.linalg.norm(place[:, None] - place[None], axis=2) < radius
+        np.fill_diagonal(linked, False)
+        found = _neighbours(linked)
+        if diameter(found) < math.inf:
+            return found
+    raise ValueError(f"no connected geometric graph of {robots} robots in {DRAWS} draws")
+
+
+def diameter(neighbours: Graph) -> float:
+    """Longest shortest path in hops; infinite when not connected."""
+    longest = 0.0
+    for start in range(len(neighbours)):
+        hops, edge = {start: 0}, [start]
+        while edge:
+            edge = [j for i in edge for j in neighbours[i] if hops.setdefault(j, hops[i] + 1) == hops[i] + 1]
+            edge = list(dict.fromkeys(edge))
+        if len(hops) < len(neighbours):
+            return math.inf
+        longest = max(longest, *hops.values())
+    return longest
+
+
+def paper_weights(neighbours: Graph) -> Matrix:
+    """W of equation (ac) when all see: 1 / |N_i| for each neighbour, nothing for the robot itself; (N, N)."""
+    W = np.zeros((len(neighbours), len(neighbours)))
+    for i, near in enumerate(neighbours):
+        W[i, list(near)] = 1.0 / len(near)
+    return W
+
+
+def metropolis_weights(neighbours: Graph) -> Matrix:
+    """W of the Metropolis rule when all see: 1 / (1 + larger degree), the rest to the robot itself; (N, N)."""
+    W = np.zeros((len(neighbours), len(neighbours)))
+    for i, near in enumerate(neighbours):
+        for j in near:
+            W[i, j] = 1.0 / (1.0 + max(len(near), len(neighbours[j])))
+        W[i, i] = 1.0 - W[i].sum()
+    return W
+
+
+def _neighbours(linked: NDArray[np.bool_]) -> Graph:
+    return tuple(tuple(int(j) for j in np.flatnonzero(row)) for row in linked)
+
+
+# @@ world
+# Robots around a target and what their cameras get wrong: the worlds of the localization experiment.
+#
+# Lengths are metres, world frame. Two kinds of error: `random` is new in every sample and averages out, `systematic`
+# is drawn once per robot (survey, gimbal zero, focus scale) and does not.
+
+Array = NDArray[np.float64]
+Noise = Literal["iso", "aniso"]
+Views = Literal["all", "paper", "relay"]
+
+# The paper's tank: cameras 10 cm above the floor, the centre of a 14 cm ball on it.
+TARGET_M = np.array([0.760, 0.560, 0.070])
+THREE_M = np.array([[0.300, 0.250, 0.100], [1.250, 0.300, 0.100], [0.700, 1.050, 0.100]])
+CAMERA_Z_M = 0.100
+RANGE_M = (0.3, 0.9)  # of the robots when there are more than three
+
+ISO_M = 0.005  # per axis
+# A camera whose peak is found to 0.7 um of lens travel: the error along the ray grows with the range squared.
+ALONG_PER_M = 0.0449  # sigma = this * (range - 15 mm)^2
+ALONG_FROM_M = 0.015
+LATERAL_RAD = math.radians(0.3)
+PLACE_M = 0.002  # per axis
+# What does not average out.
+SCALE_ERROR = 0.01  # of the range, along the ray
+ZERO_RAD = math.radians(0.3)
+SURVEY_M = 0.001  # per axis
+
+FIRST_VIEW = (0, 16, 28)  # iterations at which the paper's three robots find the target
+OBSERVERS = (0, 4, 9)  # of ten, when the others only relay
+
+CIRCLE_RADIUS_M = 0.3  # on which a moving target swims
+
+
+class MonteCarloWorld(NamedTuple):
+    """Where robots are and how well they see; covariances (N, 3, 3) in m^2."""
+
+    camera_m: Array  # (N, 3)
+    random_m2: Array
+    systematic_m2: Array  # zero when the experiment has none
+
+
+class Dive(NamedTuple):
+    """What each camera would measure at each iteration of one dive."""
+
+    sample_m: Array  # (T, N, 3)
+    sees: NDArray[np.bool_]  # (T, N): whether it does
+
+
+def draw_world(robots: int, noise: Noise, systematic: bool, rng: np.random.Generator) -> MonteCarloWorld:
+    """The paper's scene for three robots; else ranges uniform in RANGE_M and any azimuth. noise: of each sample."""
+    if robots == len(THREE_M):
+        camera = THREE_M
+    else:
+        reach, azimuth = rng.uniform(*RANGE_M, robots), rng.uniform(0.0, 2.0 * math.pi, robots)
+        flat = np.sqrt(reach**2 - (CAMERA_Z_M - TARGET_M[2]) ** 2)
+        camera = np.column_stack(
+            [TARGET_M[0] + flat * np.cos(azimuth), TARGET_M[1] + flat * np.sin(azimuth), np.full(robots, CAMERA_Z_M)]
+        )
+    ray = TARGET_M - camera
+    reach = np.linalg.norm(ray, axis=1)
+    along, eye = np.einsum("ni,nj->nij", ray, ray) / reach[:, None, None] ** 2, np.eye(3)
+
+    def spread(along_m: Array, lateral_m: Array, each_m: float) -> Array:
+        a2, l2 = along_m[:, None, None] ** 2, lateral_m[:, None, None] ** 2
+        return np.asarray(a2 * along + l2 * (eye - along) + each_m**2 * eye)
+
+    iso = np.tile(ISO_M**2 * eye, (robots, 1, 1))
+    aniso = spread(ALONG_PER_M * (reach - ALONG_FROM_M) ** 2, LATERAL_RAD * reach, PLACE_M)
+    fixed = spread(SCALE_ERROR * reach, ZERO_RAD * reach, SURVEY_M)
+    return MonteCarloWorld(camera, iso if noise == "iso" else aniso, fixed if systematic else 0.0 * fixed)
+
+
+def draw_dive(
+    world: MonteCarloWorld,
+    views: Views,
+    outlier_m: float,
+    iterations: int,
+    rng: np.random.Generator,
+    path_m: Array | None = None,
+) -> Dive:
+    """The samples of a whole dive. Robot 0 is wrong by a horizontal `outlier_m` that its covariance knows nothing of.
+
+    path_m: (T, 3) of a target that moves; TARGET_M throughout without it.
+    """
+    robots = len(world.camera_m)
+    truth = np.broadcast_to(TARGET_M, (iterations, 3)) if path_m is None else path_m
+    random = np.einsum(
+        "nij,tnj->tni", np.linalg.cholesky(world.random_m2), rng.standard_normal((iterations, robots, 3))
+    )
+    offset = np.einsum("nij,nj->ni", _root(world.systematic_m2), rng.standard_normal((robots, 3)))
+    direction = rng.uniform(0.0, 2.0 * math.pi)
+    offset[0] += outlier_m * np.array([math.cos(direction), math.sin(direction), 0.0])
+    return Dive(truth[:, None] + random + offset, seen(views, robots, iterations))
+
+
+def seen(views: Views, robots: int, iterations: int) -> NDArray[np.bool_]:
+    """Who has the target in view when, (T, N). `paper`: from 0, 16 and 28. `relay`: robots 0, 4 and 9 alone."""
+    if views == "paper":
+        return np.arange(iterations)[:, None] >= np.array(FIRST_VIEW)[:robots]
+    if views == "relay":
+        return np.broadcast_to(np.isin(np.arange(robots), OBSERVERS), (iterations, robots))
+    return np.ones((iterations, robots), dtype=bool)
+
+
+def circle_m(speed_m_s: float, t_s: Array) -> Array:
+    """Places of a target on a circle around TARGET_M at these times, (T,) -> (T, 3)."""
+    angle = speed_m_s / CIRCLE_RADIUS_M * t_s
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(t_s))])
+    return np.asarray(TARGET_M + CIRCLE_RADIUS_M * circle)
+
+
+def _root(covariance: Array) -> Array:
+    """A square root that also takes zero matrices."""
+    value, vector = np.linalg.eigh(covariance)
+    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0))[:, None, :])
+
+
+# @@ perfect_keys
+# Signatures that nobody can forge and that cost nothing: hashes, in a world where nobody makes another's.
+#
+# What Ed25519 costs is measured elsewhere (python -m tests.bench signing); here a dive has 10,000 signatures to
+# check, and only what they are good for counts. Everything else is as in the agents: who signs, what, and who looks.
+
+
+class PerfectKey:
+    """A robot's private key: its name."""
+
+    def __init__(self, robot: str) -> None:
+        self._secret = robot.encode()
+
+    def sign(self, data: bytes) -> bytes:
+        return blake2b(data, key=self._secret).digest()
+
+
+def perfect_signing(robot: str) -> Sign:
+    """What signs for this robot."""
+    return signing(robot, cast(Ed25519PrivateKey, PerfectKey(robot)))
+
+
+def public_keys(robots: Sequence[str]) -> dict[str, bytes]:
+    """A fleet's public keys, which are the private ones."""
+    return {robot: robot.encode() for robot in robots}
+
+
+def verify(public: bytes, signature: bytes, signed: bytes) -> bool:
+    """Whether the robot whose key this is signed it."""
+    return signature == blake2b(signed, key=public).digest()
+
+
+# @@ lockstep
 
 VALIDITY = 1.5  # iterations: the last round counts, the one before it does not
 TARGET = "ball"

@@ -6,24 +6,338 @@ the lens, a frame is one position of it, and shows no tags.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
+from agent.capabilities.swim.pose_filter import Wrench
+from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
+from agent.core.attitude import Attitude
 from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.messages import Message, Vector
-from agent.core.ranging.camera_model import Calibration
-from agent.core.step_io import BlockPeaks, Flow, Heard, Inputs, Outputs, SeenTags, SetPoint, Sighting, SweepPlan
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, centre_behind_skin_m, gimbal_deg, pixel
+from agent.core.ranging.fix import CENTRE_NOISE_PX
+from agent.core.step_io import (
+    BlockPeaks,
+    Flow,
+    Heard,
+    Inputs,
+    Outputs,
+    SeenTag,
+    SeenTags,
+    SetPoint,
+    Sighting,
+    SweepOutcome,
+    SweepPlan,
+)
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
-from agent.experiments.navigation.bodies import START_NS, STEP_NS, Bodies
-from agent.experiments.navigation.drawn_ball import FOCUS, BallPath, DrawnBall, DrawnTarget, Pillar, ring
-from agent.experiments.navigation.drawn_camera import DrawnCamera
+from agent.experiments.navigation.basin import RING_M, START_NS, STEP_NS, TANK, Bodies
+from agent.perception.flow import MOST, STILL_PX, has_settled, is_due
+from agent.perception.tags import module_px
 from agent.robot.step import Agent
+from hw.twin.devices.camera_device import look
+from hw.twin.history import RobotPose
+from hw.twin.landmarks import true_tags
+from hw.twin.scene import generator
+
+# @@ drawn_camera
+# What a robot's camera would tell it of the basin: tags and points of floor and walls projected, never rendered.
+#
+# The tags hang where the twin's survey errors put them (hw.twin.landmarks), the camera looks from where the twin's
+# gimbal carries it. Corners err as tag_noise.py has measured it on rendered frames; points that are followed, as
+# docs/landmarks.md has it. Tags without edges are left out. Nothing is hidden by anything, and no motion blurs
+# anything.
+
+Array = NDArray[np.float64]
+
+NARROWEST_PX = 3.0  # of a tag's modules: nine of ten in rendered frames have edges from there on, else one of ten
+STEEPEST = 0.35  # cosine between a tag's normal and the way to it: 70 degrees
+NEAREST_M, FARTHEST_M = 0.15, 2.2  # in rendered frames of tap water some tags are read at 2.3 m
+POINTS_M2 = 600.0  # points worth following, on floor and walls
+FOLLOWED_PX = 0.17  # half of them are within 0.2 px of where they should be
+TURNS = ((-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))  # corners of a tag, right and up, clockwise as seen
+
+
+class DrawnCamera:
+    """One robot's; `expose` in the order of time."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit) -> None:
+        seed = fleet.twin.seed
+        hung = true_tags(fleet.landmarks, seed)
+        self._ids = [tag.id for tag in hung]
+        arms = np.array([[(right, up, 0.0) for right, up in TURNS]])
+        sizes = np.array([tag.size_m for tag in hung])[:, None, None]
+        axes, self._middles = np.array([tag.rotation for tag in hung]), np.array([tag.position_m for tag in hung])
+        self._corners = self._middles[:, None] + 0.5 * sizes * np.einsum("nij,mkj->nki", axes, arms)
+        self._out = axes[:, :, 2]
+        self._points = points_of_planes(generator(seed, "points"))
+        self._camera, self._camera_m = camera, fleet.body.camera_m
+        self._rng = generator(seed, name, "drawn camera")
+        self._frames = 0
+        self._key: tuple[int, Array, Array] | None = None  # exposure, numbers of points, slopes then
+        self._before: tuple[Array, NDArray[np.bool_]] | None = None  # slopes of all points, and which were seen
+        self._moved_ns = 0  # when the picture last moved
+
+    def expose(self, pose: RobotPose, t_ns: int) -> tuple[SeenTags, Flow | None]:
+        """A frame from there, the lens at rest."""
+        self._frames += 1
+        eye, _ = look(pose, self._camera_m)
+        at, axes = np.asarray(eye.position_m), np.asarray(eye.rotation)
+        return SeenTags(t_ns=t_ns, frame=self._frames, tags=self._tags(at, axes)), self._flow(at, axes, t_ns)
+
+    def interrupt(self) -> None:
+        """The lens moves: what was followed is lost."""
+        self._key = self._before = None
+
+    def _tags(self, at: Array, axes: Array) -> tuple[SeenTag, ...]:
+        slopes, depths = self._project(self._corners.reshape(-1, 3), at, axes)
+        slopes, depths = slopes.reshape(-1, 4, 2), depths.reshape(-1, 4)
+        f_px = self._camera.f_px
+        way = at - self._middles
+        facing = np.sum(way * self._out, axis=1) / np.linalg.norm(way, axis=1)
+        size_px = f_px * np.linalg.norm(np.roll(slopes, -1, axis=1) - slopes, axis=2).min(axis=1)
+        seen = self._inside(slopes, depths).all(axis=1) & (facing > STEEPEST)
+        found = []
+        for k in np.flatnonzero(seen):
+            if module_px(f_px * slopes[k]) < NARROWEST_PX:
+                continue
+            corners, rho_px = slopes[k], f_px * float(np.hypot(*slopes[k].mean(axis=0)))
+            offset_px = OFFSET_PX + BENT_PX * (rho_px / (EDGE_AT * self._camera.width_px)) ** 3
+            off_px = self._rng.normal(0.0, EDGE_PX, (4, 2)) + self._rng.normal(0.0, offset_px, 2)
+            larger = self._rng.normal(0.0, STRETCH) * (corners - corners.mean(axis=0))
+            told = (corners + larger + off_px / f_px).tolist()
+            a, b, c, d = ((x, y) for x, y in told)
+            found.append(SeenTag(self._ids[k], (a, b, c, d), float(size_px[k]), rho_px, True))
+        return tuple(found)
+
+    def _flow(self, at: Array, axes: Array, t_ns: int) -> Flow | None:
+        """Points of the key frame that are still in the picture; a new one where that is due."""
+        slopes, depths = self._project(self._points, at, axes)
+        here = self._inside(slopes, depths)
+        told = None
+        self._heed(slopes, here, t_ns)
+        if self._key is not None:
+            since_ns, numbers, then = self._key
+            left = here[numbers]
+            kept = np.flatnonzero(left)[:MOST]
+            now = slopes[numbers[kept]] + self._rng.normal(0.0, FOLLOWED_PX / self._camera.f_px, (len(kept), 2))
+            pairs = np.hstack([then[kept], now]).tolist()
+            told = Flow(t_ns=t_ns, since_ns=since_ns, pairs=tuple((a, b, c, d) for a, b, c, d in pairs))
+            if has_settled(since_ns, t_ns, self._moved_ns) or is_due(since_ns, t_ns, left):
+                self._key = None
+        if self._key is None:
+            numbers = self._rng.permutation(np.flatnonzero(here))
+            self._key = t_ns, numbers, slopes[numbers]
+        return told if told is not None and told.pairs else None
+
+    def _heed(self, slopes: Array, here: NDArray[np.bool_], t_ns: int) -> None:
+        """Take note of whether the picture moved since the frame before."""
+        if self._before is not None:
+            both = here & self._before[1]
+            steps_px = self._camera.f_px * np.linalg.norm(slopes[both] - self._before[0][both], axis=1)
+            if not len(steps_px) or np.median(steps_px) > STILL_PX:
+                self._moved_ns = t_ns
+        self._before = slopes, here
+
+    def _project(self, points_m: Array, at: Array, axes: Array) -> tuple[Array, Array]:
+        """Slopes (n, 2) and depths (n,) of points (n, 3)."""
+        x, y, z = ((points_m - at) @ axes).T
+        depths = z - self._camera.ahead_m
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.stack([x, y], axis=1) / depths[:, None], depths
+
+    def _inside(self, slopes: Array, depths: Array) -> NDArray[np.bool_]:
+        half = np.array([self._camera.width_px, self._camera.height_px]) / (2.0 * self._camera.f_px)
+        near = (depths > NEAREST_M) & (depths < FARTHEST_M)
+        return np.asarray(near & (np.abs(slopes) < half).all(axis=-1))
+
+
+def points_of_planes(rng: np.random.Generator) -> Array:
+    """Points (n, 3) all over the floor and the walls, as far as they are wet."""
+    length_m, breadth_m, _ = TANK.size_m
+    sides = (length_m, breadth_m, TANK.surface_m)
+    found = []
+    for axis, level_m in ((2, 0.0), (0, 0.0), (0, length_m), (1, 0.0), (1, breadth_m)):
+        area_m2 = np.prod([side for k, side in enumerate(sides) if k != axis])
+        points = rng.uniform(0.0, sides, (round(POINTS_M2 * float(area_m2)), 3))
+        points[:, axis] = level_m
+        found.append(points)
+    return np.concatenate(found)
+
+
+# @@ drawn_ball
+# What a robot's camera would tell of a ball: outline, and clarity at each lens position of a sweep, never rendered.
+#
+# What it errs by is what the kernel is told that it errs by: the picture by its noise; the lens by its calibration's
+# covariance and noise, drawn once, and for each sweep; so that a measurement is as good as it says.
+
+# What the bench finds of a robot of the twin, rounded.
+FOCUS = FocusFit(
+    u_inf_m=0.0012,
+    b_m=136.5,
+    rho0=91.7,
+    covariance=(6.0357e-07, -4.6495e-04, 5.7052e-04, 0.36813, -0.46705, 0.62577),
+    noise=0.4,
+    width=119.0,
+    lowest=208,
+    highest=717,
+    r2=0.999,
+    rmse_m=0.008,
+    held_out_rmse_m=0.008,
+)
+RADIUS_SIGMA_PX = 0.2
+BALL_FARTHEST_M = 1.6
+OUTLINE = 24  # points of it that are looked at
+CIRCLE = tuple((math.cos(2.0 * math.pi * k / OUTLINE), math.sin(2.0 * math.pi * k / OUTLINE)) for k in range(OUTLINE))
+
+
+BallPath = Callable[[int], Vector]  # where it is at a time, ns
+
+
+class Pillar(NamedTuple):
+    """Upright, from the floor to the surface."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+
+
+def ring(robot: RobotPose) -> Pillar:
+    """A robot as what hides things."""
+    x, y, _ = robot.position_m.tolist()
+    return Pillar(x, y, RING_M)
+
+
+class DrawnTarget:
+    """One robot's view of one target; path: where that lies, or its path."""
+
+    def __init__(self, fleet: Fleet, path: Vector | BallPath) -> None:
+        self._target, self._path, self._frames = next(iter(fleet.target)), path, 0
+
+    def sight(
+        self,
+        pose: RobotPose,
+        t_ns: int,
+        plan: SweepPlan | None = None,
+        index: int = -1,
+        before: Sequence[Pillar] = (),
+    ) -> Sighting:
+        """The newest frame; plan, index: at which position of which sweep. before: what may be before the target, and
+        hides it where its middle is behind."""
+        self._frames += 1
+        sweep = 0 if plan is None else plan.sweep
+        self._begins(sweep)
+        at_m = self._path(t_ns) if callable(self._path) else self._path
+        x, y, _ = pose.position_m.tolist()
+        hidden = any(hides(pillar, (x, y), at_m) for pillar in before)
+        lens_position = None if plan is None else plan.focus[index]
+        shows = None if hidden else self._shows(pose, t_ns, at_m, lens_position)
+        frame = Sighting(
+            t_ns=t_ns,
+            frame=self._frames,
+            sweep=sweep,
+            index=index,
+            focus=lens_position,
+            target=self._target,
+            found=shows is not None,
+        )
+        return frame if shows is None else msgspec.structs.replace(frame, **shows)
+
+    def unseen(self, t_ns: int) -> Sighting:
+        """The newest frame, of a camera that is covered."""
+        self._frames += 1
+        return Sighting(t_ns=t_ns, frame=self._frames, target=self._target, found=False)
+
+    def _begins(self, sweep: int) -> None:
+        """Asked of each frame, whether it shows anything or not; 0: no sweep."""
+
+    def _shows(self, pose: RobotPose, t_ns: int, at_m: Vector, lens_position: int | None) -> dict[str, Any] | None:
+        """What a Sighting says of a target that is there with nothing before it; None: it is not found."""
+        raise NotImplementedError
+
+
+class DrawnBall(DrawnTarget):
+    """A ball; ball_m: where it lies, or its path."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, ball_m: Vector | BallPath) -> None:
+        super().__init__(fleet, ball_m)
+        target = fleet.target[self._target]
+        assert target.radius_m is not None  # a ball
+        self._rng = generator(fleet.twin.seed, name, "drawn ball")
+        self._radius_m = target.radius_m
+        self._camera, self._camera_m = camera, fleet.body.camera_m
+        xx, xy, xz, yy, yz, zz = FOCUS.covariance
+        covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
+            np.zeros(3), covariance
+        )
+        self.shown = 1.0  # of its outline, or it is not found
+        self._shift, self._sweep = 0.0, 0
+
+    def _begins(self, sweep: int) -> None:
+        if sweep != self._sweep:
+            self._sweep, self._shift = sweep, float(self._rng.normal(0.0, FOCUS.noise))
+
+    def _shows(self, pose: RobotPose, t_ns: int, at_m: Vector, lens_position: int | None) -> dict[str, Any] | None:
+        seen = self._outline(pose, at_m)
+        if seen is None:
+            return None
+        centre_px, radius_px, peak = seen
+        return {
+            "centre_px": centre_px,
+            "radius_px": radius_px,
+            "clarity": None if lens_position is None else _clarity(lens_position - peak - self._shift),
+            "area_px": math.pi * (0.5 * radius_px) ** 2,
+            "score": 1.0,
+            "radius_sigma_px": RADIUS_SIGMA_PX,
+        }
+
+    def _outline(self, pose: RobotPose, ball_m: Vector) -> tuple[tuple[float, float], float, float] | None:
+        """Centre and radius in the picture, px, and the lens position at which it is sharpest; None: not in sight."""
+        eye, _ = look(pose, self._camera_m)
+        way: NDArray[np.float64] = (np.array(ball_m) - np.asarray(eye.position_m)) @ np.asarray(eye.rotation)
+        x, y, z = way.tolist()
+        centre = pixel(self._camera, (x, y, z))
+        distance_m = math.hypot(x, y, z - self._camera.ahead_m)
+        if centre is None or not self._radius_m < distance_m < BALL_FARTHEST_M:
+            return None
+        noise_px = math.hypot(self._camera.noise_px, CENTRE_NOISE_PX)
+        u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))
+        radius_px = self._camera.f_px * math.tan(math.asin(self._radius_m / distance_m))
+        width, height = self._camera.width_px, self._camera.height_px
+        if self.shown * OUTLINE > sum(
+            0.0 < u + radius_px * x < width and 0.0 < v + radius_px * y < height for x, y in CIRCLE
+        ):
+            return None
+        skin_m = distance_m - self._radius_m
+        for _ in range(5):
+            skin_m = distance_m - centre_behind_skin_m(skin_m, self._radius_m)
+        u_inf, b, rho0 = self._lens
+        peak = rho0 + b / (skin_m * z / distance_m - u_inf)
+        return (u, v), radius_px + float(self._rng.normal(0.0, RADIUS_SIGMA_PX)), float(peak)
+
+
+def hides(pillar: Pillar, from_m: tuple[float, float], ball_m: Vector) -> bool:
+    """As seen from above: all hover at one depth, the ball a little below."""
+    way = ball_m[0] - from_m[0], ball_m[1] - from_m[1]
+    to = pillar.x_m - from_m[0], pillar.y_m - from_m[1]
+    along = (to[0] * way[0] + to[1] * way[1]) / (way[0] * way[0] + way[1] * way[1])
+    return 0.0 < along < 1.0 and math.hypot(to[0] - along * way[0], to[1] - along * way[1]) < pillar.radius_m
+
+
+def _clarity(from_peak: float) -> float:
+    """The curve of a lens so many positions away from its peak."""
+    return 100.0 + 900.0 / (1.0 + (from_peak / FOCUS.width) ** 2)
+
+
+# @@ swimmers
 
 FRAME_STEPS, LATE_STEPS = 2, 2
 NAMES: dict[type[Message], Any] = {row.message: row.name for row in (NEAR, CLAIM, KEYFRAME, LIGHT)}
@@ -165,3 +479,77 @@ class Swimmers:
             if self.swims(name):
                 return True
         return False
+
+
+# @@ notes
+# What robots measured and did in a run, and what carried their cameras then: for a bound, never for an agent.
+
+RESTS_NS = 500_000_000  # after its last order a servo has come to rest
+
+Carriage = tuple[Attitude, tuple[float, float]]  # level, and the gimbal at rest, degrees
+
+
+class Asked(NamedTuple):
+    """What the thrusters were asked for from then on."""
+
+    wrench: Wrench
+
+
+class Sample(NamedTuple):
+    """The sharpest frame of a sweep, and what the kernel made of the sweep."""
+
+    sighting: Sighting
+    outcome: SweepOutcome
+
+
+class Measured(NamedTuple):
+    """One thing that a robot measured or did, with what carried its camera then."""
+
+    t_ns: int
+    robot: int
+    what: NamedTuple | SeenTags | Flow
+    carriage: Carriage | None = None
+    before: Carriage | None = None  # of a flow, at its key frame
+
+
+class Notes:
+    """What all robots measured and did: for the bound, never for an agent."""
+
+    def __init__(self, swimmers: Swimmers) -> None:
+        self.measured: list[Measured] = []
+        self._swimmers = swimmers
+        self._servos: dict[str, list[tuple[int, tuple[int, int]]]] = {name: [] for name in swimmers.agents}
+        self._sightings: dict[str, dict[int, Sighting]] = {name: {} for name in swimmers.agents}
+
+    def take(self) -> None:
+        """After each step."""
+        for i, (name, inputs) in enumerate(self._swimmers.inputs.items()):
+            for sighting in inputs.sightings:
+                self._sightings[name][sighting.t_ns] = sighting
+            for frame in inputs.landmarks or ():
+                if frame.tags and (carriage := self._carriage(name, frame.t_ns)) is not None:
+                    self.measured.append(Measured(frame.t_ns, i, frame, carriage))
+            for flow in inputs.flow or ():
+                now, then = self._carriage(name, flow.t_ns), self._carriage(name, flow.since_ns)
+                if now is not None and then is not None:
+                    self.measured.append(Measured(flow.t_ns, i, flow, now, then))
+            outputs, now_ns = self._swimmers.outputs[name], self._swimmers.now_ns
+            outcome = outputs.outcome
+            if isinstance(outcome, SweepOutcome) and outcome.t_ns is not None and outcome.x_m is not None:
+                sighting, carriage = self._sightings[name][outcome.t_ns], self._carriage(name, outcome.t_ns)
+                if carriage is not None:
+                    self.measured.append(Measured(outcome.t_ns, i, Sample(sighting, outcome), carriage))
+            to = outputs.set_point
+            self.measured.append(Measured(now_ns, i, Asked((*to.force_n, to.yaw_moment_nm))))
+            orders = self._servos[name]
+            if not orders or orders[-1][1] != to.servos_us[:2]:
+                orders.append((now_ns, to.servos_us[:2]))
+
+    def _carriage(self, name: str, t_ns: int) -> Carriage | None:
+        """None while the gimbal turns, or where the level is not known."""
+        level = self._swimmers.agents[name].attitude.at(t_ns)
+        order = next((order for order in reversed(self._servos[name]) if order[0] <= t_ns), None)
+        if level is None or order is None or t_ns - order[0] < RESTS_NS:
+            return None
+        camera = self._swimmers.calibrations[name].camera
+        return level, gimbal_deg(camera, self._swimmers.fleet.body, order[1])

@@ -8,29 +8,165 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import WaterKind
-from agent.core.ranging.camera_model import Calibration
-from agent.experiments.choices import Sensor
-from agent.experiments.depth.wall import calibrate, sweeps_of_a_calibration
-from agent.experiments.reconstruction.intrinsics import camera_of
-from agent.experiments.reconstruction.world import (
-    MOORED,
-    Station,
-    held_back_known,
-    held_back_new,
-    scene_of_seed,
-    trained,
+from agent.core.ranging.camera_model import Calibration, CameraFit
+from agent.experiments.depth import calibrate, sweeps_of_a_calibration
+from agent.experiments.experiment import Sensor
+from agent.experiments.still_camera import WATER_INDEX, StillCamera, TankView, breathing, lens_positions, sweep
+from agent.reconstruction.pose_evidence import moved_about
+from agent.reconstruction.views import Camera, Floats, View, diagonal_prior, keyframe, moved, project
+from hw.twin.optics.lens import Lens
+from hw.twin.optics.raycast import Optics, ray
+from hw.twin.scene import Scene, Solid, generator, load_scene
+
+# @@ world
+# The tank of one seed, what lies in it, and where cameras stand: five moored robots, and five other places.
+
+BALL_M = 0.07
+STONES = 4
+# Robots of the paper's tank (agent/fleets/tank.toml): x, y, yaw.
+MOORED = {
+    "r1": (0.30, 0.25, 34.0),
+    "r2": (1.25, 0.30, 152.0),
+    "r3": (0.70, 1.05, 277.0),
+    "r4": (1.28, 0.85, 209.0),
+    "r5": (0.20, 0.75, 341.0),
+}
+DEPTHS_M = (0.10, 0.22, 0.36)
+TILTS_DEG = (-32.0, -20.0, -8.0)  # one for each depth: lower cameras look less far down
+PANS_DEG = (-30.0, 0.0, 30.0)
+SURFACE_M = 0.5
+# Held back: each robot once more between its pans, and five places where none was.
+BETWEEN = {"r1": (0.16, 15.0), "r2": (0.28, -15.0), "r3": (0.16, -15.0), "r4": (0.28, 15.0), "r5": (0.22, 15.0)}
+NEW = (
+    (0.75, 0.18, 92.0, 0.15, -28.0),
+    (1.35, 0.60, 178.0, 0.22, -18.0),
+    (1.00, 1.05, 245.0, 0.20, -22.0),
+    (0.45, 0.55, 20.0, 0.12, -30.0),
+    (0.40, 1.05, 310.0, 0.28, -14.0),
 )
-from agent.experiments.still_camera import StillCamera
-from agent.experiments.sweeps import breathing, lens_positions, sweep
-from agent.reconstruction.views import View, diagonal_prior, keyframe
-from hw.twin.scene import Scene
+CLEAR_M = 0.17  # from the middle of a stone to the middle of a camera, across
+
+
+class Station(NamedTuple):
+    """One view: which robot's camera takes it, where it stands and looks."""
+
+    robot: str
+    view: TankView
+
+
+def scene_of_seed(seed: int, water: WaterKind) -> Scene:
+    """The paper's tank of seed 0; other seeds have their ball and stones drawn, clear of every station."""
+    tank = load_scene("tank")
+    kind = msgspec.structs.replace(tank.water, preset=water)
+    return msgspec.structs.replace(tank, water=kind, solid=tank.solid if seed == 0 else drawn_solids(seed))
+
+
+def drawn_solids(seed: int) -> tuple[Solid, ...]:
+    """A ball and STONES stones of any shape on the floor, none in another or in a camera."""
+    rng, solids = generator(seed, "reconstruction", "solids"), list[Solid]()
+    places = [*((x, y) for x, y, _ in MOORED.values()), *((x, y) for x, y, *_ in NEW)]
+    while len(solids) <= STONES:
+        x, y = rng.uniform(0.3, 1.2), rng.uniform(0.25, 0.95)
+        radii = (BALL_M,) * 3 if not solids else tuple(rng.uniform(0.04, 0.09, 3).tolist())
+        near = max(radii[0], radii[1])
+        free = all(math.hypot(x - px, y - py) > CLEAR_M for px, py in places)
+        apart = all(math.dist((x, y), s.position_m[:2]) > near + max(s.radii_m[:2]) + 0.01 for s in solids)
+        if free and apart:
+            height = radii[2] * (1.0 if not solids else rng.uniform(0.5, 0.9))
+            kind = "stone" if solids else "ball"
+            solids.append(msgspec.convert({"kind": kind, "position_m": (x, y, height), "radii_m": radii}, Solid))
+    return tuple(solids)
+
+
+def trained() -> list[Station]:
+    """45 views: every robot at three depths, turned three ways."""
+    return [
+        Station(robot, TankView((x, y, SURFACE_M - depth), yaw + pan, tilt))
+        for robot, (x, y, yaw) in MOORED.items()
+        for depth, tilt in zip(DEPTHS_M, TILTS_DEG, strict=True)
+        for pan in PANS_DEG
+    ]
+
+
+def held_back_known() -> list[Station]:
+    """A view of each robot that is not trained on, from where it stands."""
+    found = []
+    for robot, (depth, pan) in BETWEEN.items():
+        x, y, yaw = MOORED[robot]
+        tilt = float(np.interp(depth, DEPTHS_M, TILTS_DEG))
+        found.append(Station(robot, TankView((x, y, SURFACE_M - depth), yaw + pan, tilt)))
+    return found
+
+
+def held_back_new() -> list[Station]:
+    """Views from where no robot was; with the camera of the robot of that number."""
+    return [
+        Station(robot, TankView((x, y, SURFACE_M - depth), yaw, tilt))
+        for robot, (x, y, yaw, depth, tilt) in zip(MOORED, NEW, strict=True)
+    ]
+
+
+# @@ intrinsics
+# The camera model that fits a twin's lens and flat port best: exact but for what the model cannot express.
+
+NEAR_M, FAR_M = 0.25, 1.3
+ROUNDS = 6  # of Gauss-Newton, from the data sheet's camera: each is linear but for the bend
+
+
+def camera_of(lens: Lens, lens_position: float) -> CameraFit:
+    """Least squares over pixels and ranges, with the lens at rest at that position."""
+    pixels, points = _rays(lens, lens_position)
+    f = WATER_INDEX * lens.at_position_m(lens_position) / lens.pixel_m
+    found = np.array([f, *lens.centre_px, 0.39, 0.0])
+    step = np.array([1e-3 * f, 1e-2, 1e-2, 1e-4, 1e-5])
+    for _ in range(ROUNDS):
+        rest = (pixels - _seen(found, lens, points)).ravel()
+        columns = [(_seen(found + d, lens, points) - _seen(found - d, lens, points)).ravel() for d in np.diag(step)]
+        jacobian = np.stack(columns, axis=1) / (2.0 * step)
+        found = found + np.linalg.lstsq(jacobian, rest, rcond=None)[0]
+    f_px, cx, cy, bend, ahead = found.tolist()
+    return CameraFit(
+        width_px=lens.width,
+        height_px=lens.height,
+        f_px=f_px,
+        cx_px=cx,
+        cy_px=cy,
+        bend=bend,
+        ahead_m=ahead,
+        lens=lens_position,
+        breathing=lens.per_position_m / lens.at_position_m(lens_position),
+        noise_px=max(float(np.sqrt(np.mean(rest**2))), 1e-3),
+    )
+
+
+def _rays(lens: Lens, lens_position: float) -> tuple[Floats, Floats]:
+    """Pixels (n, 2) and points of the camera frame (n, 3) that the twin's own rays join."""
+    slope = lens.pixel_m / lens.at_position_m(lens_position)
+    optics = Optics(slope, *lens.centre_px, lens.k1, lens.k2, WATER_INDEX**2, lens.port_gap_m)
+    pixels, points = [], []
+    for i in np.linspace(0, lens.width - 1, 17).round().astype(int).tolist():
+        for j in np.linspace(0, lens.height - 1, 13).round().astype(int).tolist():
+            mx, my, a, b = (float(value) for value in ray.py_func(optics, i, j))  # type: ignore[attr-defined]
+            for depth in 1.0 / np.linspace(1.0 / FAR_M, 1.0 / NEAR_M, 6):
+                pixels.append((i, j))
+                points.append((a + depth * mx, b + depth * my, depth))
+    return np.array(pixels, float), np.array(points)
+
+
+def _seen(numbers: Floats, lens: Lens, points: Floats) -> Floats:
+    f, cx, cy, bend, ahead = numbers.tolist()
+    return project(Camera(f, cx, cy, bend, ahead, lens.width, lens.height), points)
+
+
+# @@ render
 
 EXACT = diagonal_prior(1e-5, 1e-5)
 TRUTH_STEP = 4  # of the full picture's pixels one in so many, across and down, has its true depth kept
@@ -124,3 +260,29 @@ def truth_points(rendered: Rendered) -> Sequence[NDArray[np.float64]]:
         pixels = (np.stack([u, v], axis=-1) - (times - 1) / 2.0) / times
         points.append(to_world(view, unproject(view.camera, pixels, depth.astype(float))).reshape(-1, 3))
     return points
+
+
+# @@ noisy
+# Poses as wrong as a survey leaves them: an error that all views of a robot share, and a small one of each view.
+
+SHARED = (3e-3, math.radians(0.5))  # of a robot: m and rad, standard deviations along and about each axis
+OWN = (0.7e-3, math.radians(0.08))  # of a view besides
+
+
+def noisy(views: Sequence[View], seed: int) -> list[View]:
+    """The same views as their robots would believe them to be; a robot turns about the middle of its views."""
+    found = []
+    for robot in sorted({view.robot for view in views}):
+        rng = generator(seed, "reconstruction", "poses", robot)
+        turn, shift = rng.normal(0.0, SHARED[1], 3), rng.normal(0.0, SHARED[0], 3)
+        middle = np.mean([view.position_m for view in views if view.robot == robot], axis=0)
+        found += [_off(view, turn, shift, middle, rng) for view in views if view.robot == robot]
+    order = {view.key: n for n, view in enumerate(views)}
+    return sorted(found, key=lambda view: order[view.key])
+
+
+def _off(view: View, turn: Floats, shift: Floats, middle: Floats, rng: np.random.Generator) -> View:
+    there = moved_about(view, middle, turn, shift)
+    w, t = rng.normal(0.0, OWN[1], 3), rng.normal(0.0, OWN[0], 3)
+    both = math.hypot(SHARED[1], OWN[1]), math.hypot(SHARED[0], OWN[0])
+    return replace(moved(there, w, t), pose_covariance=diagonal_prior(*both))

@@ -26,7 +26,7 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import h
 from agent.core.step_io import SweepPlan
-from agent.experiments.posed_robot import PosedRobot
+from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.depth_sweep import BlockSweep
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet

@@ -25,9 +25,8 @@ from agent.core.config import Fleet
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
 from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
-from agent.demo.history import History
-from agent.demo.summary import settled
-from agent.experiments.posed_robot import PosedRobot
+from agent.demo.summary import History, settled
+from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.flow import LandmarkWatch
 from agent.perception.vision import Vision

@@ -23,7 +23,7 @@ from msgspec.structs import replace
 
 from agent.core import topics
 from agent.core.config import Access, Fleet, dump
-from agent.demo.fleet import demo_fleet, listening
+from agent.demo.demo import demo_fleet, listening
 from agent.ground.new_fleet import make_all
 from agent.process.certificates import authority, certificate_file, issue, key_file, write
 from agent.process.launch import free_ports

@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 
 from agent.core.config import Access, dump
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.ground.new_fleet import make_all
 from agent.process.launch import free_ports
 from replay.files.log import read

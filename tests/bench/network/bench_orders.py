@@ -20,7 +20,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from agent.core.config import Access, Fleet, dump
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.ground.console import OrderConsole
 from agent.ground.new_fleet import make_all
 from agent.process.certificates import credentials

@@ -13,8 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from agent.experiments.detection.marked_pictures import MarkedBall, marked_pictures
-from agent.experiments.detection.picture_run import JUDGED_PX, Seen, look, relative_error
+from agent.experiments.detection_pictures import JUDGED_PX, MarkedBall, Seen, look, marked_pictures, relative_error
 from hw.picture_files import read_picture
 from tests.bench.pictures.cameras import CHANGES, Changed
 from tests.places import DATA

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from agent.experiments.detection.marked_pictures import MarkedBall
+from agent.experiments.detection_pictures import MarkedBall
 from agent.perception.detection.colour import ENCODED
 from agent.perception.detection.detectors import LIGHTS
 

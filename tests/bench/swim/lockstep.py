@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from agent.core.codec import encode
 from agent.core.config import Behaviour, Look
 from agent.core.step_io import Inputs
-from agent.experiments.posed_robot import PosedRobot
+from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.flow import LandmarkWatch
 from agent.perception.vision import Vision

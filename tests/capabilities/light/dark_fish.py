@@ -6,11 +6,10 @@ from msgspec.structs import replace
 
 from agent.capabilities.light.followers import FAINT, PLAIN
 from agent.core.config import Follow, Lighting, Look, Target
-from agent.experiments.following.cases import LENGTH_M
-from agent.experiments.following.drawn_fish import DrawnFish
+from agent.experiments.following_dive import LENGTH_M, DrawnFish
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import PlanarBodies
-from agent.experiments.navigation.pursuit.wanderer import Wanderer
+from agent.experiments.navigation.basin import PlanarBodies
+from agent.experiments.navigation.pursuit import Wanderer
 from hw.twin.scene import generator
 from tests.capabilities.light.dark_search import drawn_fleet
 from tests.capabilities.light.dark_water import DarkWater

@@ -11,7 +11,7 @@ from agent.capabilities.light.light_request import SHOWS
 from agent.core.config import Fleet, Lighting, Pose, Search
 from agent.core.messages import Vector
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import PlanarBodies
+from agent.experiments.navigation.basin import PlanarBodies
 from hw.twin.scene import generator
 from tests.capabilities.light.dark_water import DarkWater
 from tests.capabilities.light.lit_swarm import HARBOUR

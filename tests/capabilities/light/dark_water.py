@@ -18,9 +18,8 @@ from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Pose
 from agent.core.messages import Vector
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import START_NS, Bodies
-from agent.experiments.navigation.drawn_ball import BallPath
-from agent.experiments.navigation.swimmers import Eyes, Swimmers
+from agent.experiments.navigation.basin import START_NS, Bodies
+from agent.experiments.navigation.swimmers import BallPath, Eyes, Swimmers
 from hw.twin.devices.camera_device import look
 
 FOCAL_PX = 1169.0

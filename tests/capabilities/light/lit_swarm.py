@@ -17,7 +17,7 @@ from agent.capabilities.light.allocate import DARK_NS, Choice, Lamp, Scene
 from agent.core.codec import encode
 from agent.core.config import Fleet, Lighting, WaterOptics
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
 

@@ -14,7 +14,7 @@ from agent.core.codec import encode
 from agent.core.config import Target
 from agent.core.control.search_pattern import Roam
 from agent.core.control.target_search import Seek
-from agent.experiments.navigation.bodies import START_NS
+from agent.experiments.navigation.basin import START_NS
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.lit_swarm import STEP_NS, lit_fleet

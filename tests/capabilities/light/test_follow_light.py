@@ -17,8 +17,8 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, Follow, Look, Pose
 from agent.core.messages import Vector
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import START_NS, PlanarBodies
-from agent.experiments.navigation.pursuit.wanderer import Wanderer
+from agent.experiments.navigation.basin import START_NS, PlanarBodies
+from agent.experiments.navigation.pursuit import Wanderer
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.robot.step import Agent
 from tests.capabilities.light.lit_swarm import HARBOUR

@@ -7,7 +7,7 @@ import numpy as np
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
 from agent.capabilities.swim.pilot import wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import Drift, Hull, begin
-from agent.experiments.navigation.planar_body import PlanarBody
+from agent.experiments.navigation.basin import PlanarBody
 
 Swimmer = PlanarBody
 CYCLE_NS = 50_000_000

@@ -22,7 +22,7 @@ WALLS_M = np.array(
     [(x, y, z) for z in np.arange(0.04, 0.6, 0.08) for x in np.arange(0.0, 3.0, 0.08) for y in (0.0, 2.0)]
     + [(x, y, z) for z in np.arange(0.04, 0.6, 0.08) for x in (0.0, 3.0) for y in np.arange(0.0, 2.0, 0.08)]
 )
-FOLLOWED_PX = 0.17  # as agent/experiments/navigation/drawn_camera.py has it
+FOLLOWED_PX = 0.17  # as agent/experiments/navigation/swimmers.py has it
 FRAME_STEPS, LATE_STEPS = 4, 2  # 5 Hz; what a frame shows is known 0.1 s after its exposure
 SLEW_US = 100  # of a servo in a step, as fast as the slowest that the kernel waits for
 CAMERA = CameraFit(

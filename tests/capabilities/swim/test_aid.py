@@ -17,9 +17,9 @@ from agent.core.estimation.interface import Posterior
 from agent.core.linear_algebra import upper
 from agent.core.step_io import SeenTags
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import START_NS, PlanarBodies
+from agent.experiments.navigation.around_ball import BALL_LOOK, BALL_M
+from agent.experiments.navigation.basin import START_NS, PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.experiments.navigation.target import BALL_LOOK, BALL_M
 from agent.robot.step import Agent
 from tests.capabilities.swim.drifting import S, drifted
 

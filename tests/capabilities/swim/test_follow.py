@@ -12,8 +12,8 @@ from agent.core.config import Follow, Look, Pose, Search
 from agent.core.linear_algebra import wrap
 from agent.core.target_state import TargetEstimate
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import PlanarBodies
-from agent.experiments.navigation.pursuit.wanderer import ToldEstimator, Wanderer
+from agent.experiments.navigation.basin import PlanarBodies
+from agent.experiments.navigation.pursuit import ToldEstimator, Wanderer
 from agent.experiments.navigation.swimmers import Swimmers
 
 TANK_M, S = (3.0, 2.0), 1_000_000_000

@@ -15,10 +15,9 @@ from agent.core.estimation.track import ROLLING, swimming
 from agent.core.ranging.focus import h
 from agent.core.target_state import grown
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import START_NS, PlanarBodies
-from agent.experiments.navigation.drawn_ball import FOCUS
-from agent.experiments.navigation.pursuit.wanderer import Wanderer
-from agent.experiments.navigation.swimmers import Swimmers
+from agent.experiments.navigation.basin import START_NS, PlanarBodies
+from agent.experiments.navigation.pursuit import Wanderer
+from agent.experiments.navigation.swimmers import FOCUS, Swimmers
 
 S = 1_000_000_000
 NAMES = ("r1", "r2")

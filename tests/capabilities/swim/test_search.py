@@ -12,7 +12,7 @@ from agent.capabilities.swim.search import SEEN_NS, Surroundings, cell, lanes
 from agent.core.config import Look, Pose, Search
 from agent.core.target_state import TargetEstimate
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.bodies import PlanarBodies
+from agent.experiments.navigation.basin import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 
 TANK_M, S, LANE_M = (3.0, 2.0), 1_000_000_000, 0.8

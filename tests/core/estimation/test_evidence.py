@@ -16,10 +16,8 @@ from agent.core.estimation.evidence import ENTRIES
 from agent.core.estimation.interface import Prior
 from agent.core.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding, Proposal
 from agent.core.trust import Letter
-from agent.experiments.localization.bounds import bound_m, central_m
-from agent.experiments.localization.graphs import graph
-from agent.experiments.localization.lockstep import Swarm, prior, symmetric
-from agent.experiments.localization.world import TARGET_M, draw_dive, draw_world
+from agent.experiments.localization.draws import bound_m, central_m
+from agent.experiments.localization.lockstep import TARGET_M, Swarm, draw_dive, draw_world, graph, prior, symmetric
 from tests.core.estimation.linked_robots import COV, NAMES, SECOND_NS, Net, line
 from tests.places import ROOT
 

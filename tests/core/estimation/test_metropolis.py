@@ -7,8 +7,7 @@ import pytest
 
 from agent.core.estimation.interface import Mailbox, Prior
 from agent.core.estimation.protocols import Metropolis
-from agent.experiments.localization.graphs import graph, metropolis_weights
-from agent.experiments.localization.lockstep import Swarm
+from agent.experiments.localization.lockstep import Swarm, graph, metropolis_weights
 from tests.sample_messages import estimate
 
 COV = (4e-4, 0.0, 0.0, 4e-4, 0.0, 4e-4)

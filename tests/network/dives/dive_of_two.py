@@ -14,7 +14,7 @@ from agent.clock.clock import RunClock
 from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration
 from agent.core.topics import STATE
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.process.command import temporary_folder
 from agent.process.transport import Observer
 from hw.twin.devices.twin_folder import clock_path

@@ -22,7 +22,7 @@ from agent.core.config import Fleet, dump
 from agent.core.messages import State
 from agent.core.step_io import Inputs
 from agent.core.topics import STATE
-from agent.demo.fleet import demo_fleet
+from agent.demo.demo import demo_fleet
 from agent.process.transport import Observer
 from replay.files.log import read
 from tests.killing import killed_after

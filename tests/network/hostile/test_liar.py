@@ -24,10 +24,8 @@ from agent.core.estimation.fuse import Opinion, fuse
 from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Gossip, State
 from agent.core.topics import STATE
-from agent.demo.fleet import demo_fleet
-from agent.experiments.localization.liar import told
-from agent.experiments.localization.lie_search import Lies, best_lies
-from agent.experiments.localization.many_lies import conclusions
+from agent.demo.demo import demo_fleet
+from agent.experiments.localization.liar import Lies, best_lies, conclusions, told
 from agent.ground.new_fleet import make_keys
 from agent.process.keys import private_file, public_file, read_private, signing
 from agent.process.transport import Observer

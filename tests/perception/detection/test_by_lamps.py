@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.core.ranging.camera_model import CameraFit
-from agent.experiments.lighting.dark_water import DarkWater, stand
+from agent.experiments.dark_water import DarkWater, stand
 from agent.perception.detection.detect import LIMIT, find_ball
 from agent.perception.detection.detectors import BY_LAMPS
 from tests.perception.painted import CAMERA, expose

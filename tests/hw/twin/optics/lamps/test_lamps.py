@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError, Tank
-from agent.experiments.lighting.dark_water import BALL_M, RADIUS_M, WATERS, DarkWater, stand
-from agent.experiments.lighting.model_check import axis_veil
-from agent.experiments.lighting.monte_carlo import Medium, scattered
-from agent.experiments.lighting.veil_nodes import beside
+from agent.experiments.dark_water import BALL_M, RADIUS_M, WATERS, DarkWater, axis_veil, stand
+from agent.experiments.veil_monte_carlo import Medium, beside, scattered
 from hw.twin.optics.lamps.metering import FRAME_NS, MAX_GAIN, meter
 from hw.twin.optics.lamps.scattered import scattering
 from hw.twin.optics.lens import draw_lens

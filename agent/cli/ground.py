@@ -1,0 +1,324 @@
+"""What a fleet needs before and around its dives, beside the robots themselves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from agent.core.config import ConfigError
+from agent.process.command import FleetFile, Port, RobotName, complain, new_file, run_folder
+from agent.process.launch import until_signal
+from agent.robot.fleet_reader import load_fleet, load_robot
+from agent.robot.verbs import VERBS
+
+if TYPE_CHECKING:
+    from agent.ground.check import Checked
+    from agent.ground.doctor import Diagnosis
+
+app = typer.Typer()
+
+
+@app.command(epilog="Example: aucamp init --twin --robots 3 --out fleet.toml")
+def init(
+    robots: Annotated[int, typer.Option(min=1, max=10, help="How many.")] = 3,
+    twin: Annotated[bool, typer.Option("--twin", help="In the twin, which needs no hardware.")] = False,
+    out: Annotated[Path, typer.Option(help="File to write: NAME.toml.")] = Path("fleet.toml"),
+) -> None:
+    """A fleet file to begin with, with comments that say what to change. Of real robots, unless --twin is given."""
+    from agent.ground.new_fleet import write_fleet
+
+    if out.suffix != ".toml":
+        raise ConfigError(f"--out {out}: a fleet file is a TOML file; give it a name that ends in .toml")
+    for line in write_fleet(new_file(out), robots, twin):
+        typer.echo(line)
+
+
+@app.command(epilog="Example: aucamp check fleet.toml --robot r1")
+def check(
+    fleet: FleetFile,
+    robot: Annotated[str | None, typer.Option(help="This robot alone, whose computer this is.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """All that can be known before a dive: file, addresses, devices, calibrations, keys, disk. Nothing is started.
+
+    One line for each thing: ok, warning or wrong, and what to do. Exit 1 if something is wrong.
+    """
+    from agent.ground.check import check as look
+
+    _tell(look(fleet, robot, Path()), as_json)
+
+
+@app.command(epilog="Example: aucamp keys fleet.toml --out keys")
+def keys(
+    fleet: FleetFile,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into; made where there is none.")],
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME", help="For this one alone: a robot, observer or console that is new.")
+    ] = None,
+    days: Annotated[int, typer.Option(min=1, max=3650, help="How long certificates are good.")] = 825,
+) -> None:
+    """A pair of signing keys for each robot, so that nobody can say of a target what another one measured.
+
+    Where robots listen on tls/, also an authority of the fleet's own, and a certificate for each robot, observer and
+    console. Nothing is ever overwritten; what goes where is said at the end.
+    """
+    from agent.ground.new_fleet import fleet_keys
+
+    for line in fleet_keys(load_fleet(fleet), fleet, out, only, days):
+        typer.echo(line)
+
+
+@app.command(epilog="Example: aucamp doctor fleet.toml --as ann")
+def doctor(
+    fleet: FleetFile,
+    name: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="As this console, observer or robot; else as one whose key is here."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Why robots of a running fleet do not hear each other, or us: ports, certificates, links, rules, clocks.
+
+    One line for each thing: ok, warning or wrong, and what to do. Exit 1 unless all are ok.
+    """
+    from agent.ground.doctor import examine
+
+    _tell(examine(fleet, name, Path()), as_json)
+
+
+def _tell(found: Checked | Diagnosis, as_json: bool) -> NoReturn:
+    """Show what was found, and end: 0 where all is well, else 1."""
+    if as_json:
+        typer.echo(json.dumps(found.as_json()))
+    else:
+        for finding in found.findings:
+            typer.echo(finding)
+        typer.echo(found.verdict)
+    raise typer.Exit(0 if found.well else 1)
+
+
+# @@ looking
+# Look at a running fleet from outside: one picture, and what its messages look like.
+
+
+@app.command(epilog="Example: aucamp snapshot fleet.toml --robot r1 --out r1.jpg")
+def snapshot(
+    fleet: FleetFile,
+    robot: RobotName,
+    out: Annotated[Path | None, typer.Option(help="File to write (JPEG); ROBOT.jpg if not given.")] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Print the table that makes a thing in the picture a target, too."),
+    ] = None,
+) -> None:
+    """The next picture of a running robot's camera, as the robot shows it. It does not notice."""
+    from agent.ground.observe import about, next_picture, target_table
+    from agent.process.certificates import credentials
+    from agent.process.transport import LOOKER
+
+    robots = load_fleet(fleet)
+    load_robot(robots, robot, fleet)
+    path = new_file(out or Path(f"{robot}.jpg"))
+    image = next_picture(robots, robot, credentials(robots, LOOKER, fleet))
+    path.write_bytes(image.jpeg)
+    typer.echo(about(path, image))
+    if target is not None:
+        typer.echo(target_table(robots, target, path, image))
+
+
+@app.command(epilog="Example: aucamp schemas --out schemas")
+def schemas(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into: new, or empty.")],
+) -> None:
+    """JSON Schemas of the messages on the network, and the table of keys, for programs of your own."""
+    from agent.ground.schemas import write
+
+    for path in write(run_folder(out)):
+        typer.echo(path)
+
+
+# @@ ordering
+# People in charge: what they tell robots that run.
+
+Verb = StrEnum("Verb", [(verb, verb) for verb in VERBS])  # type: ignore[misc]
+
+
+@app.command(epilog="Example: aucamp order fleet.toml --as ann hold r1 depth_m=0.3")
+def order(
+    fleet: FleetFile,
+    verb: Annotated[Verb, typer.Argument(help="What to do; docs/orders.md says what each is and takes.")],
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[ROBOT|NAME=VALUE]...", help="Robots, or all; and how. Stops go to all if none is named."
+        ),
+    ] = None,
+    console: Annotated[
+        str, typer.Option("--as", metavar="NAME", help="Who orders: a console of the fleet file, by whose keys.")
+    ] = "me",
+) -> None:
+    """Order robots that run, and say what each answered.
+
+    Exit 0: all do it; 1: one refused, or did not answer; 2: bad input.
+    """
+    from agent.ground.console import give, line, typed, verdict
+
+    robots = load_fleet(fleet)
+    told = typed(robots, fleet, verb.value, words or ())
+    outcomes = {}
+    for robot, outcome in give(robots, fleet, console, told):
+        outcomes[robot] = outcome
+        typer.echo(line(robot, outcome))
+    typer.echo(f"{told.verb}: {verdict(outcomes)}")
+    raise typer.Exit(0 if all(outcome.ok for outcome in outcomes.values()) else 1)
+
+
+# @@ paging
+# A page to stand at: a running fleet or a recording in a browser.
+
+
+@app.command(epilog="Example: aucamp page fleet.toml --as ann")
+def page(
+    what: Annotated[
+        Path,
+        typer.Argument(metavar="FLEET|RUN", help="Fleet file (TOML); or a run's folder, or its recording fleet.mcap."),
+    ],
+    console: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="Give orders, as this console of the fleet file; else only look."),
+    ] = None,
+    port: Port = 8766,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for what is recorded by the page's button.")
+    ] = Path(),
+) -> None:
+    """A running fleet, or what was recorded of one, in a browser on this machine, until Ctrl-C.
+
+    The address that is printed is good for this run, and for whoever has it.
+    """
+    with until_signal() as stop:
+        from agent.ground.page.server import run
+
+        run(what, console, port, out, stop, typer.echo)
+
+
+# @@ bridging
+# Bridges: a running fleet for programs that people already have.
+
+SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
+
+bridge_app = typer.Typer(no_args_is_help=True, help="A running fleet for programs that speak another language.")
+
+
+def as_place(text: str) -> tuple[float, float]:
+    """LATITUDE,LONGITUDE in degrees. Raises ConfigError."""
+    try:
+        latitude_deg, longitude_deg = map(float, text.split(","))
+    except ValueError:
+        latitude_deg = longitude_deg = float("nan")
+    if not (abs(latitude_deg) < 89 and abs(longitude_deg) <= 180):
+        raise ConfigError(f"--origin '{text}': write latitude and longitude in degrees, such as 47.37,8.54")
+    return latitude_deg, longitude_deg
+
+
+Looker = Annotated[
+    str | None,
+    typer.Option("--as", metavar="NAME", help="By whose certificate it looks: an observer of the fleet file."),
+]
+
+
+@contextmanager
+def extra(name: str, package: str) -> Iterator[None]:
+    """Say which extra it takes where a package is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as missing:
+        if missing.name is None or missing.name.partition(".")[0] != package:
+            raise
+        raise ConfigError(f"this bridge needs the extra `{name}`; in your clone: pip install -e '.[{name}]'") from None
+
+
+@bridge_app.command(epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
+def mavlink(
+    fleet: FleetFile,
+    console: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="Take commands, as this console of the fleet file; else only look."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=1024, max=65535, help="UDP port of the ground station on this machine.")
+    ] = 14550,
+    origin: Annotated[
+        str, typer.Option(metavar="LAT,LON", help="Where on the map the tank's corner is drawn: degrees, made up.")
+    ] = SIMULATOR,
+) -> None:
+    """Each robot as a submarine for a ground station on this machine, until Ctrl-C.
+
+    It may arm, disarm, hold and surface; only the robot that is addressed, and only with --as.
+    """
+    place, robots = as_place(origin), load_fleet(fleet)
+    with until_signal() as stop:
+        with extra("mavlink", "pymavlink"):
+            from agent.ground.bridges.mavlink import Origin, run
+        run(robots, fleet, console, port, Origin(*place), stop, typer.echo)
+
+
+@bridge_app.command(epilog="Example: aucamp bridge ros2 fleet.toml")
+def ros2(
+    fleet: FleetFile,
+    name: Looker = None,
+    port: Annotated[
+        int, typer.Option(min=1024, max=65535, help="TCP port of rmw_zenoh's router on this machine.")
+    ] = 7447,
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of whoever shall hear it.")] = 0,
+) -> None:
+    """Poses, targets and pictures for ROS 2 with rmw_zenoh, until Ctrl-C. It only looks: ROS cannot order robots."""
+    robots = load_fleet(fleet)
+    with until_signal() as stop:
+        with extra("ros", "rosbags"):
+            from agent.ground.bridges.outward import run
+            from agent.ground.bridges.ros2 import Ros2
+        run(robots, fleet, name, port, Ros2(robots, domain), stop, typer.echo)
+
+
+@bridge_app.command(epilog="Example: aucamp bridge keelson fleet.toml")
+def keelson(
+    fleet: FleetFile,
+    name: Looker = None,
+    port: Annotated[int, typer.Option(min=1024, max=65535, help="TCP port of their router on this machine.")] = 7447,
+) -> None:
+    """Attitude, place, pictures and log for programs that speak keelson, until Ctrl-C. It only looks."""
+    robots = load_fleet(fleet)
+    with until_signal() as stop:
+        with extra("keelson", "keelson"):
+            from agent.ground.bridges.keelson import Keelson
+            from agent.ground.bridges.outward import run
+        run(robots, fleet, name, port, Keelson(robots), stop, typer.echo)
+
+
+# @@ boards
+# `aucamp board`.
+
+board_app = typer.Typer(no_args_is_help=True, help="Orders to a robot's control module, whose agent does not run.")
+
+
+@board_app.callback()
+def board() -> None:
+    """A group, though it has one command."""
+
+
+@board_app.command("reboot", epilog="Example: aucamp board reboot fleet.toml --robot r1")
+def board_reboot(fleet: FleetFile, robot: RobotName) -> None:
+    """Begin anew: what latched it (watchdog, emergency stop at the bench) is over, what was set and not saved is lost.
+
+    Look at the robot first: it was latched for a reason. Refused while its motors are on.
+    """
+    from agent.ground.board_reboot import reboot
+
+    reboot(fleet, robot, complain)

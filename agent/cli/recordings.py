@@ -1,0 +1,258 @@
+"""`aucamp replay`."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from itertools import count
+from pathlib import Path
+from typing import Annotated, get_args
+
+import msgspec
+import typer
+
+from agent.core.config import ConfigError
+from agent.process.command import FleetFile, Recordings, Runs, complain, new_file, plain_console, run_folder, terminal
+from agent.robot.fleet_reader import load_fleet
+
+app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
+
+
+@app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")
+def replay_info(files: Runs, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False) -> None:
+    """What happened in a dive, what is in its recording, and whether that is whole."""
+    from replay.story.told import info_all
+
+    info_all(files, as_json, typer.echo)
+
+
+@app.command("recover", epilog="Example: aucamp replay recover r1.mcap.active")
+def replay_recover(
+    files: Recordings,
+    force: Annotated[bool, typer.Option("--force", help="Even if it looks as if it were being written.")] = False,
+) -> None:
+    """Mend a torn recording into a new file, and say what was lost."""
+    from replay.files.recover import recover_all
+
+    raise typer.Exit(recover_all(files, force, typer.echo))
+
+
+@app.command("check", epilog="Example: aucamp replay check runs/20260101T120000Z")
+def replay_check(
+    paths: Runs,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    ignore: Annotated[Path | None, typer.Option(help="Fields that may differ (TOML).")] = None,
+    vision: Annotated[bool, typer.Option("--vision", help="See the recorded frames again instead.")] = False,
+    update: Annotated[bool, typer.Option("--update", help="Accept what today's code gives; needs --reason.")] = False,
+    reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
+) -> None:
+    """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
+    from replay.check.check import check, text
+    from replay.check.update import update_recordings
+    from replay.files.auto_recover import auto_recovered
+
+    bar = plain_console(stderr=True)
+    if update:
+        for updated in update_recordings(paths, reason):
+            typer.echo(str(updated))
+        return
+    paths = auto_recovered(paths, complain)
+    if vision:
+        from agent.perception.vision import rerun_vision
+        from replay.check.vision_check import check_vision
+
+        seen = check_vision(paths, rerun_vision, bar)
+        for one in seen:
+            typer.echo(json.dumps(one.as_json()) if as_json else str(one))
+        raise typer.Exit(2 if any(not one.frames for one in seen) else int(any(not one.passed for one in seen)))
+    checked = check(paths, ignore, bar)
+    typer.echo(json.dumps(checked.as_json()) if as_json else text(checked))
+    raise typer.Exit(checked.exit_code)
+
+
+@app.command("explain", epilog="Example: aucamp replay explain r1.mcap --at 16")
+def replay_explain(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="One robot's recording.")],
+    at: Annotated[str | None, typer.Option(help="Iteration 16, time 12.5s or step:812; the last if not given.")] = None,
+) -> None:
+    """Why a robot believed what it believed: whom it heard, with which weights."""
+    from replay.check.explain import explain
+    from replay.files.auto_recover import auto_recovered
+
+    (there,) = auto_recovered([file], complain)
+    typer.echo(explain(there, at))
+
+
+@app.command("report", epilog="Example: aucamp replay report runs/20260101T120000Z")
+def replay_report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording.")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; report.html in the folder, or report.2.html and so on.")
+    ] = None,
+) -> None:
+    """One page with the run's figures: report.html in its folder."""
+    from agent.perception.depth_sweep import sweep_depth
+    from replay.files.auto_recover import auto_recovered
+    from replay.report.report import page_of, report
+
+    if out is not None:
+        new_file(out)
+    (there,) = auto_recovered([run], complain)
+    page = report(there, unused_page(page_of(there)) if out is None else out, sweep_depth)
+    terminal().print(f"written to {page}", markup=False)
+
+
+@app.command("layout", epilog="Example: aucamp replay layout fleet.toml --out layout.json")
+def replay_layout(
+    fleet: FleetFile, out: Annotated[Path, typer.Option(help="File to write (JSON); Foxglove imports it.")]
+) -> None:
+    """How Foxglove shows a fleet's recordings, and the fleet live: its robots, its targets, its tank."""
+    from replay.viewers.layout import write
+
+    write(load_fleet(fleet), new_file(out))
+    terminal().print(f"written to {out}", markup=False)
+
+
+def unused_page(path: Path) -> Path:
+    """report.html, or report.2.html and so on where a report is there already."""
+    numbers = (path.with_name(f"{path.stem}.{n}{path.suffix}") for n in count(2))
+    return path if not path.exists() else next(page for page in numbers if not page.exists())
+
+
+# @@ exporting
+# `aucamp export`.
+
+export_app = typer.Typer()
+
+
+@export_app.command(
+    "export",
+    epilog="Example: aucamp export runs/20260101T120000Z --csv --out tables",
+)
+def export_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording (MCAP).")],
+    out: Annotated[Path, typer.Option(help="New folder for --csv, new file for --mp4 (.mp4) and --json.")],
+    as_csv: Annotated[
+        bool, typer.Option("--csv", help="Tables for a spreadsheet, a file for each robot and kind.")
+    ] = False,
+    as_mp4: Annotated[bool, typer.Option("--mp4", help="What one robot's camera saw, as a film.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Every message as a line of JSON.")] = False,
+    robot: Annotated[str | None, typer.Option(help="Only this robot.")] = None,
+    channel: Annotated[
+        list[str] | None, typer.Option(help="With --json: only this channel; may be given several times.")
+    ] = None,
+) -> None:
+    """A recording for other programs: tables, a film, or lines of JSON."""
+    from replay.export.film import write_film
+    from replay.export.json_lines import write_lines
+    from replay.export.tables import write_tables
+    from replay.files.auto_recover import auto_recovered
+
+    if as_csv + as_mp4 + as_json != 1:
+        raise ConfigError("say what to write: one of --csv, --mp4 and --json")
+    if channel and not as_json:
+        raise ConfigError("--channel is for --json: tables and films have their own choice")
+    if as_mp4 and out.suffix != ".mp4":
+        raise ConfigError(f"--out {out}: a film's name ends in .mp4")
+    if not as_csv:
+        new_file(out)
+    elif out.exists():
+        run_folder(out)  # empty, or it says so
+    (there,) = auto_recovered([run], complain)
+    if as_csv:
+        files = write_tables(there, out, robot)
+        said = f"{len(files)} tables written to {out}"
+    elif as_mp4:
+        said = f"{write_film(there, out, robot)} frames written to {out}"
+    else:
+        said = f"{write_lines(there, out, robot, channel or [])} lines written to {out}"
+    terminal().print(said, markup=False, highlight=False)
+
+
+# @@ reconstructing
+# `aucamp reconstruct`.
+
+reconstruct_app = typer.Typer()
+
+KINDS = ("ply", "glb", "colmap", "transforms.json", "splat", "mcap")
+# typer takes a list of an Enum, not of a Literal
+Image = StrEnum("Image", [(kind, kind) for kind in ("auto", "field", "surfels", "none")])  # type: ignore[misc]
+Device = StrEnum("Device", [(name, name) for name in ("auto", "cpu", "cuda", "mps")])  # type: ignore[misc]
+Export = StrEnum("Export", [(kind, kind) for kind in KINDS])  # type: ignore[misc]
+
+
+@reconstruct_app.command(
+    "reconstruct", epilog="Example: aucamp reconstruct runs/20260101T120000Z --out scene --export glb"
+)
+def reconstruct_command(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into: new, or empty.")],
+    runs: Annotated[
+        list[Path] | None, typer.Argument(metavar="[RUN]...", help="Folders of runs, or black boxes (MCAP).")
+    ] = None,
+    export: Annotated[
+        list[Export] | None, typer.Option("--export", help="For other programs; again for more. ply if none is given.")
+    ] = None,
+    transforms: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Not recordings: pictures with poses in nerfstudio's layout."),
+    ] = None,
+    cell_mm: Annotated[float, typer.Option(min=1.0, max=100.0, help="Of the grid that the surface is found on.")] = 5.0,
+    stereo: Annotated[
+        bool, typer.Option("--stereo/--no-stereo", help="Compare pictures, too; without: by focus alone, in seconds.")
+    ] = True,
+    refine: Annotated[
+        bool, typer.Option("--refine/--no-refine", help="Move robots' poses to where their pictures fit best.")
+    ] = True,
+    image: Annotated[
+        Image, typer.Option(help="Image model; auto: a field if torch is installed, else surfels, in a minute.")
+    ] = Image("auto"),
+    image_seconds: Annotated[float, typer.Option(min=1.0, help="How long a field learns.")] = 300.0,
+    device: Annotated[Device, typer.Option(help="Where a field learns; auto: a GPU if there is one.")] = Device("auto"),
+    video: Annotated[bool, typer.Option("--video/--no-video", help="A film once round the scene.")] = True,
+) -> None:
+    """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""
+    from agent.process.command import with_bar
+    from agent.reconstruction.export import Kind
+    from agent.reconstruction.image_model import ImageSettings
+    from agent.reconstruction.run import Settings, run
+    from replay.files.auto_recover import auto_recovered
+
+    assert get_args(Kind) == KINDS
+    if bool(runs) == (transforms is not None):
+        raise ConfigError("give recordings to reconstruct from, or --transforms, not both")
+    if not stereo and transforms is not None:
+        raise ConfigError("--no-stereo: pictures without focus have no depths but by comparing them; leave it out")
+    if transforms is not None and not transforms.exists():
+        raise ConfigError(f"{transforms}: no such file or folder")
+    there = auto_recovered(list(runs or ()), complain)
+    folder = run_folder(out)
+    exports = tuple(kind for kind in get_args(Kind) if kind in [str(one) for one in export or ("ply",)])
+    learning = {"kind": str(image), "field": {"device": str(device), "seconds": image_seconds}}
+    asked = Settings(
+        runs=tuple(there),
+        transforms=transforms,
+        exports=exports,
+        cell_m=cell_mm * 1e-3,
+        stereo=stereo,
+        refine=refine,
+        image=None if image == "none" else msgspec.convert(learning, ImageSettings),
+        video=video,
+    )
+    console = terminal()
+    result = with_bar(console, "reading", lambda show: run(asked, folder, show))
+    for reason, sweeps in result.passed_over.items():
+        complain(f"{sweeps} sweeps passed over: {reason}")
+    f = result.figures
+    console.print(
+        f"{f['triangles']} triangles, {f['area_m2']:.2f} m2, from {f['views']} keyframes; standard deviation "
+        f"{f['sigma_mm']['p50']:.1f} mm (median)",
+        highlight=False,
+    )
+    if learnt := f.get("image"):
+        worth = learnt["psnr_held_back_db"]
+        on = f"{worth:.1f} dB on {f['held_back']} photographs held back" if worth is not None else "none held back"
+        thick = f"; its surface is {learnt['beta_mm']:.1f} mm thick" if learnt["beta_mm"] is not None else ""
+        console.print(f"image model: {learnt['kind']}, {on}{thick}", highlight=False)
+    console.print(
+        f"look at {folder / 'report.html'}; beside it {', '.join(p.name for p in result.files[:-2])}", highlight=False
+    )

@@ -1,1 +1,0 @@
-"""Range against focus position, on the twin's bench."""

@@ -1,1 +1,0 @@
-"""Whether measurements of a ball are as wrong as they say."""

@@ -1,1 +1,0 @@
-"""Depth of whole views from focus, against the twin's truth."""

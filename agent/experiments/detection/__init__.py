@@ -1,1 +1,0 @@
-"""Whether the ball is found in every kind of water."""

@@ -1,1 +1,0 @@
-"""How well robots follow a target that swims: moored, alone, silent, or sharing what they see."""

@@ -1,0 +1,310 @@
+"""One fleet and one target in one world: what truly was, and what each robot saw and believed, frame by frame.
+
+They find it by their own drawn frames, as bearings and, by the box of a fish that shows its side or its head, hardly
+any range. Robots hide it from those behind them, and so do weeds. One robot's camera is covered for some seconds: it
+sees neither target nor tags.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, get_args
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.capabilities.swim.pursuit import carried_on
+from agent.core.config import Body, Fleet, Follow, Limits, Look, Navigation, Pose, Target
+from agent.core.estimation.protocols import dynamics
+from agent.core.messages import Estimate, Message, Vector
+from agent.core.ranging.camera_model import CameraFit, camera_pose, look_at, pixel
+from agent.experiments.experiment import FollowingPolicy
+from agent.experiments.navigation import basin
+from agent.experiments.navigation.basin import twin_bodies
+from agent.experiments.navigation.pursuit import Wanderer
+from agent.experiments.navigation.swimmers import (
+    BALL_FARTHEST_M,
+    FRAME_STEPS,
+    BallPath,
+    DrawnTarget,
+    Pillar,
+    Swimmers,
+    hides,
+    ring,
+)
+from agent.robot.step import Agent
+from hw.twin.creatures.shape import swimming
+from hw.twin.creatures.swimmer import STRIDE, Attitude
+from hw.twin.devices.camera_device import look
+from hw.twin.history import RobotPose
+from hw.twin.scene import Creature, generator
+
+# @@ cases
+# Which fleets follow it, and how they talk.
+
+LENGTH_M = 0.15  # of the fish
+SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
+LOSSES = (0.0, 0.3)  # share of all words
+SIZES = (1, 2, 3, 5)  # robots
+POLICIES: tuple[FollowingPolicy, ...] = get_args(FollowingPolicy)
+FLEET = 3  # of the silent and the moored, and the one that has to meet the bars
+
+
+class Case(NamedTuple):
+    """share: all say what they see; silent: nobody says anything of the target, but where he is himself; moored: they
+    share, and stay where they are put."""
+
+    policy: FollowingPolicy
+    robots: int
+    loss: float
+    speed_m_s: float
+
+
+def all_cases(only: FollowingPolicy | None = None, robots: int | None = None) -> tuple[Case, ...]:
+    """All, or those of one policy, or of a fleet of that size; words that nobody says cannot be lost."""
+    cases = [
+        Case(policy, size, loss, speed_m_s)
+        for policy in POLICIES
+        for size in (SIZES if policy == "share" else (FLEET,))
+        for loss in (LOSSES if policy == "share" and size > 1 else LOSSES[:1])
+        for speed_m_s in SPEEDS_M_S
+    ]
+    return tuple(case for case in cases if only in (None, case.policy) and robots in (None, case.robots))
+
+
+# @@ basin
+# The fleet of a draw, where it begins, and the weeds that hide its target.
+
+STANDOFF_M = 0.7
+STILL = Limits(speed_m_s=0.001, turn_deg_s=0.1)  # of what is moored
+WEEDS, WEED_M, WALL_M, APART_M = 2, 0.08, 0.5, 0.8  # how many, their radius; from walls, and from each other
+ROW_M = 0.45, 1.55  # from the long wall at which all begin
+
+
+def fleet_of(case: Case, seed: int) -> Fleet:
+    """All of them know how fast the target swims, and how long it is."""
+    names = [f"r{i + 1}" for i in range(case.robots)]
+    robots = {
+        name: basin.robot(
+            name,
+            pose,
+            Follow(target="ball", standoff_m=STANDOFF_M, search=True),
+            Look(tilt_deg=-10.0),
+            tuple(other for other in names if other != name),
+        )
+        for name, pose in zip(names, starts(case, seed), strict=True)
+    }
+    fish = Target(detector="creature", length_m=LENGTH_M, speed_m_s=case.speed_m_s, turn_s=basin.TURN_S)
+    fleet = basin.fleet(robots, seed, fish)
+    return msgspec.structs.replace(fleet, navigation=Navigation(limits=STILL)) if case.policy == "moored" else fleet
+
+
+def starts(case: Case, seed: int) -> list[Pose]:
+    """All on one side, half a metre apart; what is moored looks inwards from all around."""
+    if case.policy == "moored":
+        return [
+            Pose(x_m=0.45, y_m=0.45, yaw_deg=35.0),
+            Pose(x_m=2.55, y_m=0.45, yaw_deg=145.0),
+            Pose(x_m=1.5, y_m=1.55, yaw_deg=-90.0),
+        ][: case.robots]
+    near = float(generator(seed, "follow").uniform(-math.pi, math.pi)) > 0.0
+    pitch_m = 0.55 if case.robots <= 3 else 0.45
+    return [
+        Pose(x_m=0.6 + k * pitch_m if near else 2.4 - k * pitch_m, y_m=ROW_M[0] if near else ROW_M[1], yaw_deg=yaw)
+        for k, yaw in enumerate([90.0 if near else -90.0] * case.robots)
+    ]
+
+
+def weeds(seed: int) -> tuple[Pillar, ...]:
+    """Upright from floor to surface. What is behind one is hidden; they hold nobody up."""
+    rng, found = generator(seed, "weeds"), list[Pillar]()
+    length_m, breadth_m, _ = basin.TANK.size_m
+    while len(found) < WEEDS:
+        x, y = rng.uniform((WALL_M, WALL_M), (length_m - WALL_M, breadth_m - WALL_M)).tolist()
+        if all(np.hypot(x - other.x_m, y - other.y_m) > APART_M for other in found):
+            found.append(Pillar(x, y, WEED_M))
+    return tuple(found)
+
+
+# @@ drawn_fish
+# What one robot's camera would tell of a fish that swims: the box around what it shows of itself, never rendered.
+#
+# The body is the twin's, bent as it swims: seen from the side its box is three times as wide as head-on. So how far
+# it is by its size is wrong by half, and for as long as it keeps its side.
+
+SHOWN = 1.0 / 3.0  # of its box in the picture, or it is not found (docs/experiments.md, Detection)
+NEAREST_M = 0.1  # of its middle from the lens; nearer, it is a blur of colour
+EDGE_PX = 2.0  # of its box: the detector's pixels are four of the picture's
+AROUND_NS = 50_000_000  # its heading is the way that it swims in so long before and after
+
+Array = NDArray[np.float64]
+
+
+class DrawnFish(DrawnTarget):
+    """A fish; path: of its middle. Nobody sweeps what swims."""
+
+    def __init__(self, fleet: Fleet, name: str, camera: CameraFit, path: BallPath) -> None:
+        super().__init__(fleet, path)
+        self._rng, self._seed = generator(fleet.twin.seed, name, "drawn fish"), fleet.twin.seed
+        self._way, self._camera, self._camera_m = path, camera, fleet.body.camera_m
+
+    def _shows(self, pose: RobotPose, t_ns: int, at_m: Vector, lens_position: int | None) -> dict[str, Any] | None:
+        seen = self._box(pose, t_ns, at_m)
+        if seen is None:
+            return None
+        left, top, right, bottom = seen
+        return {
+            "centre_px": (0.5 * (left + right), 0.5 * (top + bottom)),
+            "size_px": (right - left, bottom - top),
+            "area_px": (right - left) * (bottom - top),
+            "score": 1.0,
+        }
+
+    def _box(self, pose: RobotPose, t_ns: int, fish_m: Vector) -> tuple[float, float, float, float] | None:
+        """Left, top, right and bottom, px, of what the picture shows; None: too little."""
+        eye, _ = look(pose, self._camera_m)
+        rotation = np.asarray(eye.rotation)
+        x, y, z = ((np.array(fish_m) - np.asarray(eye.position_m)) @ rotation).tolist()
+        if not z - self._camera.ahead_m > NEAREST_M or math.hypot(x, y, z) > BALL_FARTHEST_M:
+            return None
+        low, high = self._extent(t_ns, fish_m, np.asarray(eye.position_m), rotation)
+        size = np.array([self._camera.width_px, self._camera.height_px], float)
+        corners = [pixel(self._camera, (*slopes.tolist(), 1.0 + self._camera.ahead_m)) for slopes in (low, high)]
+        edges = np.array(corners, float)
+        whole = float(np.prod(edges[1] - edges[0]))
+        edges = np.clip(edges + self._rng.normal(0.0, EDGE_PX, (2, 2)), 0.0, size)
+        if float(np.prod(edges[1] - edges[0])) < SHOWN * whole or (edges[1] <= edges[0]).any():
+            return None
+        (left, top), (right, bottom) = edges.tolist()
+        return left, top, right, bottom
+
+    def _extent(self, t_ns: int, fish_m: Vector, eye_m: Array, rotation: Array) -> tuple[Array, Array]:
+        """Slopes (right, down) of the least and the most that any part of it comes to."""
+        then, soon = np.array(self._way(t_ns - AROUND_NS)), np.array(self._way(t_ns + AROUND_NS))
+        way_m = soon - then
+        speed_m_s = float(np.linalg.norm(way_m)) / (2e-9 * AROUND_NS)
+        beat = 2.0 * math.pi * speed_m_s / (STRIDE * LENGTH_M) * t_ns * 1e-9
+        attitude = Attitude(*fish_m, math.atan2(way_m[1], way_m[0]), 0.0, beat, 1.0)
+        body = swimming(Creature(name="fish", length_m=LENGTH_M), attitude, self._seed)
+        low, high = np.full(2, math.inf), np.full(2, -math.inf)
+        for part in body.parts:
+            x, y, z = (np.asarray(part.position_m) - eye_m) @ rotation
+            depth_m = max(z - self._camera.ahead_m, 0.5 * NEAREST_M)
+            axes = (np.asarray(part.rotation) * np.asarray(part.radii_m)).T @ rotation
+            half = np.linalg.norm(axes[:, :2], axis=0)
+            low = np.minimum(low, (np.array([x, y]) - half) / depth_m)
+            high = np.maximum(high, (np.array([x, y]) + half) / depth_m)
+        return low, high
+
+
+# @@ dive
+
+FIND_S, WATCH_S = 20.0, 30.0
+COVERED_S = 10.0, 15.0  # of the watch
+FRESH_NS = 250_000_000  # a track of so long ago still says how well it is known
+STEPS_S = 20.0
+
+
+class Draw(NamedTuple):
+    """n frames, k robots. From the beginning; `watched` is the first frame that counts."""
+
+    t_s: Array  # (n,)
+    target_m: Array  # (n, 3)
+    robots: Array  # (n, k, 3): x, y (m), yaw (rad)
+    sees: NDArray[np.bool_]  # (n, k): whether each robot's frame shows it
+    in_sight: NDArray[np.bool_]  # (n, k): whether nothing is in between
+    in_reach: NDArray[np.bool_]  # (n, k): whether the camera can be turned to it, and it is not too near for a picture
+    covered: NDArray[np.bool_]  # (n, k)
+    landmarks: NDArray[np.bool_]  # (n, k): its camera is turned to landmarks
+    error_m: Array  # (n, k): of where each robot believes it to be now; nan: it does not know
+    nees: Array  # (n, k): squared error by its own covariance, 3 where that is right; nan: no track of that time
+    watched: int
+    weeds: tuple[Pillar, ...]
+    does: tuple[tuple[str, ...], ...] = ()  # what each robot says that it does, of each frame
+
+
+def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
+    """Raises Failed where a firmware hangs."""
+    fleet, pillars = fleet_of(case, seed), weeds(seed)
+    names, rng = list(fleet.robot), generator(seed, "follow")
+    rng.uniform()  # drawn for where they begin
+    wanderer = Wanderer(rng, case.speed_m_s, FIND_S + watch_s, pillars)
+    blind = names[seed % case.robots]
+    with twin_bodies(fleet) as bodies:
+        swimmers = Swimmers(fleet, bodies)
+        swimmers.lost = Channel(case, seed).loses
+        for name, eyes in swimmers.eyes.items():
+            eyes.hide, eyes.pillars = fleet.robot[name].neighbours, pillars
+            eyes.ball = DrawnFish(fleet, name, bodies.camera(name), wanderer.at)
+        began_ns, rows, told = bodies.now_ns, list[list[Array]](), list[tuple[str, ...]]()
+        for step in range(1, round((FIND_S + watch_s) * STEPS_S) + 1):
+            at_s = step / STEPS_S - FIND_S
+            swimmers.eyes[blind].covered = COVERED_S[0] <= at_s < COVERED_S[1]
+            swimmers.step()
+            if swimmers.steps % FRAME_STEPS == 0:
+                rows.append(row(swimmers, fleet, wanderer.at(bodies.now_ns), pillars))
+                told.append(tuple(_does(agent) for agent in swimmers.agents.values()))
+    t_s = (1 + np.arange(len(rows))) * FRAME_STEPS / STEPS_S
+    target_m = np.array([wanderer.at(began_ns + round(t * 1e9)) for t in t_s])
+    cells = np.array(rows)
+    sees, in_sight, in_reach, covered, landmarks = np.moveaxis(cells[:, :, 3:8].astype(bool), 2, 0)
+    error_m, nees = np.moveaxis(cells[:, :, 8:], 2, 0)
+    watched = int(np.searchsorted(t_s, FIND_S, side="right"))
+    seen = sees, in_sight, in_reach, covered, landmarks
+    return Draw(t_s, target_m, cells[:, :, :3], *seen, error_m, nees, watched, pillars, tuple(told))
+
+
+def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pillar, ...]) -> list[Array]:
+    """Of each robot, after the step in which a frame was exposed."""
+    found = []
+    for name, agent in swimmers.agents.items():
+        eyes, place = swimmers.eyes[name], swimmers.place(name)
+        newest = eyes.coming[-1].sighting
+        others = [ring(swimmers.bodies.pose(other)) for other in fleet.robot if other != name]
+        near = np.hypot(target_m[0] - place[0], target_m[1] - place[1]) < BALL_FARTHEST_M
+        clear = not any(hides(pillar, place[:2], target_m) for pillar in (*pillars, *others))
+        reach = reaches(fleet.body, place, target_m)
+        flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
+        believed = judged(agent, fleet, target_m, swimmers.now_ns)
+        found.append(np.array([*place, *flags, agent.swimmer is not None and agent.swimmer.glances, *believed], float))
+    return found
+
+
+def reaches(body: Body, place: Vector, target_m: Vector) -> bool:
+    """Whether a gimbal of a robot there (x, y, yaw) pans as far as to the target, which is beyond the nearest that a
+    lens makes a picture of."""
+    pose, level = Pose(x_m=place[0], y_m=place[1], yaw_deg=math.degrees(place[2])), (0.0, 0.0, 0.0, 0.0)
+    pan_deg, _ = look_at(target_m, pose, body, *level)
+    eye_m = camera_pose(pose, body, *level[:3], 0.0, 0.0, level[3]).position_m
+    low, high = body.pan_limit_deg
+    return math.dist(eye_m[:2], target_m[:2]) > NEAREST_M and low <= pan_deg <= high
+
+
+def judged(agent: Agent, fleet: Fleet, target_m: Vector, now_ns: int) -> tuple[float, float]:
+    """Error of where it is believed to be now, m, and normalised error squared of a fresh track."""
+    believed = agent.targets["ball"].estimator.posterior
+    if believed is None:
+        return np.nan, np.nan
+    off = np.array(carried_on(believed, dynamics(fleet.target["ball"]), now_ns)) - target_m
+    if now_ns - believed.t_ns > FRESH_NS:
+        return float(np.linalg.norm(off)), np.nan
+    xx, xy, xz, yy, yz, zz = believed.cov_m2
+    return float(np.linalg.norm(off)), float(
+        off @ np.linalg.solve(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), off)
+    )
+
+
+class Channel:
+    """What does not arrive."""
+
+    def __init__(self, case: Case, seed: int) -> None:
+        self._rng, self._loss = generator(seed, "loss"), case.loss
+        self._silent = case.policy == "silent"
+
+    def loses(self, letter: Message) -> bool:
+        return (self._silent and isinstance(letter, Estimate)) or bool(self._loss and self._rng.uniform() < self._loss)
+
+
+def _does(agent: Agent) -> str:
+    return "" if agent.swimmer is None else agent.swimmer.does

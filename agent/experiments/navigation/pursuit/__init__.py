@@ -1,1 +1,0 @@
-"""Robots that follow a target, or look for one."""

@@ -1,1 +1,0 @@
-"""Push and depth step under the three control laws."""

@@ -1,1 +1,0 @@
-"""How far the focus peak moves when frames are enhanced."""
