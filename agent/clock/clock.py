@@ -295,7 +295,7 @@ class RunClock:
     camera_offset_ns = 0  # the twin's cameras stamp with run time
 
     def __init__(self, path: Path) -> None:
-        """`path`: where the twin writes its clock (hw.twin.devices.twin_folder.clock_path)."""
+        """`path`: where the twin writes its clock (hw.twin.twin_folder.clock_path)."""
         self._path, self._system = path, SystemClock()
         self._file: ClockFile | None = None
         self._inode = -1

@@ -59,9 +59,9 @@ from agent.process.keys import VARIABLE
 from agent.process.launch import Crew, crew, free_ports, is_free, wait_for
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.devices.twin_folder import twin_dir
 from hw.twin.scene import scene_of
-from hw.twin.targets import target_creatures, target_solids
+from hw.twin.truth import target_creatures, target_solids
+from hw.twin.twin_folder import twin_dir
 
 # @@ fleet
 # The fleet of a demo: the first robots of a fleet file, all in the twin, which knows the places of their targets.

@@ -46,15 +46,15 @@ from agent.robot.fleet_reader import load_fleet
 from agent.tools.bench_calibration import BACKLASH_US, calibrate
 from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable
 from hw.stm32.protocol import HostProtocol
-from hw.twin.bench import Bench
-from hw.twin.devices.board import Board
+from hw.twin.board import Board
+from hw.twin.calibration_bench import Bench
 from hw.twin.dive import Dive
-from hw.twin.landmarks import PaintedTag
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
 from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
 from hw.twin.scene import Scene, Solid, generator, load_scene
+from hw.twin.truth import PaintedTag
 
 # @@ posed_robot
 # A robot of the twin put where one likes: its camera behind its own servos, on the bench first, then in the water.

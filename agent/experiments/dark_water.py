@@ -25,14 +25,11 @@ from agent.experiments.peak_shift import mm_per_position
 from agent.experiments.veil_monte_carlo import Medium, beside, scattered
 from agent.perception.clarity import around, disc_clarity
 from hw.camera.camera import Frame, Roi
-from hw.twin.optics.lamps.beam import INTENSITY_W_SR, beam_table, make_beams
-from hw.twin.optics.lamps.lit import transmission
-from hw.twin.optics.lamps.scattered import Scattering, scattering
-from hw.twin.optics.lamps.veil import CELLS, Grid, fill_veil
+from hw.twin.optics.lamps import transmission
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.raycast import Optics
-from hw.twin.optics.view import Eye, Hull, LampBeam, Moment
+from hw.twin.optics.raycast import Eye, Hull, LampBeam, Moment, Optics
+from hw.twin.optics.veil import CELLS, INTENSITY_W_SR, Grid, Scattering, beam_table, fill_veil, make_beams, scattering
 from hw.twin.scene import Scene as TwinScene
 from hw.twin.scene import SceneWater, Solid, generator
 

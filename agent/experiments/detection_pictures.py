@@ -27,7 +27,7 @@ from agent.experiments.experiment import ExperimentResult, Figures, Row
 from agent.perception.detection.detect import Ball, find_balls
 from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
-from hw.picture_files import picture_files, read_picture
+from hw.camera.files import picture_files, read_picture
 
 # @@ marked_pictures
 # A folder of a user's own pictures, and truth.csv, which says where in them the balls are.

@@ -34,10 +34,9 @@ from agent.experiments.navigation.swimmers import (
     ring,
 )
 from agent.robot.step import Agent
-from hw.twin.creatures.shape import swimming
-from hw.twin.creatures.swimmer import STRIDE, Attitude
-from hw.twin.devices.camera_device import look
-from hw.twin.history import RobotPose
+from hw.twin.camera_device import look
+from hw.twin.creatures import STRIDE, Attitude, swimming
+from hw.twin.dive import RobotPose
 from hw.twin.scene import Creature, generator
 
 # @@ cases

@@ -28,13 +28,11 @@ from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.ball_measurements import Host
 from agent.experiments.experiment import ExperimentResult, Figures, Row, number_or_never, rms, spread
 from agent.process.command import Failed, Progress, step_by_step, temporary_folder
-from hw.twin.devices.board import Board
-from hw.twin.dive import Dive
-from hw.twin.pace import run_in_lock_step
-from hw.twin.physics.plant import Plant
-from hw.twin.physics.rotation import euler_rad
+from hw.twin.board import Board
+from hw.twin.dive import Dive, run_in_lock_step
+from hw.twin.physics.body import euler_rad
 from hw.twin.physics.sensors import CORNERS, LATE_SAMPLES
-from hw.twin.physics.tank import TICK_NS
+from hw.twin.physics.tank import TICK_NS, Plant
 from hw.twin.scene import generator
 
 # @@ settling

@@ -20,11 +20,10 @@ from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Image, Roi, deliverable
-from hw.twin.bench import CHESSBOARD_SIZE_M
+from hw.twin.calibration_bench import CHESSBOARD_SIZE_M
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.raycast import Floats
-from hw.twin.optics.view import Chessboard, Eye
+from hw.twin.optics.raycast import Chessboard, Eye, Floats
 from hw.twin.scene import Scene, generator, load_scene
 
 FRAME_NS = 1_000_000_000 // 30

@@ -12,9 +12,8 @@ from agent.process.command import Failed
 from agent.process.transport import fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot
 from hw.firmware.failsafe import LATCHED
-from hw.stm32.driver import Stm32
-from hw.stm32.port import open_port_path
-from hw.twin.devices.twin_folder import twin_dir
+from hw.stm32.driver import Stm32, open_port_path
+from hw.twin.twin_folder import twin_dir
 
 LIMIT_S = 10.0  # of the clock: to be greeted, to be answered, and to be greeted again
 WORDS_S = 1.0  # what is wrong with this boot, a board tells whoever greets it

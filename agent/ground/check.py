@@ -30,7 +30,7 @@ from agent.ground.check_files import (
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds
 from hw.camera.open import known_scheme, open_camera
 from hw.camera.v4l2_node import find
-from hw.twin.devices.twin_folder import twin_dir
+from hw.twin.twin_folder import twin_dir
 
 # @@ devices
 # A robot's devices on this computer: whether they are there and may be opened. Nothing that runs is disturbed.

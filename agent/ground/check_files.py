@@ -37,7 +37,7 @@ from agent.process.keys import keys_folder, private_file, read_keys, robot_keys
 from agent.process.launch import addresses_of, bind_error
 from hw.camera.camera import CameraError
 from hw.twin.scene import scene_of
-from hw.twin.targets import target_solids
+from hw.twin.truth import target_solids
 from replay.files.log import Limits
 
 # @@ finding

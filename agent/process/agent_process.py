@@ -47,10 +47,8 @@ from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.robot.step import Agent
 from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
-from hw.stm32.driver import Stm32
-from hw.stm32.motors import Motors
-from hw.stm32.port import open_port_path
-from hw.twin.devices.twin_folder import twin_dir
+from hw.stm32.driver import Motors, Stm32, open_port_path
+from hw.twin.twin_folder import twin_dir
 from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.auto_recover import recovering, torn_files
 from replay.files.clock_rate import RateNotes

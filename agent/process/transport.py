@@ -25,7 +25,7 @@ from agent.core.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
 from agent.process.links import Inboxes, OrderBox, Strangers, Tokens, rows_of
 from agent.robot.fleet_reader import two_worlds
 from agent.robot.verbs import prepare_all
-from hw.twin.devices.twin_folder import clock_path
+from hw.twin.twin_folder import clock_path
 from router_config.door import Publish, Sample, Session, unusable
 from router_config.session import observer_config, peer_config
 

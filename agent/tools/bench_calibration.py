@@ -37,10 +37,9 @@ from agent.tools.camera_calibration import Corner, fit_camera
 from agent.tools.focus_calibration import FocusRow, fit_focus
 from hw.camera.camera import Camera, FocusRange, Roi
 from hw.camera.open import open_camera
-from hw.stm32.driver import Stm32
-from hw.stm32.port import open_port_path
-from hw.twin.bench_socket import BenchClient
-from hw.twin.devices.twin_folder import twin_dir
+from hw.stm32.driver import Stm32, open_port_path
+from hw.twin.calibration_bench import BenchClient
+from hw.twin.twin_folder import twin_dir
 
 Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about the pivot (m), pulses of pan and tilt
 

@@ -24,7 +24,7 @@ from agent.process.command import Progress, with_bar
 from agent.tools.focus_calibration import HUBER, Array, CalibrationRefused, check_file, gauss_newton, put, scale, solve
 from agent.tools.tags import plain_camera
 from hw.camera.camera import Image
-from hw.picture_files import picture_files, read_picture
+from hw.camera.files import picture_files, read_picture
 
 MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
 MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred

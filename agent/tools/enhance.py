@@ -18,8 +18,8 @@ from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, Image, Variant, enhancer
 from agent.process.command import Progress, new_folder, with_bar
 from hw.camera.camera import CameraGone
+from hw.camera.files import SUFFIXES, picture_files, read_picture
 from hw.camera.open import open_camera
-from hw.picture_files import SUFFIXES, picture_files, read_picture
 
 # @@ sources
 # A source of pictures by name: an image, a folder of images, a video file, or the address of a camera.

@@ -42,10 +42,10 @@ from agent.tools.training_scenes import (
     submerge,
     with_things,
 )
-from hw.picture_files import read_picture
+from hw.camera.files import read_picture
 from hw.twin.optics.lens import Lens, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Chessboard, Eye, Hull
+from hw.twin.optics.raycast import Chessboard, Eye, Hull
 from hw.twin.scene import SceneWater, Solid, load_scene
 
 # @@ augment

@@ -40,7 +40,7 @@ def known_scheme(url: str) -> tuple[str, str]:
 def _open(scheme: str, place: str, twin_dir: Path, size: tuple[int, int] | None, clock: Clock) -> Camera:
     # Imported when asked for: nobody needs the libraries of a camera that is not there.
     if scheme == "twin":
-        from hw.camera.twin import open_twin
+        from hw.camera.frame_socket import open_twin
 
         return open_twin(Path(place) if "/" in place else twin_dir / f"{place}.camera", clock)
     if scheme == "v4l2":

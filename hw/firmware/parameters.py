@@ -1,5 +1,5 @@
 # What a robot can be told about itself: one table for board and host. The row's number is the parameter's id.
-# Units and what each one is: hw/stm32/parameter_texts.py, for on the board every text takes memory.
+# Units and what each one is: hw/stm32/driver.py, for on the board every text takes memory.
 import binascii
 import struct
 from micropython import const

@@ -7,23 +7,89 @@ import errno
 import os
 import select
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from pathlib import Path
 from types import TracebackType
-from typing import Literal
+from typing import Literal, Protocol
 
 import serial
 
 from agent.clock import machine
 from agent.clock.clock import Clock, Part, wait
+from agent.core.config import ConfigError
+from agent.core.step_io import Motors as Ordered
 from agent.core.step_io import SetPoint, Telemetry
 from agent.core.step_transaction import named
 from hw.firmware import parameters, wire
-from hw.stm32.fields import Greeting, Level, StatusText
-from hw.stm32.orders import Outcome
-from hw.stm32.parameter_check import checked_id, parameter_id
-from hw.stm32.port import reason
-from hw.stm32.protocol import Counters, HostProtocol
+from hw.firmware.failsafe import SURFACE
+from hw.stm32.protocol import Counters, Greeting, HostProtocol, Level, Outcome, StatusText
+
+# @@ port
+# Serial ports by name: which path to open for a fleet file's address, and why one cannot be used.
+
+
+def open_port_path(url: str, twin_dir: Path) -> str:
+    """The path to open for a fleet file's `serial`: "twin:r1" is r1's pty, anything else is a path already."""
+    scheme, colon, name = url.partition(":")
+    if scheme != "twin" or not colon:
+        return url
+    if not name:
+        raise ConfigError(f"serial = '{url}': no robot is named; write twin:r1")
+    return str(twin_dir / f"{name}.serial")
+
+
+def reason(error: OSError) -> str:
+    """Why a port cannot be used, once: pyserial's own text has the path and the system's words twice."""
+    if error.errno == errno.EWOULDBLOCK:
+        return "another program uses this port; end that one"
+    return os.strerror(error.errno) if error.errno else str(error)
+
+
+# @@ parameter_texts
+# What people are told about the parameters of hw.firmware.parameters: unit and meaning of each, by name.
+
+TEXTS: dict[str, tuple[str, str]] = {
+    "law": ("", "0 pi, 1 pid, 2 observer"),
+    "pid_set": ("", "gains of pid: 0 for thrusters of 10 N and 0.10 s, 1 for 5 N and 0.15 s"),
+    "heave_kg": ("kg", "mass with the water that moves along"),
+    "tilt_kgm2": ("kg m2", "moment of inertia in roll and pitch, with the water"),
+    "lag_s": ("s", "first-order lag of a thruster with its ESC"),
+    "thrust_max_N": ("N", "of one thruster, forward, at 1900 us and curve_battery_mV"),
+    "net_weight_N": ("N", "weight less buoyancy; a robot that sinks has it positive"),
+    "water_kg_m3": ("kg/m3", "998.2 fresh at 20 C, 1025 sea"),
+    "curve_battery_mV": ("mV", "battery at which thrust_max_N was found"),
+    "battery_min_mV": ("mV", "below it the robot surfaces; 3.0 V a cell of four"),
+    "slew_N": ("N", "largest change of a thruster's force in one cycle of 10 ms"),
+    **{f"zero_{k}_us": ("us", f"neutral pulse of T{k}") for k in range(1, 9)},
+    "pulse_frame_us": ("us", "from one pulse of a thruster to the next, as short as its ESC takes"),
+}
+
+# @@ parameter_check
+# Names and values of parameters, checked before they are asked of a board.
+
+IDS: dict[str, int] = {name: i for i, name in enumerate(parameters.NAMES)}
+
+
+def parameter_id(name: str) -> int:
+    """Number of a parameter. Raises ConfigError that names those that there are."""
+    if name not in IDS:
+        raise ConfigError(f"parameter '{name}' is not known, write one of: {' '.join(parameters.NAMES)}")
+    return IDS[name]
+
+
+def checked_id(name: str, value: float) -> int:
+    """Number of a parameter that may have this value. Raises ConfigError that says what it may have."""
+    i = parameter_id(name)
+    if not parameters.in_range(i, value):
+        _, _, lowest, highest, kind = parameters.TABLE[i]
+        unit, _ = TEXTS[name]
+        whole = " whole" if kind == parameters.WHOLE else ""
+        raise ConfigError(f"{name} = {value:g}: write a{whole} number from {lowest:g} to {highest:g} {unit}".rstrip())
+    return i
+
+
+# @@ driver
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
@@ -298,3 +364,69 @@ class Stm32:
                 with self._lock:
                     self._show(True, chunk)
                     self._protocol.receive(chunk, self._clock.now_ns())
+
+
+# @@ motors
+# Whether motors shall turn, by whoever started the agent and by orders; the module is told so, and told again.
+#
+# A robot that surfaced since its host was silent is called back when the host is there again, but never one that
+# somebody has ordered up or stopped.
+
+AGAIN_NS = 500_000_000  # after this long a module that still does not do what was ordered is told again
+GIVEN_UP = "to start them, put right what stopped them, and order: arm; or start this agent again with --arm"
+
+
+class Module(Protocol):
+    """The control module, as far as its motors go; nothing waits."""
+
+    @property
+    def wants_armed(self) -> bool: ...
+    def arm(self) -> None: ...
+    def disarm(self) -> None: ...
+    def surface(self) -> None: ...
+
+
+class Motors:
+    """Of one robot."""
+
+    def __init__(self, module: Module, arm: bool) -> None:
+        """arm: as whoever started the agent wants it."""
+        self._module = module
+        self._wish: Ordered | Literal["never armed"] = "arm" if arm else "never armed"
+        self._told_ns = 0
+
+    def obey(self, ordered: Ordered, now_ns: int) -> None:
+        """Do that from now on."""
+        self._wish = ordered
+        self._tell(now_ns)
+
+    def feel(self, told: Sequence[Telemetry], now_ns: int) -> None:
+        """Compare with what the module says, and tell it again."""
+        if not told or now_ns - self._told_ns < AGAIN_NS:
+            return
+        newest = told[-1]
+        turns_on = self._wish == "off" and newest.armed
+        stays_down = self._wish == "surface" and newest.armed and newest.ladder < SURFACE
+        if turns_on or stays_down or (self._wish == "arm" and surfacing_for_silence(newest)):
+            self._tell(now_ns)
+
+    def fault(self) -> str | None:
+        """What to do where they are wanted, and the module has given up."""
+        return GIVEN_UP if self._wish == "arm" and not self._module.wants_armed else None
+
+    def _tell(self, now_ns: int) -> None:
+        self._told_ns = now_ns
+        match self._wish:
+            case "off":
+                self._module.disarm()
+            case "surface":
+                self._module.surface()
+            case "arm":
+                self._module.arm()
+
+
+def surfacing_for_silence(telemetry: Telemetry) -> bool:
+    """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and who
+    armed it wants the dive to go on; a leak, a low battery or a bad sensor is for a person to judge."""
+    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
+    return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own

@@ -2,24 +2,315 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Literal, NamedTuple
+
+from msgspec import UNSET
 
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
-from hw.stm32.arming import Arming
-from hw.stm32.fields import (
-    Greeting,
-    Level,
-    StatusText,
-    TelemetryFrame,
-    event_line,
-    log_line,
-    set_point_fields,
-    telemetry_frame,
+
+# @@ orders
+# Orders to the control module under way: asked, sent, repeated, answered. No port, no clock, no thread.
+
+ATTEMPTS = 4  # without an answer; they reach 99.4 % at 15 % loss each way
+REPEAT_AFTER_NS = 100_000_000
+LIST_AFTER_NS = 500_000_000  # a whole list takes the board 200 ms
+POLL_AFTER_NS = 500_000_000  # the board is at it, and said so; a tare takes 2 s
+
+# Results beside those of the board, which are wire.RESULTS
+NO_BOARD, NO_ANSWER, OVERTAKEN = "no board", "no answer", "overtaken by a stop"
+
+
+class Outcome(NamedTuple):
+    """What came of an order: result "ok", or why not; and the parameters that the answer brought, by name."""
+
+    result: str
+    values: Mapping[str, float] = MappingProxyType({})
+
+    @property
+    def ok(self) -> bool:
+        return bool(self.result == wire.RESULTS[wire.OK])
+
+
+class Order:
+    """One order, and when it is to be said again."""
+
+    def __init__(self, kind: int, fields: tuple[float, ...] = ()) -> None:
+        self.kind, self.fields = kind, fields
+        self.req_id = 0
+        self.future: Future[Outcome] = Future()
+        self.values: dict[str, float] = {}
+        self.attempts_left = ATTEMPTS
+        self.due_ns = 0
+
+    def sent(self, now_ns: int) -> None:
+        self.attempts_left -= 1
+        self.due_ns = now_ns + (LIST_AFTER_NS if self.kind == wire.PARAM_LIST else REPEAT_AFTER_NS)
+
+    def running(self, now_ns: int) -> None:
+        if self.kind != wire.PARAM_LIST:  # whose values are its answer, and follow at once
+            self.attempts_left = ATTEMPTS
+            self.due_ns = now_ns + POLL_AFTER_NS
+
+    def end(self, result: str) -> None:
+        if self.future.set_running_or_notify_cancel():
+            self.future.set_result(Outcome(result, MappingProxyType(self.values)))
+
+
+class Orders:
+    """One order is under way at a time, the others wait their turn."""
+
+    def __init__(self) -> None:
+        self.current: Order | None = None
+        self._waiting: deque[Order] = deque()
+        self._req_id = 0
+
+    @property
+    def idle(self) -> bool:
+        return self.current is None and not self._waiting
+
+    def ask(self, order: Order) -> Future[Outcome]:
+        """Put an order at the end of the queue."""
+        self._waiting.append(order)
+        return order.future
+
+    def overtake(self, order: Order) -> None:
+        """Put an order before all others, which end here: a stop leaves nothing to be done."""
+        self.drop(OVERTAKEN)
+        self._begin(order)
+
+    def drop(self, result: str) -> None:
+        """End all orders with this result."""
+        orders = [*([self.current] if self.current else []), *self._waiting]
+        self.current = None
+        self._waiting.clear()
+        for order in orders:
+            order.end(result)
+
+    def due(self, now_ns: int, ready: bool) -> Order | None:
+        """The order that it is time to say, new ones only if `ready`. One without an answer ends here."""
+        if self.current is None and ready and self._waiting:
+            self._begin(self._waiting.popleft())
+        order = self.current
+        if order is None or now_ns < order.due_ns:
+            return None
+        if order.attempts_left:
+            order.sent(now_ns)
+            return order
+        self.current = None
+        order.end(NO_ANSWER)
+        return None
+
+    def on_ack(self, req_id: int, kind: int, result: int, now_ns: int) -> Order | None:
+        """Take an acknowledgement; the order that it ends, if it ends one."""
+        order = self.current
+        if order is None or (req_id, kind) != (order.req_id, order.kind):
+            return None
+        if result == wire.RUNNING:
+            order.running(now_ns)
+            return None
+        if result == wire.STALE_BOOT and kind == wire.REBOOT:
+            result = wire.OK  # its first answer was lost, and it has rebooted since
+        return self._end(order, wire.RESULTS[min(result, len(wire.RESULTS) - 1)])
+
+    def on_value(self, req_id: int, i: int, value: float) -> Order | None:
+        """Take a parameter; the order that it ends, if it ends one."""
+        order = self.current
+        if order is None or req_id != order.req_id or i >= len(parameters.NAMES):
+            return None
+        order.values[parameters.NAMES[i]] = float(f"{value:.6g}")  # float32 makes 0.1 into 0.10000000149
+        if order.kind == wire.PARAM_LIST and len(order.values) < len(parameters.NAMES):
+            return None
+        return self._end(order, wire.RESULTS[wire.OK])
+
+    def _begin(self, order: Order) -> None:
+        self._req_id = (self._req_id + 1) & 0xFFFF
+        order.req_id = self._req_id
+        self.current = order
+
+    def _end(self, order: Order, result: str) -> Order:
+        self.current = None
+        order.end(result)
+        return order
+
+
+# @@ fields
+# Fields of the wire's frames (hw.firmware.wire) from our messages, and our messages from such fields.
+
+TTL_MS = 500  # of a set-point; the board holds position after it
+
+Level = Literal["info", "warning", "error"]
+LEVELS: tuple[Level, ...] = ("info", "warning", "error")  # in the order of wire.INFO ...
+
+
+class StatusText(NamedTuple):
+    """A line for people, from the board or about it."""
+
+    level: Level
+    text: str
+
+
+class Greeting(NamedTuple):
+    """Who the board says it is."""
+
+    build: str
+    uid: str  # of the chip, hexadecimal
+    boot_id: int
+    reset_cause: int  # wire.POWER_ON ...
+    parameters_crc: int  # parameters.crc of the values in force
+    capabilities: int  # bits wire.CAN_...
+
+
+def set_point_fields(asked: SetPoint, now_ns: int) -> tuple[int, ...]:
+    """Fields of a SETPOINT; what is beyond the wire's range is clipped."""
+    i16 = wire.fixed
+    return (
+        i16(asked.depth_m, 1e4),
+        i16(asked.roll_deg, 100),
+        i16(asked.pitch_deg, 100),
+        i16(asked.force_n[0], 1e3),
+        i16(asked.force_n[1], 1e3),
+        i16(asked.yaw_moment_nm, 1e4),
+        *(i16(us, 1, 0, 65535) for us in asked.servos_us),
+        i16(asked.light, 1000, 0, 1000),
+        wire.VALID_ALL,
+        TTL_MS,
+        now_ns // 1_000_000 & 0xFFFFFFFF,
+    )
+
+
+class TelemetryFrame(NamedTuple):
+    telemetry: Telemetry
+    greeted: bool  # the board knows us; not so after a restart
+    set_point_seq: int  # number of the frame that brought the set-point in force
+
+
+def telemetry_frame(fields: Sequence[int], now_ns: int, rate_cdeg_s: int = wire.NO_RATE) -> TelemetryFrame:
+    """A TELEM that arrived at now_ns, without its last field, which is rate_cdeg_s; or a TELEM_1."""
+    t_us, state, ladder, flags, *rest = fields
+    zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
+    _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
+    telemetry = Telemetry(
+        t_ns=now_ns,
+        board_us=t_us,
+        depth_m=depth * 1e-4,
+        roll_deg=roll * 1e-2,
+        pitch_deg=pitch * 1e-2,
+        sensor_depth_m=tuple(0.1 * z / wire.PA_PER_M for z in zeta),
+        pulses_us=tuple(pulses),  # type: ignore[arg-type]
+        servos_us=tuple(servos),  # type: ignore[arg-type]
+        battery_v=battery_mv * 1e-3,
+        armed=state == wire.ARMED,
+        ladder=ladder,
+        flags=flags,
+        loop_us=loop_us,
+        rate_rad_s=UNSET if rate_cdeg_s == wire.NO_RATE else math.radians(rate_cdeg_s * 1e-2),
+    )
+    return TelemetryFrame(telemetry, bool(flags & wire.FLAG_HELLO), set_point_seq)
+
+
+def log_line(level: int, text: bytes) -> StatusText:
+    """The line of a LOG."""
+    return StatusText(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
+
+
+def event_line(code: int, before: int, after: int, severity: int, arg: int) -> StatusText:
+    """The line of an EVENT, but for a refusal to arm."""
+    reason = wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
+    ladder = f"failsafe level {before} -> {after}: {reason}" if after else f"failsafe over, it was level {before}"
+    text = {
+        wire.EV_BOOT: "booted",
+        wire.EV_ARMED: "armed",
+        wire.EV_DISARMED: f"disarmed: {reason}",
+        wire.EV_LADDER: ladder,
+    }.get(code, f"event {code}")
+    return StatusText(LEVELS[min(severity, 2)], f"board: {text}")
+
+
+# @@ arming
+# The wish that a board be armed: asked again while waiting can cure a refusal, given up for good when it cannot.
+
+AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
+
+# Refusals that go away while the robot just waits; each other one needs somebody to do something.
+CURABLE = frozenset(
+    {
+        "no handshake",
+        "sensors not all good",
+        "sensors disagree",
+        "set-point old",
+        "ESC neutral for less than 3 s",
+        "control cycle too slow",
+    }
 )
-from hw.stm32.orders import NO_BOARD, Order, Orders, Outcome
+
+
+LATCHED = "fault latched"
+REBOOT = "look at the robot, then `aucamp board reboot`"
+
+
+class Arming:
+    """What we want, what the board is, and when to ask. Methods that return a line want it to be said."""
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self.armed = False  # what the board said last
+        self._ordered = False  # `want` was called and the board has not agreed yet
+        self._due_ns = 0
+        self._refusal = ""
+
+    def want(self) -> None:
+        """Ask as soon as the board can. One that is armed and surfaces is called back to work by the same order."""
+        self.wanted = self._ordered = True
+        self.begin()
+
+    def begin(self) -> None:
+        """Ask at once: a new wish, or a new port."""
+        self._due_ns = 0
+        self._refusal = ""
+
+    def due(self, now_ns: int) -> bool:
+        """Whether it is time to send the order."""
+        return self.wanted and (self._ordered or not self.armed) and now_ns >= self._due_ns
+
+    def later(self, now_ns: int) -> None:
+        """The order got no answer."""
+        self._due_ns = now_ns + AGAIN_NS
+
+    def answered(self, ok: bool, now_ns: int) -> None:
+        self.armed = ok
+        self._ordered = self._ordered and not ok
+        self.later(now_ns)
+
+    def seen(self, armed: bool) -> StatusText | None:
+        """What telemetry shows. A board that disarms by itself is not armed again."""
+        line = self.give_up("the board has disarmed") if self.armed and not armed else None
+        self.armed = armed
+        return line
+
+    def refused(self, mask: int) -> StatusText | None:
+        """Why, as the bits of wire.ARM_CHECKS; the same reason is told once."""
+        why = [check for i, check in enumerate(wire.ARM_CHECKS) if mask >> i & 1]
+        text, before = ", ".join(why), self._refusal
+        self._refusal = text
+        if not CURABLE.issuperset(why):
+            remedy = REBOOT if LATCHED in why else "put it right"
+            return self.give_up(f"arming refused: {text}; {remedy}, then arm again")
+        return StatusText("info", f"arming waits: {text}") if text != before else None
+
+    def give_up(self, text: str) -> StatusText | None:
+        """The board is not armed, and from here on nobody wants it to be until somebody says so again."""
+        line = StatusText("error", text) if self.wanted else None
+        self.wanted = self.armed = False
+        return line
+
+
+# @@ protocol
 
 HELLO_EVERY_NS = 500_000_000
 

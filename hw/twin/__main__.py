@@ -19,23 +19,19 @@ from agent.clock.keeper import how_it_went, start_clock
 from agent.core.config import ConfigError, Fleet
 from agent.robot.fleet_reader import load_fleet, load_robot, two_worlds
 from hw.camera.camera import CameraError
-from hw.camera.frame_server import FrameServer
-from hw.twin.bench import Bench
-from hw.twin.bench_socket import serve
-from hw.twin.creatures.lookout import Lookout
-from hw.twin.devices.board import Board, interpreter
-from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock
-from hw.twin.devices.twin_folder import clock_path, locked, twin_dir
-from hw.twin.dive import Dive
-from hw.twin.landmarks import PaintedTag, true_tags
+from hw.camera.frame_socket import FrameServer
+from hw.twin.board import Board, interpreter
+from hw.twin.calibration_bench import Bench, serve
+from hw.twin.camera_device import FRAME_NS, DiveCamera, FrameClock
+from hw.twin.creatures import Lookout
+from hw.twin.dive import Dive, run_by_clock
 from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.pace import run_by_clock
-from hw.twin.physics.rotation import euler_rad
+from hw.twin.physics.body import euler_rad
 from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Scene, Solid, generator, in_daylight, lamp_place, scene_of
-from hw.twin.targets import target_solids
-from hw.twin.truth import Watch, tags_as_json
+from hw.twin.truth import PaintedTag, Watch, tags_as_json, target_solids, true_tags
+from hw.twin.twin_folder import clock_path, locked, twin_dir
 
 SWITCH_S = 0.0005  # Python's own 5 ms, for which a camera's thread keeps the water waiting, are half a tick
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -5,36 +5,172 @@ Also where events are applied, those of the scene file at their times or one tha
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from agent.clock import machine
+from agent.clock.clock import REST_NS, SERIAL, part_name
+from agent.clock.keeper import Keeper
 from agent.core.config import Fleet
 from agent.core.messages import Vector
-from hw.twin import faults
-from hw.twin.creatures.lookout import Lookout
-from hw.twin.creatures.school import School
-from hw.twin.devices.board import Board
-from hw.twin.devices.boot import Act
-from hw.twin.devices.sensor_faults import SensorFaults
-from hw.twin.history import History
-from hw.twin.landmarks import true_tags
-from hw.twin.launch import launch
-from hw.twin.physics.battery import OPEN_V, current_a, supply_v, thrust_loss
-from hw.twin.physics.body import cast_off
-from hw.twin.physics.flow import Flow
-from hw.twin.physics.gyro import Gyros
-from hw.twin.physics.lamp import Lamps
-from hw.twin.physics.plant import Plant
-from hw.twin.physics.sensors import PA_PER_M, PressureSensors, water_pressure_pa
-from hw.twin.physics.tank import STEP_S, TICK_NS, advance, push
-from hw.twin.physics.waves import add_waves
-from hw.twin.scene import Pull, Scene
-from hw.twin.stage import Stage
-from hw.twin.targets import movable
-from hw.twin.truth import WATCH_TICKS, Watch
+from hw.camera.camera import CameraGone
+from hw.twin.board import PATIENCE_S, Act, Board, SensorFaults
+from hw.twin.creatures import Attitude, Lookout, School
+from hw.twin.physics.body import (
+    BODY,
+    OPEN_V,
+    Lamps,
+    cast_off,
+    current_a,
+    draw_body,
+    matrix,
+    quaternion,
+    supply_v,
+    thrust_loss,
+)
+from hw.twin.physics.sensors import PA_PER_M, PressureSensors, add_waves, water_pressure_pa
+from hw.twin.physics.tank import STATE, STEP_S, TICK_NS, Flow, Gyros, Plant, advance, push, set_body
+from hw.twin.scene import (
+    AnyEvent,
+    Battery,
+    CastOff,
+    CurrentSet,
+    FirmwareHang,
+    GyroDead,
+    GyroStuck,
+    Leak,
+    Occlude,
+    PowerCut,
+    Pull,
+    Push,
+    Scene,
+    SensorDead,
+    SensorOffset,
+    SensorStuck,
+    SensorWell,
+    SerialUnplug,
+    SlowBoard,
+    Startle,
+    StartSigma,
+    TagLost,
+    TetherPull,
+    ThrusterDead,
+    ThrusterGain,
+    check,
+    put_off,
+)
+from hw.twin.truth import WATCH_TICKS, Stage, Watch, movable, true_tags
+
+# @@ launch
+# How the robots of a dive begin: bodies drawn, put where the crew really puts them, held until they are armed.
+
+
+def launch(
+    fleet: Fleet, robots: Sequence[str], plants: Sequence[Plant], sigma: StartSigma
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """(n,) BODY and (n,) STATE of the robots, each with what its plant overrides."""
+    bodies, states = np.zeros(len(robots), BODY), np.zeros(len(robots), STATE)
+    for i, name in enumerate(robots):
+        pose, depth_m = fleet.robot[name].pose, fleet.robot[name].depth_m
+        x_m, y_m, yaw_deg = put_off(sigma, (pose.x_m, pose.y_m, pose.yaw_deg), fleet.twin.seed, name)
+        start = (x_m, y_m, fleet.tank.surface_m - depth_m, yaw_deg)
+        bodies[i] = draw_body(fleet.twin.seed, name, start, fleet.tank, fleet.body)
+        set_body(bodies[i], plants[i])
+    states["held"] = 1
+    states["position_m"] = bodies["home_m"]
+    states["quaternion"] = [quaternion(0.0, 0.0, yaw) for yaw in bodies["home_yaw_rad"]]
+    states["motor_deg"] = states["shaft_deg"] = bodies["servo_zero_deg"]
+    return bodies, states
+
+
+# @@ history
+# Where robots and creatures were during the last two seconds, for cameras that expose at a time of their own.
+
+SPAN = 200  # ticks kept
+
+
+class RobotPose(NamedTuple):
+    position_m: NDArray[np.float64]  # (3,) centre of the hull, world
+    rotation: NDArray[np.float64]  # (3, 3) body -> world
+    pan_deg: float  # where the camera's gimbal truly points
+    tilt_deg: float
+    lamp_pan_deg: float = 0.0
+    lamp_tilt_deg: float = 0.0
+    lamp: float = 0.0  # its light, as a share of a mean lamp's at full power
+
+
+class History:
+    """A ring of the states at each tick. One thread appends; any number of threads wait and look."""
+
+    def __init__(self, robots: int, start_ns: int, creatures: int = 0) -> None:
+        self._rows = np.zeros((SPAN, robots, 12))  # position, quaternion, pan and tilt of camera and lamp, light
+        self._swum = np.zeros((SPAN, creatures, len(Attitude._fields)))
+        self._start_ns = start_ns
+        self._newest = -1
+        self._closed = False
+        self._changed = threading.Condition()
+        self._awaited_ns: float = np.inf  # waking nobody costs nothing: notify only when somebody's time has come
+
+    def append(self, states: NDArray[np.void], creatures: Sequence[Attitude] = (), lamps: ArrayLike = 0.0) -> None:
+        """The states one tick after those appended before; `lamps` (robots,): their light."""
+        with self._changed:
+            self._newest += 1
+            row = self._rows[self._newest % SPAN]
+            row[:, :3], row[:, 3:7], row[:, 7:11] = states["position_m"], states["quaternion"], states["shaft_deg"]
+            row[:, 11] = lamps
+            if creatures:
+                self._swum[self._newest % SPAN] = creatures
+            if self.newest_ns >= self._awaited_ns:
+                self._awaited_ns = np.inf
+                self._changed.notify_all()
+
+    @property
+    def newest_ns(self) -> int:
+        return self._start_ns + self._newest * TICK_NS
+
+    def wait(self, t_ns: int) -> None:
+        """Return once the water has moved on to t_ns. Raises CameraGone when the twin ends before."""
+        with self._changed:
+            while self.newest_ns < t_ns and not self._closed:
+                self._awaited_ns = min(self._awaited_ns, t_ns)
+                self._changed.wait()
+            if self._closed:
+                raise CameraGone("the twin has ended; start it again")
+
+    def at(self, t_ns: int) -> list[RobotPose]:
+        """The pose of each robot at t_ns, interpolated between ticks.
+
+        Raises CameraGone for a time that is not, or no longer, kept: the reader was stopped for too long.
+        """
+        # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
+        rows = self._between(self._rows, t_ns)
+        return [RobotPose(row[:3], matrix(row[3:7]), *row[7:].tolist()) for row in rows]
+
+    def creatures_at(self, t_ns: int) -> list[Attitude]:
+        """The attitude of each creature, as `at`."""
+        return [Attitude(*row) for row in self._between(self._swum, t_ns).tolist()]
+
+    def _between(self, kept: NDArray[np.float64], t_ns: int) -> NDArray[np.float64]:
+        with self._changed:
+            k, rest_ns = divmod(t_ns - self._start_ns, TICK_NS)
+            oldest = max(self._newest - SPAN + 1, 0)
+            if not oldest <= k < self._newest + (rest_ns == 0):
+                raise CameraGone(f"no pose is kept of {t_ns} ns; ask again")
+            before, after = kept[k % SPAN], kept[(k + (rest_ns > 0)) % SPAN]
+            return np.asarray(before + (rest_ns / TICK_NS) * (after - before))
+
+    def close(self) -> None:
+        """Send everybody who waits home."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+# @@ dive
 
 STILL = Scene(name="still")
 STEP_US, TICK_US = round(STEP_S * 1e6), TICK_NS // 1000
@@ -85,7 +221,7 @@ class Dive:
         tags = [tag.id for tag in fleet.landmarks.tag] if fleet.landmarks else []
         for name in () if scene.moored else robots:
             self.cast_off(name)
-        faults.check(scene.event, self.robots, movable(fleet, scene), tags, [c.name for c in scene.creature])
+        check(scene.event, self.robots, movable(fleet, scene), tags, [c.name for c in scene.creature])
         self._measure()
 
     @property
@@ -253,48 +389,90 @@ class Dive:
         return self.robots.index(robot)
 
 
-def apply(event: faults.AnyEvent, dive: Dive) -> None:
+def apply(event: AnyEvent, dive: Dive) -> None:
     """Make an event happen now, whatever its time."""
     match event:
-        case faults.Push():
+        case Push():
             dive.push(event.robot, event.force_n, event.point_m, event.for_s)
-        case faults.SensorDead():
+        case SensorDead():
             dive.kill_sensor(event.robot, event.sensor)
-        case faults.SensorStuck():
+        case SensorStuck():
             dive.stick_sensor(event.robot, event.sensor)
-        case faults.SensorOffset():
+        case SensorOffset():
             dive.shift_sensor(event.robot, event.sensor, event.offset_m)
-        case faults.SensorWell():
+        case SensorWell():
             dive.mend_sensor(event.robot, event.sensor)
-        case faults.GyroDead() | faults.GyroStuck():
-            dive.gyros.fail(event.robot, stuck=isinstance(event, faults.GyroStuck))
-        case faults.Leak():
+        case GyroDead() | GyroStuck():
+            dive.gyros.fail(event.robot, stuck=isinstance(event, GyroStuck))
+        case Leak():
             dive.leak(event.robot)
-        case faults.Battery():
+        case Battery():
             dive.set_battery(event.robot, event.volts)
-        case faults.ThrusterDead():
+        case ThrusterDead():
             dive.scale_thruster(event.robot, event.thruster, 0.0)
-        case faults.ThrusterGain():
+        case ThrusterGain():
             dive.scale_thruster(event.robot, event.thruster, event.gain)
-        case faults.SerialUnplug():
+        case SerialUnplug():
             dive.unplug(event.robot, event.for_s)
-        case faults.PowerCut():
+        case PowerCut():
             dive.cut_power(event.robot, event.for_s)
-        case faults.FirmwareHang():
+        case FirmwareHang():
             dive.hang_firmware(event.robot)
-        case faults.SlowBoard():
+        case SlowBoard():
             dive.slow_board(event.robot, event.by)
-        case faults.TetherPull():
+        case TetherPull():
             dive.pull_tether(event.robot, event.force_n, event.correlation_s, event.for_s)
-        case faults.CastOff():
+        case CastOff():
             dive.cast_off(event.robot)
-        case faults.CurrentSet():
+        case CurrentSet():
             dive.set_current(event.velocity_m_s)
-        case faults.Occlude():
+        case Occlude():
             dive.move_solid(event.solid, event.to_m, event.over_s)
-        case faults.TagLost():
+        case TagLost():
             dive.lose_tag(event.id)
-        case faults.Startle():
+        case Startle():
             dive.school.startle(event.creature, event.speed_m_s, event.for_s)
         case _:
             assert_never(event)
+
+
+# @@ pace
+# How fast a dive goes: by a clock that its agents follow, or as fast as every firmware answers, for experiments.
+
+LOCK_STEP_S = 5.0  # in virtual time a firmware that is silent for longer is taken for dead
+UNREAD_NS = 25_000_000  # how long bytes may lie at the agent's end of a cable before time waits for who reads them
+
+
+def run_by_clock(dive: Dive, keeper: Keeper, stop: threading.Event) -> None:
+    """Tick as the keeper lets time go, until stopped."""
+    for board in dive.boards:
+        reader = part_name(board.robot, SERIAL)
+        keeper.limits[f"{board.robot}.port"] = PortLimit(reader, board, dive, keeper)
+    while not stop.is_set():
+        keeper.advance(dive.now_ns + TICK_NS, stop)
+        dive.tick(PATIENCE_S)
+        keeper.busy_s = {f"{board.robot}.firmware": s for board, s in zip(dive.boards, dive.answered_s, strict=True)}
+
+
+class PortLimit:
+    """How far time may go before an agent has taken what lies at its end of the cable; anywhere if nobody is there."""
+
+    def __init__(self, part: str, board: Board, dive: Dive, keeper: Keeper) -> None:
+        self._part, self._board, self._dive, self._keeper = part, board, dive, keeper
+        self._empty_ns = dive.now_ns
+
+    def __call__(self) -> int:
+        if not self._keeper.takes_part(self._part):
+            return REST_NS
+        if not self._board.unread():
+            self._empty_ns = self._dive.now_ns
+        return self._empty_ns + UNREAD_NS
+
+
+def run_in_lock_step(dive: Dive, ticks: int) -> None:
+    """Tick as fast as every firmware answers. Raises TimeoutError naming one that does not."""
+    for _ in range(ticks):
+        dive.tick(LOCK_STEP_S)
+        for board in dive.boards:
+            if board.overdue:
+                raise TimeoutError(f"the firmware of {board.robot} did not answer for {LOCK_STEP_S} s")

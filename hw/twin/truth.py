@@ -6,18 +6,77 @@ folder's next twin. Lengths in metres, angles in degrees, times in ns of the div
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.landmarks import PaintedTag
-from hw.twin.physics.body import HULL_M
+from agent.core.config import ConfigError, Face, Fleet, Landmarks, Tag
+from agent.core.messages import Vector
+from hw.twin.physics.body import HULL_M, euler_rad, matrix, quaternion
 from hw.twin.physics.forces import RING_M
-from hw.twin.physics.rotation import euler_rad
+from hw.twin.scene import Creature, Scene, Solid, generator
+
+# @@ landmarks
+# Where the tags of a fleet file truly are: where it says, give or take its survey's errors. Hidden from the agents.
+#
+# A tag's own axes are right, up and out of its face, towards who looks at it.
+
+SIZE_SPREAD = 0.001  # of the printer's scale, at most; the fleet file's size is what somebody measured
+
+# The directions out of each face and up on it, in the world.
+OUT_AND_UP: dict[Face, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "x0": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "x1": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "y0": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "y1": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "floor": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+}
+
+
+class PaintedTag(NamedTuple):
+    """One square of the family 36h11 on a face of the tank."""
+
+    id: int
+    face: Face
+    position_m: NDArray[np.float64]  # (3,) of its middle, world
+    rotation: NDArray[np.float64]  # (3, 3) tag to world
+    size_m: float  # black edge to black edge
+
+
+def surveyed_tag(tag: Tag, size_m: float) -> PaintedTag:
+    """The tag where the survey found it."""
+    out, up = OUT_AND_UP[tag.face]
+    axes = np.column_stack([np.cross(up, out), up, out])
+    return PaintedTag(tag.id, tag.face, np.array(tag.position_m), axes @ _turned(0.0, 0.0, tag.turn_deg), size_m)
+
+
+def true_tags(landmarks: Landmarks | None, seed: int) -> tuple[PaintedTag, ...]:
+    """All tags where they are: each one's errors come from its own stream, so that one more changes no other."""
+    return tuple(_true_tag(tag, landmarks, seed) for tag in landmarks.tag) if landmarks else ()
+
+
+def _true_tag(tag: Tag, landmarks: Landmarks, seed: int) -> PaintedTag:
+    rng = generator(seed, "tag", str(tag.id))
+    said = surveyed_tag(tag, landmarks.size_m)
+    shift_m, angles_deg = rng.normal(0, landmarks.sigma_m, 3), rng.normal(0, landmarks.sigma_deg, 3)
+    size_m = said.size_m * rng.uniform(1 - SIZE_SPREAD, 1 + SIZE_SPREAD)
+    return said._replace(
+        position_m=said.position_m + shift_m, rotation=said.rotation @ _turned(*angles_deg), size_m=size_m
+    )
+
+
+def _turned(*angles_deg: float) -> NDArray[np.float64]:
+    """(3, 3) by so much about x, y and z."""
+    roll, pitch, yaw = (math.radians(angle) for angle in angles_deg)
+    return matrix(quaternion(roll, pitch, yaw))
+
+
+# @@ truth
 
 PATHS, SEPARATION = "paths.csv", "separation.json"
 HEAD = "t_ns,robot,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg,pan_deg,tilt_deg"
@@ -96,3 +155,108 @@ def tags_as_json(tags: Sequence[PaintedTag]) -> dict[str, Any]:
         str(tag.id): {"position_m": tag.position_m.tolist(), "rotation": tag.rotation.tolist(), "size_m": tag.size_m}
         for tag in tags
     }
+
+
+# @@ stage
+# What stands in the tank at each time: solids that events move, tags that events take away.
+
+
+class Move(NamedTuple):
+    """One solid's way: straight, at one speed."""
+
+    solid: int
+    from_m: Vector
+    to_m: Vector
+    start_ns: int
+    end_ns: int
+
+    def at(self, t_ns: int) -> Vector:
+        share = min(max((t_ns - self.start_ns) / (self.end_ns - self.start_ns), 0.0), 1.0)
+        x, y, z = (a + share * (b - a) for a, b in zip(self.from_m, self.to_m, strict=True))
+        return x, y, z
+
+
+class Stage:
+    """Whoever asks about a time that has not passed may get another answer later. One thread changes it."""
+
+    def __init__(self, solids: Sequence[Solid], tags: Sequence[PaintedTag]) -> None:
+        self._solids, self._tags = tuple(solids), tuple(tags)
+        self._moves: list[Move] = []  # in order of time; a later one of the same solid ends the one before
+        self._lost_ns: dict[int, int] = {}
+
+    def move(self, solid: int, to_m: Vector, now_ns: int, over_s: float) -> None:
+        """Move a solid from where it is, from now on."""
+        here_m = self.solids(now_ns)[solid].position_m
+        self._moves.append(Move(solid, here_m, to_m, now_ns, now_ns + round(over_s * 1e9)))
+
+    def lose_tag(self, number: int, now_ns: int) -> None:
+        self._lost_ns.setdefault(number, now_ns)
+
+    def solids(self, t_ns: int) -> tuple[Solid, ...]:
+        """All solids, in the order of the scene."""
+        standing = list(self._solids)
+        for move in self._moves:
+            if t_ns >= move.start_ns:
+                standing[move.solid] = msgspec.structs.replace(self._solids[move.solid], position_m=move.at(t_ns))
+        return tuple(standing)
+
+    def tags(self, t_ns: int) -> tuple[PaintedTag, ...]:
+        """The tags that are still there."""
+        if not self._lost_ns:
+            return self._tags
+        return tuple(tag for tag in self._tags if self._lost_ns.get(tag.id, t_ns + 1) > t_ns)
+
+
+# @@ targets
+# Which solid or creature of the scene each target of a fleet is: known to the twin and to who judges a dive, never to
+# an agent.
+
+
+def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Solid]:
+    """A ball is known by its colour, a thing in a box by its name, where the scene has one of the target's name.
+
+    Raises ConfigError when the scene has no ball, or two, of the colour, or two solids of the name.
+    """
+    found = {}
+    for name, target in fleet.target.items():
+        if target.detector == "creature":
+            continue
+        if target.detector == "ball":
+            what = f"{target.ball_colour} {target.detector}"
+            like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
+            remedy = "take another colour, or another scene in [twin]"
+        else:
+            what, like = f"solid called {name}", [s for s in scene.solid if s.name == name]
+            remedy = "give each a name of its own"
+            if not like:
+                continue
+        if len(like) != 1:
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; {remedy}"
+            )
+        found[name] = like[0]
+    return found
+
+
+def target_creatures(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Creature]:
+    """A creature is known by its name. A box target too may be one, where no solid has its name.
+
+    Raises ConfigError for a target that is one and of which nobody says how fast it swims: nobody could follow it.
+    """
+    swimming = {creature.name: creature for creature in scene.creature}
+    found = {
+        name: swimming[name] for name, target in fleet.target.items() if name in swimming and target.detector != "ball"
+    }
+    for name in found:
+        if fleet.target[name].speed_m_s is None:
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': it swims in scene '{scene.name}'; add `speed_m_s` and `turn_s`"
+            )
+    return found
+
+
+def movable(fleet: Fleet, scene: Scene) -> list[int]:
+    """Numbers of the solids that an event may move: stones, but for those that are a target, whose place is told."""
+    return [
+        i for i, s in enumerate(scene.solid) if s.kind == "stone" and (s.name is None or s.name not in fleet.target)
+    ]

@@ -9,7 +9,7 @@ import numpy as np
 from agent.core.config import Tank
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye
+from hw.twin.optics.raycast import Eye
 from hw.twin.scene import generator, load_scene
 
 REPEATS = 15

@@ -19,11 +19,11 @@ from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.tag_bundle import SurveyFrame, turned_by
 from agent.tools.tag_map import Views, fresh, known_tags, survey
-from hw.twin.landmarks import PaintedTag, true_tags
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye
+from hw.twin.optics.raycast import Eye
 from hw.twin.scene import generator, load_scene
+from hw.twin.truth import PaintedTag, true_tags
 
 SEEDS = range(100, 103)
 FRAMES = 250

@@ -22,15 +22,13 @@ WAITS = {
     "agent/ground/page/live.py": MACHINE,
     "agent/ground/page/replayed.py": MACHINE,
     "agent/process/launch.py": (ENDS, MACHINE),  # its own kind of event, waited for by whatever clock
-    "hw/camera/frame_server.py": MACHINE,
-    "hw/camera/frame_socket.py": RUN,
-    "hw/camera/twin.py": MACHINE,
+    "hw/camera/frame_socket.py": (MACHINE, RUN),  # the server; the camera, which waits for the dive
     "hw/camera/v4l2_node.py": MACHINE,
-    "hw/camera/v4l2_stream.py": MACHINE,  # a real camera's clock is the machine's
+    "hw/camera/v4l2.py": MACHINE,  # a real camera's clock is the machine's
     "hw/stm32/driver.py": RUN,
-    "hw/twin/bench_socket.py": MACHINE,
-    "hw/twin/devices/boot.py": MACHINE,  # time stands while a firmware is waited for
-    "hw/twin/devices/camera_device.py": RUN,
+    "hw/twin/calibration_bench.py": MACHINE,
+    "hw/twin/board.py": MACHINE,  # time stands while a firmware is waited for
+    "hw/twin/camera_device.py": RUN,
     "replay/files/log.py": ENDS,
 }
 OURS = {"machine", "clock", "Part"}  # the door itself

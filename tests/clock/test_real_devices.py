@@ -20,7 +20,7 @@ from agent.process.command import shipped_fleet
 from agent.process.transport import fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from hw.stm32.driver import Stm32
-from hw.twin.devices.twin_folder import clock_path
+from hw.twin.twin_folder import clock_path
 from tests.hw.camera.fake_v4l2 import FakeComputer
 from tests.hw.conftest import put_on_desk  # noqa: F401 - a fixture
 from tests.hw.stm32.driven_desk import Port, drive

@@ -36,7 +36,7 @@ from agent.experiments.navigation.navigation import (
     worlds,
 )
 from agent.experiments.navigation.swimmers import DrawnCamera, Swimmers
-from hw.twin.history import RobotPose
+from hw.twin.dive import RobotPose
 
 S = 1_000_000_000
 LEVEL = Attitude(basin.DEPTH_M, 0.0, 0.0)

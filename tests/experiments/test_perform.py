@@ -15,7 +15,7 @@ from agent.core.config import ConfigError
 from agent.experiments.experiment import WATERS, ExperimentResult, Sensor, perform
 from agent.process.command import Failed
 from hw.twin.optics.lens import PRESETS
-from hw.twin.optics.water import KD_PER_M
+from hw.twin.optics.shade import KD_PER_M
 
 VERBS = [command.name for command in app.registered_commands]
 

@@ -20,8 +20,8 @@ from agent.robot.step import Agent
 from agent.robot.verbs import VERBS
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
-from hw.camera.v4l2_format import MJPG, YUYV, Format
-from hw.camera.v4l2_format import decode as picture
+from hw.camera.v4l2 import MJPG, YUYV, Format
+from hw.camera.v4l2 import decode as picture
 from hw.firmware import wire
 from replay.files.backlog import Entry
 from replay.viewers.viewer_channels import ViewerChannels

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from hw.picture_files import SUFFIXES, picture_files, read_picture
+from hw.camera.files import SUFFIXES, picture_files, read_picture
 
 COLOURS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
 LEVELS = np.array([[0, 100, 128, 129, 257, 4095, 20000, 65535]], np.uint16)

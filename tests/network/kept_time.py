@@ -8,8 +8,8 @@ from threading import Event, Thread
 from agent.clock.clock import SystemClock
 from agent.clock.keeper import Keeper, start_clock
 from agent.core.config import Fleet
-from hw.twin.devices.twin_folder import clock_path
 from hw.twin.physics.tank import TICK_NS
+from hw.twin.twin_folder import clock_path
 
 
 @contextmanager

@@ -38,8 +38,7 @@ from agent.process.agent_process import STEP_NS
 from agent.process.transport import Observer, Transport
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
-from hw.stm32.driver import Stm32
-from hw.stm32.motors import Motors
+from hw.stm32.driver import Motors, Stm32
 from replay.check.black_box import STEP_BYTES, open_boxes
 from replay.check.check import check, text
 from tests.ground.page.shown import opened

@@ -32,11 +32,9 @@ from agent.core.ranging.camera_model import CameraFit, gimbal_deg
 from agent.core.step_io import SetPoint, Telemetry
 from agent.experiments.ball_measurements import Host
 from agent.process.command import Failed, temporary_folder
-from hw.twin.devices.board import Board, interpreter
-from hw.twin.dive import Dive
-from hw.twin.history import RobotPose
-from hw.twin.pace import run_in_lock_step
-from hw.twin.physics.servo import PLAY_DEG
+from hw.twin.board import Board, interpreter
+from hw.twin.dive import Dive, RobotPose, run_in_lock_step
+from hw.twin.physics.body import PLAY_DEG
 from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import Pull, Scene, generator
 

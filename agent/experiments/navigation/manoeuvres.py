@@ -29,8 +29,8 @@ from agent.experiments.navigation.basin import TANK, twin_bodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.perception.flow import REST_M
 from agent.perception.tags import Found, find_tags
-from hw.twin.landmarks import true_tags
 from hw.twin.scene import generator
+from hw.twin.truth import true_tags
 
 Path = NDArray[np.float64]  # (n, 4): t, x, y, yaw
 

@@ -42,15 +42,15 @@ from agent.experiments.navigation.basin import RING_M, START_NS, STEP_NS, TANK, 
 from agent.perception.flow import MOST, STILL_PX, has_settled, is_due
 from agent.perception.tags import module_px
 from agent.robot.step import Agent
-from hw.twin.devices.camera_device import look
-from hw.twin.history import RobotPose
-from hw.twin.landmarks import true_tags
+from hw.twin.camera_device import look
+from hw.twin.dive import RobotPose
 from hw.twin.scene import generator
+from hw.twin.truth import true_tags
 
 # @@ drawn_camera
 # What a robot's camera would tell it of the basin: tags and points of floor and walls projected, never rendered.
 #
-# The tags hang where the twin's survey errors put them (hw.twin.landmarks), the camera looks from where the twin's
+# The tags hang where the twin's survey errors put them (hw.twin.truth), the camera looks from where the twin's
 # gimbal carries it. Corners err as tag_noise.py has measured it on rendered frames; points that are followed, as
 # docs/landmarks.md has it. Tags without edges are left out. Nothing is hidden by anything, and no motion blurs
 # anything.

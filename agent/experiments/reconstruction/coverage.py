@@ -30,7 +30,7 @@ from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import CAMERA, START_NS, Bodies, PlanarBodies
 from agent.experiments.navigation.swimmers import FOCUS, LATE_STEPS, Eyes, Frame, Swimmers
 from agent.robot.step import Agent
-from hw.twin.devices.camera_device import look as eye_of
+from hw.twin.camera_device import look as eye_of
 from hw.twin.scene import generator
 
 # @@ drawn_scene

@@ -20,7 +20,7 @@ from agent.reconstruction.pose_evidence import Motion, apart, between, by_motion
 from agent.reconstruction.views import Floats, View, see
 from agent.robot.fleet_reader import load_fleet
 from hw.compiled import compiled
-from hw.twin.optics.view import turned
+from hw.twin.optics.raycast import turned
 from hw.twin.scene import Solid
 
 NEAR_M, F_M = 10e-3, 5e-3  # a place counts as covered within the first; precision and recall of F within the second

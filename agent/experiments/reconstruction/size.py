@@ -48,7 +48,7 @@ from agent.reconstruction.views import (
 )
 from hw.twin.optics.lens import Lens, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye
+from hw.twin.optics.raycast import Eye
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
 # @@ basin

@@ -33,7 +33,7 @@ from agent.perception.detection.colour import (
 from agent.perception.detection.detect import LIMIT, find_ball
 from agent.perception.tracking.appearance import Box, Image
 from agent.perception.tracking.follow import Follower, load_box_tracker, model_files
-from hw.picture_files import read_picture
+from hw.camera.files import read_picture
 
 # @@ other_light
 # What another camera, or another light, would have made of 8-bit pixels: gamma, white balance and exposure.

@@ -10,28 +10,134 @@ halo of what is scattered between a surface and the camera, lens aberrations and
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import Tank
-from hw.twin.landmarks import PaintedTag
-from hw.twin.optics import texture
-from hw.twin.optics.defocus import blur, circles, margin
-from hw.twin.optics.exposure import Exposure, expose, gamma_curve, noise_key, normal_quantiles
-from hw.twin.optics.lamps.lit import LampTables, add_lamps, lamp_tables
-from hw.twin.optics.lamps.metering import METERING_STEP_PX, coarse, meter
+from hw.twin.optics import raycast
+from hw.twin.optics.image_formation import (
+    METERING_STEP_PX,
+    During,
+    Exposure,
+    blur,
+    circles,
+    coarse,
+    expose,
+    gamma_curve,
+    margin,
+    meter,
+    noise_key,
+    normal_quantiles,
+    parts_of,
+)
+from hw.twin.optics.lamps import LampTables, add_lamps, lamp_tables
 from hw.twin.optics.lens import Lens
-from hw.twin.optics.motion import During, parts_of
-from hw.twin.optics.outline import Outline, outlines, swum_over
-from hw.twin.optics.parts import Part, grown, traced
-from hw.twin.optics.raycast import Floats, Identities, View
-from hw.twin.optics.shade import PER_M, ShadingTables, shade
+from hw.twin.optics.raycast import (
+    MATERIALS,
+    SOLID_ID,
+    Chessboard,
+    Eye,
+    Floats,
+    Hull,
+    Identities,
+    LampBeam,
+    Moment,
+    View,
+    make_view,
+    trace,
+)
+from hw.twin.optics.shade import PER_M, ShadingTables, daylight, draw_water, shade, transmission_and_veil
 from hw.twin.optics.tags import make_decals, paint
-from hw.twin.optics.texture import MATERIALS
-from hw.twin.optics.view import Chessboard, Eye, Hull, LampBeam, Moment, make_view
-from hw.twin.optics.water import daylight, draw_water, transmission_and_veil
 from hw.twin.scene import Scene, generator
+from hw.twin.truth import PaintedTag
+
+# @@ parts
+# Parts of a frame: what of it is traced, and how much around it the blur needs.
+
+Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
+
+ALIGN = 4  # the coarsest pixels of the blur lie on one grid whichever part is asked for
+
+
+def traced(view: View, part: Part) -> tuple[Floats, NDArray[np.uint8]]:
+    """z-depth and identity (h, w) of each pixel."""
+    x, y, width, height = part
+    depth = np.empty((height, width), np.float32)
+    identity = np.empty((height, width), np.uint8)
+    trace(view, x, y, depth, identity)
+    return depth, identity
+
+
+def grown(part: Part, rim: int) -> Part:
+    """A part and `rim` pixels around it, on the grid of the coarsest pixels."""
+    x, y, width, height = part
+    x0, y0 = (x - rim) // ALIGN * ALIGN, (y - rim) // ALIGN * ALIGN
+    return x0, y0, -(-(x + width + rim - x0) // ALIGN) * ALIGN, -(-(y + height + rim - y0) // ALIGN) * ALIGN
+
+
+# @@ outline
+# Where in a frame a creature truly is: for who judges what was seen, never for an agent.
+
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in pixels of the full frame: x0 <= x < x1, y0 <= y < y1
+
+
+class Outline(NamedTuple):
+    """One creature in one frame."""
+
+    name: str
+    box: Box  # around all of it that is within the frame, hidden or not
+    pixels: int  # that it would cover if nothing was in front of it
+    visible: int  # of these
+
+
+def outlines(view: View, moment: Moment, size: tuple[int, int]) -> list[Outline]:
+    """Those of the creatures that are within the frame, at `size` (width, height) pixels, in the moment's order."""
+    found = []
+    first = len(moment.solids) + len(moment.hulls)
+    for creature in moment.creatures:
+        mine = slice(first, first + len(creature.parts))
+        x0, y0 = np.maximum(view.bounds[mine, :2].min(0), 0).tolist()
+        x1, y1 = np.minimum(view.bounds[mine, 2:].max(0), size).tolist()
+        if x1 > x0 and y1 > y0:
+            alone = view._replace(**{key: getattr(view, key)[mine] for key in PER_SOLID})
+            everything, itself = (_identity(each, x0, y0, x1, y1) for each in (view, alone))
+            shape = itself >= SOLID_ID
+            if shape.any():
+                shows = shape & (everything >= SOLID_ID + mine.start) & (everything < SOLID_ID + mine.stop)
+                rows, columns = np.flatnonzero(shape.any(1)), np.flatnonzero(shape.any(0))
+                left, top, right, bottom = (int(i) for i in (columns[0], rows[0], columns[-1], rows[-1]))
+                box = (x0 + left, y0 + top, x0 + right + 1, y0 + bottom + 1)
+                found.append(Outline(creature.name, box, int(shape.sum()), int(shows.sum())))
+        first = mine.stop
+    return found
+
+
+def swum_over(views: Sequence[View], moment: Moment, part: Box) -> Box | None:
+    """The part of `part` (both x, y, width, height) that creatures may cover in any of these views; None: none."""
+    first = len(moment.solids) + len(moment.hulls)
+    bounds = np.concatenate([view.bounds[first:] for view in views])
+    bounds = bounds[(bounds[:, 2] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 1])]
+    if not len(bounds):
+        return None
+    x0, y0 = (max(low, int(least)) for low, least in zip(part[:2], bounds[:, :2].min(0), strict=True))
+    x1 = min(part[0] + part[2], int(bounds[:, 2].max()))
+    y1 = min(part[1] + part[3], int(bounds[:, 3].max()))
+    return (x0, y0, x1 - x0, y1 - y0) if x1 > x0 and y1 > y0 else None
+
+
+PER_SOLID = ("solids", "bounds", "radii", "up", "pattern")
+
+
+def _identity(view: View, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
+    depth = np.empty((y1 - y0, x1 - x0), np.float32)
+    identity = np.empty(depth.shape, np.uint8)
+    trace(view, x0, y0, depth, identity)
+    return identity
+
+
+# @@ painter
 
 Image = NDArray[np.uint8]  # (h, w, 3), blue green red
 
@@ -70,7 +176,7 @@ class Painter:
         steps_m = np.arange(int(np.linalg.norm(self._box_m) * PER_M) + 2) / PER_M
         through, veil = transmission_and_veil(water, steps_m)
         self._tables = ShadingTables(
-            atlas=texture.atlas(self._seed, bool(self._scene.creature)),
+            atlas=raycast.atlas(self._seed, bool(self._scene.creature)),
             layer=np.array([m.layer for m in MATERIALS]),
             texels_per_m=np.array([1 / m.texel_m for m in MATERIALS], np.float32),
             dark=np.array([m.dark for m in MATERIALS], np.float32),

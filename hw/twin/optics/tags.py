@@ -17,27 +17,32 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hw.twin.landmarks import PaintedTag
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import (
+    CHESSBOARD,
     FLOOR_ID,
+    MATERIALS,
     ONE,
     TINY,
     ZERO,
+    Ellipsoid,
+    Eye,
     F,
     Floats,
     Identities,
     View,
+    affine,
     along,
     at,
     inlined,
     kernel,
     map_row,
+    pixel_bounds,
     ray,
+    relative,
 )
 from hw.twin.optics.shade import GRAIN, HALF, STEEPEST, STEPS_PER_M, WALL_LIGHT, ShadingTables, look_up
-from hw.twin.optics.texture import CHESSBOARD, MATERIALS
-from hw.twin.optics.view import Ellipsoid, Eye, affine, pixel_bounds, relative
+from hw.twin.truth import PaintedTag
 
 CODE, BORDER, SIDE = 6, 8, 10  # squares a side: of the code, with the black border, with the white margin around that
 PAPER = MATERIALS.index(CHESSBOARD)  # the same ink on the same grain

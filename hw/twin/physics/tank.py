@@ -7,16 +7,37 @@ k v^2 drives a body that moves backwards. Semi-implicit Euler: velocities first,
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.messages import Vector
 from hw.compiled import compiled
-from hw.twin.physics.contact import add_contacts
-from hw.twin.physics.forces import add_force, add_lines, add_stirred_water, add_thrust, add_water, add_weight
-from hw.twin.physics.rotation import to_body, to_world, turned
-from hw.twin.physics.servo import motor_deg_after, shaft_deg_after
-from hw.twin.physics.thruster import lagged_thrust_n, static_thrust_n
+from hw.firmware.wire import NO_RATE
+from hw.twin.physics.body import (
+    F_MAX_N,
+    lagged_thrust_n,
+    motor_deg_after,
+    shaft_deg_after,
+    static_thrust_n,
+    to_body,
+    to_world,
+    turned,
+)
+from hw.twin.physics.forces import (
+    add_contacts,
+    add_force,
+    add_lines,
+    add_stirred_water,
+    add_thrust,
+    add_water,
+    add_weight,
+)
+from hw.twin.physics.sensors import LATE_SAMPLES, NOISE_M
+from hw.twin.scene import Current, Pull, generator
 
 STEP_S = 0.002  # 20 times shorter than the fastest lag, that of the servos
 STEPS_PER_TICK = 5
@@ -122,3 +143,154 @@ def advance(
 def push(state: np.void, force_n: Vector, point_m: Vector, for_s: float) -> None:
     """Push one robot: a world-frame force at a body-frame point, from the next step on."""
     state["push_n"], state["push_at_m"], state["push_s"] = force_n, point_m, for_s
+
+
+# @@ plant
+# What an experiment decides about a robot, instead of leaving it to chance: one row of overrides per robot.
+
+
+class Plant(NamedTuple):
+    """The defaults leave a robot as it is drawn."""
+
+    mass_scale: float = 1.0  # on all that resists acceleration, added mass with it; it stays as buoyant as it was
+    lag_s: float | None = None  # of every thruster; None: drawn about 0.10 s
+    f_max_n: float = F_MAX_N  # thrust at 1900 us
+    noise_m: float = NOISE_M  # standard deviation of one pressure sample
+    late_samples: int = LATE_SAMPLES  # from the water to the firmware
+    dynamic_pressure: float = 1.0  # share of the stagnation pressure that the sensors see
+
+
+def set_body(body: NDArray[np.void], plant: Plant) -> None:
+    """Impose a plant on a drawn record () BODY."""
+    for name in ("mass_kg", "displaced_kg", "added_kg", "inertia_kgm2", "added_inertia_kgm2"):
+        body[name] *= plant.mass_scale
+    if plant.lag_s is not None:
+        body["thrust_lag_s"] = plant.lag_s
+    body["thrust_gain"] *= plant.f_max_n / F_MAX_N
+    body["stagnation"] = plant.dynamic_pressure
+
+
+# @@ flow
+# Water that flows, and tethers that pull: what each moment brings, as random processes with streams of their own.
+#
+# The current is one velocity everywhere, walls or not: its constant part, and in x and y a gust that comes and goes
+# (Ornstein-Uhlenbeck, GUST_S). Water has mass: it follows both with a lag, so that its acceleration, which pushes a
+# hull as hard as it pushes the water that the hull displaces, is finite.
+
+GUST_S = 4.0  # correlation time of what drives the gust; assumed
+BLOCK = 256  # steps drawn at a time: a tick costs no call into the generators
+TICK_S = TICK_NS * 1e-9
+LAG_S = 1.0  # of the water behind it, and behind a current that is changed; assumed
+
+
+class Flow:
+    """The current of a tank and the pull at each robot's tether; `tick` writes both into the robots' states."""
+
+    def __init__(self, seed: int, robots: Sequence[str], current: Current, pull: Pull) -> None:
+        self.active = bool(any(current.velocity_m_s) or current.gust_m_s or pull.force_n)  # else `tick` does nothing
+        self._mean_m_s = np.array(current.velocity_m_s)
+        self._now_m_s = self._mean_m_s.copy()
+        self._usual, self._left_s = pull, np.full(len(robots), math.inf)
+        # One process a row, in x and y: what drives the gust, and the pull at each robot. The lag takes of the former.
+        self._rngs = [generator(seed, "gust"), *(generator(seed, robot, "pull") for robot in robots)]
+        self._noise, self._drawn = np.zeros((BLOCK, len(self._rngs), 2)), 0
+        self._x = np.zeros((len(self._rngs), 2))
+        self._kept, self._gain = np.zeros((len(self._rngs), 1)), np.zeros((len(self._rngs), 1))
+        self._wander(0, current.gust_m_s * math.sqrt((GUST_S + LAG_S) / GUST_S), GUST_S)
+        for i in range(len(robots)):
+            self._wander(1 + i, pull.force_n / math.sqrt(2), pull.correlation_s)
+
+    @property
+    def velocity_m_s(self) -> Vector:
+        """Of the water now."""
+        x, y, z = self._now_m_s.tolist()
+        return x, y, z
+
+    def set_current(self, velocity_m_s: Vector) -> None:
+        """Another constant part from now on."""
+        self._mean_m_s, self.active = np.array(velocity_m_s), True
+
+    def pull(self, robot: int, pull: Pull, for_s: float) -> None:
+        """Another pull at one tether, for so long."""
+        self._wander(1 + robot, pull.force_n / math.sqrt(2), pull.correlation_s)
+        self._left_s[robot] = for_s
+        self.active = True
+
+    def tick(self, states: NDArray[np.void]) -> None:
+        """What flows and pulls in the next tick."""
+        for robot in np.flatnonzero(self._left_s <= 0).tolist():
+            self.pull(robot, self._usual, math.inf)
+        self._left_s -= TICK_S
+        if self._drawn % BLOCK == 0:
+            for i, rng in enumerate(self._rngs):
+                self._noise[:, i] = rng.standard_normal((BLOCK, 2))
+        self._x = self._kept * self._x + self._gain * self._noise[self._drawn % BLOCK]
+        self._drawn += 1
+        speeding_m_s2 = (self._mean_m_s - self._now_m_s) / LAG_S
+        speeding_m_s2[:2] += self._x[0] / LAG_S
+        states["stirred"] = 1
+        states["water_m_s"], states["water_m_s2"] = self._now_m_s, speeding_m_s2
+        states["pull_n"][:, :2] = self._x[1:]
+        self._now_m_s += speeding_m_s2 * TICK_S
+
+    def _wander(self, row: int, sigma: float, correlation_s: float) -> None:
+        """Let a row be an Ornstein-Uhlenbeck process; exact, so that sigma holds whatever the step."""
+        kept = math.exp(-TICK_S / correlation_s)
+        self._kept[row], self._gain[row] = kept, sigma * math.sqrt(1 - kept * kept)
+
+
+# @@ gyro
+# The yaw gyro of each robot that has one: an ICM-42688-P lying flat in the hull, 100 readings a second.
+#
+# Figures of its data sheet (TDK InvenSense DS-000347): noise, zero offset and its drift with temperature, error of
+# scale. How straight it is mounted, what the thrusters shake and how fast the offset wanders are estimates.
+
+ZERO_DEG_S = 0.5  # standard deviation of the offset
+SCALE = 0.005  # and of the scale
+MOUNTED_RAD = math.radians(1.0)  # and of either tilt of its axis, by which it hears roll and pitch
+LOW_PASS_HZ = 25.0  # as the firmware sets it
+FOLLOWS = 1.0 - math.exp(-2.0 * math.pi * LOW_PASS_HZ * TICK_S)  # share of a change that has passed after a reading
+NOISE_DEG_S = math.hypot(0.0028 * math.sqrt(LOW_PASS_HZ), 0.05)  # of one reading: its own, and the thrusters'
+WALK_DEG_S = 0.002  # per root second, of the offset: 0.005 deg/s for each kelvin by which it warms
+FULL_SCALE_CDEG_S = 25_013
+
+
+class Gyros:
+    """Those of a fleet; each robot's errors come from a stream of its own."""
+
+    def __init__(self, seed: int, robots: Sequence[str], fitted: bool) -> None:
+        self._rngs = [generator(seed, robot, "gyro") for robot in robots] if fitted else []
+        rows = [(rng.normal(0, ZERO_DEG_S), rng.normal(0, SCALE), *rng.normal(0, MOUNTED_RAD, 2)) for rng in self._rngs]
+        errors = np.array(rows).reshape(-1, 4)
+        self._zero_deg_s, scale, about = errors[:, 0].copy(), errors[:, 1], errors[:, 2:]
+        self._axes = np.column_stack([about, 1.0 + scale])  # (n, 3), body frame
+        self._passed_deg_s = np.zeros(len(self._rngs))
+        self._draws = np.zeros((BLOCK, len(self._rngs), 2))
+        self._drawn = 0
+        self._robots = list(robots)
+        self._failed: dict[int, int] = {}  # what those say that are broken
+        self._told = [NO_RATE] * len(robots)
+
+    def read(self, rates_rad_s: NDArray[np.float64]) -> list[int]:
+        """What each says a tick after the last: hundredths of a degree a second, NO_RATE of a robot without one.
+
+        rates_rad_s: (n, 3), body frame.
+        """
+        if not self._rngs:
+            return self._told
+        if self._drawn % BLOCK == 0:
+            self._draws[:] = np.stack([rng.standard_normal((BLOCK, 2)) for rng in self._rngs], axis=1)
+        noise, walk = self._draws[self._drawn % BLOCK].T
+        self._drawn += 1
+        self._zero_deg_s += WALK_DEG_S * math.sqrt(TICK_S) * walk
+        turning_deg_s = np.degrees((self._axes * rates_rad_s).sum(axis=1))
+        self._passed_deg_s += FOLLOWS * (turning_deg_s - self._passed_deg_s)
+        says = np.rint(100.0 * (self._passed_deg_s + self._zero_deg_s + NOISE_DEG_S * noise))
+        told = np.clip(says, -FULL_SCALE_CDEG_S, FULL_SCALE_CDEG_S).astype(int).tolist()
+        self._told = [self._failed.get(i, rate) for i, rate in enumerate(told)]
+        return self._told
+
+    def fail(self, robot: str, stuck: bool) -> None:
+        """It does not answer any more, or repeats its last reading."""
+        i = self._robots.index(robot)
+        self._failed[i] = self._told[i] if stuck else NO_RATE

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from agent.core.config import ConfigError, dump
-from hw.twin.devices.cycle_times import TABLE, CycleTimes, Table, read_table
+from hw.twin.board import TABLE, CycleTimes, Table, read_table
 from tests.bench.board import prices, sources
 from tests.bench.board.boots import ARMED, DISARMED
 from tests.bench.board.estimate import Measured, collections_in

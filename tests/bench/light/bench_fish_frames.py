@@ -23,14 +23,13 @@ from agent.core.config import Lighting, WaterOptics
 from agent.perception.detection.detectors import CreatureDetector, named_hues
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.creatures.school import School
-from hw.twin.creatures.shape import swimming
-from hw.twin.landmarks import true_tags
+from hw.twin.creatures import School, swimming
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye, Hull, LampBeam, Moment
-from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal, matrix, quaternion
+from hw.twin.optics.raycast import Eye, Hull, LampBeam, Moment
+from hw.twin.physics.body import GIMBAL_CAMERA, gimbal, matrix, quaternion
 from hw.twin.scene import generator, load_scene
+from hw.twin.truth import true_tags
 
 SEEDS = [int(seed) for seed in os.environ.get("AUCAMP_FISH_SEEDS", "3").split()]
 WATERS = {

@@ -30,11 +30,11 @@ from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.depth_sweep import BlockSweep
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.landmarks import true_tags
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye, Hull, LampBeam, Moment
+from hw.twin.optics.raycast import Eye, Hull, LampBeam, Moment
 from hw.twin.scene import Solid, generator, in_daylight, load_scene
+from hw.twin.truth import true_tags
 
 WATERS = {
     "harbour": ((0.55, 0.37, 0.45), (1.82, 1.82, 1.82)),

@@ -32,14 +32,13 @@ from agent.perception.flow import LandmarkWatch
 from agent.perception.vision import Vision
 from agent.robot.step import Agent
 from hw.stm32.protocol import HostProtocol
-from hw.twin.devices.board import Board, interpreter
-from hw.twin.devices.camera_device import FRAME_NS, DiveCamera, FrameClock, unhurried
-from hw.twin.dive import Dive
-from hw.twin.landmarks import true_tags
+from hw.twin.board import Board, interpreter
+from hw.twin.camera_device import FRAME_NS, DiveCamera, FrameClock, unhurried
+from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.pace import run_in_lock_step
 from hw.twin.scene import generator, in_daylight, lamp_place, scene_of
+from hw.twin.truth import true_tags
 from tests.bench.swim.lockstep import START_NS, STEP_TICKS, LockstepCamera, LockstepClock, LockstepPart
 from tests.replay.step_box import StepBox
 

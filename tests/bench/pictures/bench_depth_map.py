@@ -17,8 +17,7 @@ import numpy as np
 
 from agent.perception.depth_sweep import measure, sweep
 from agent.tools.depth_map import depth_map
-from hw.camera.files import open_stack
-from hw.picture_files import picture_files, read_picture
+from hw.camera.files import open_stack, picture_files, read_picture
 from tests.bench.bench_vision import medians_s
 from tests.places import DATA
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from agent.perception.depth_sweep import clarity_of, measure
-from hw.picture_files import read_picture
+from hw.camera.files import read_picture
 from tests.bench.pictures.edges.scenes import FRAMES, PHOTOGRAPHS, Stack, stacks
 from tests.bench.pictures.edges.score import Score, score
 from tests.places import DATA

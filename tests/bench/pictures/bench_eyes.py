@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from agent.experiments.detection_pictures import JUDGED_PX, MarkedBall, Seen, look, marked_pictures, relative_error
-from hw.picture_files import read_picture
+from hw.camera.files import read_picture
 from tests.bench.pictures.cameras import CHANGES, Changed
 from tests.places import DATA
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.core.estimation.track import Dynamics, FixedLagFilter, Held, Track, predict, swimming
 from agent.core.linear_algebra import apply
 from agent.core.target_state import bearing
-from hw.twin.creatures.school import School
+from hw.twin.creatures import School
 from hw.twin.scene import Creature, load_scene
 
 TANK_M = (3.0, 2.0, 0.5)

@@ -19,14 +19,13 @@ from agent.perception.detection.detectors import CreatureDetector, named_hues
 from agent.perception.tracking.appearance import Box, overlap
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.creatures.school import School
-from hw.twin.creatures.shape import swimming
-from hw.twin.landmarks import true_tags
+from hw.twin.creatures import School, swimming
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye, Hull, Moment
-from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal, matrix, quaternion
+from hw.twin.optics.raycast import Eye, Hull, Moment
+from hw.twin.physics.body import GIMBAL_CAMERA, gimbal, matrix, quaternion
 from hw.twin.scene import generator, load_scene
+from hw.twin.truth import true_tags
 
 FRAMES, TICKS = 100, 10  # of each kind; from frame to frame, 0.1 s
 NEAR_M, FAR_M, MURKY_M = 0.3, 1.2, 1.0  # from MURKY_M on frames count apart

@@ -23,11 +23,9 @@ from agent.core.ranging.camera_model import BodyFit
 from agent.core.step_io import Inputs, SeenTags, SetPoint
 from agent.robot.step import Agent
 from hw.stm32.protocol import HostProtocol
-from hw.twin.devices.board import Board, interpreter
-from hw.twin.dive import Dive
-from hw.twin.pace import run_in_lock_step
-from hw.twin.physics.rotation import euler_rad
-from hw.twin.physics.servo import PLAY_DEG
+from hw.twin.board import Board, interpreter
+from hw.twin.dive import Dive, run_in_lock_step
+from hw.twin.physics.body import PLAY_DEG, euler_rad
 from hw.twin.scene import Current, Pull, Scene
 from tests.capabilities.swim.swimming_agent import CALIBRATION, fleet
 from tests.capabilities.swim.tank_with_tags import TANK_M, VIEW, sight

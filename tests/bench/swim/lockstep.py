@@ -25,15 +25,14 @@ from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
 from hw.camera.camera import FocusRange, Frame, Roi, deliverable
 from hw.stm32.protocol import HostProtocol
-from hw.twin.devices.board import Board, interpreter
-from hw.twin.devices.camera_device import DELIVERY_NS, FRAME_NS, DiveCamera, FrameClock
-from hw.twin.dive import Dive
-from hw.twin.landmarks import true_tags
+from hw.twin.board import Board, interpreter
+from hw.twin.camera_device import DELIVERY_NS, FRAME_NS, DiveCamera, FrameClock
+from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.pace import run_in_lock_step
-from hw.twin.physics.rotation import euler_rad
+from hw.twin.physics.body import euler_rad
 from hw.twin.scene import generator, scene_of
+from hw.twin.truth import true_tags
 from tests.replay.step_box import StepBox
 
 START_NS, STEP_TICKS = 10**15, 5

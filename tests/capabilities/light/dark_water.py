@@ -20,7 +20,7 @@ from agent.core.messages import Vector
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import START_NS, Bodies
 from agent.experiments.navigation.swimmers import BallPath, Eyes, Swimmers
-from hw.twin.devices.camera_device import look
+from hw.twin.camera_device import look
 
 FOCAL_PX = 1169.0
 IN_BEAM = 0.5  # of a lamp's light, and it counts

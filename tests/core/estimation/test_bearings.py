@@ -26,7 +26,7 @@ from agent.core.estimation.track import (
 from agent.core.linear_algebra import apply, times, upper
 from agent.core.messages import Sample
 from agent.core.target_state import bearing
-from hw.twin.creatures.school import School
+from hw.twin.creatures import School
 from hw.twin.scene import Creature, load_scene
 from tests.core.estimation.linked_robots import SECOND_NS, Net, line
 

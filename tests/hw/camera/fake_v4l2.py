@@ -10,9 +10,8 @@ import struct
 import cv2
 import numpy as np
 
-from hw.camera import v4l2_calls as v4l2
-from hw.camera.v4l2 import open_v4l2
-from hw.camera.v4l2_format import MJPG, YUYV
+from hw.camera import v4l2_node as v4l2
+from hw.camera.v4l2 import MJPG, YUYV, open_v4l2
 from hw.camera.v4l2_node import System
 
 FRAME_NS = 33_000_000

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
-from hw.camera.frame_server import FrameServer
+from hw.camera.frame_socket import FrameServer
 from hw.camera.open import open_camera
 from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
 

@@ -7,7 +7,7 @@ from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import Vision
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from hw.camera import v4l2_calls as v4l2
+from hw.camera import v4l2_node as v4l2
 from tests.hw.camera.fake_v4l2 import FakeComputer
 from tests.sightings import collect
 from tests.waiting import until

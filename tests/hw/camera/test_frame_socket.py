@@ -7,9 +7,8 @@ import threading
 
 import pytest
 
-from hw.camera import frame_server, frame_socket
+from hw.camera import frame_socket
 from hw.camera.camera import CameraError, CameraGone, Roi
-from hw.camera.frame_server import FrameServer
 from hw.camera.frame_socket import (
     FULL,
     INFO,
@@ -17,15 +16,16 @@ from hw.camera.frame_socket import (
     REPLY_SIZE,
     REQUEST_SIZE,
     SET_FOCUS,
+    FrameServer,
     Reply,
     Request,
     Torn,
+    open_twin,
     pack_reply,
     pack_request,
     parse_reply,
     parse_request,
 )
-from hw.camera.twin import open_twin
 
 REQUEST = Request(READ, 7, -3, 50_000, Roi(8, 16, 320, 240))
 REPLY = Reply(frame_socket.OK, 7, 12, 345_678_901_234, Roi(8, 16, 320, 240), 230_400)
@@ -154,13 +154,13 @@ class TestServer:
             camera.close()
 
     def test_a_client_that_stops_in_mid_request_is_dropped(self, monkeypatch, raw, server, closing):
-        monkeypatch.setattr(frame_server, "STALL_S", 0.05)
+        monkeypatch.setattr(frame_socket, "STALL_S", 0.05)
         raw.sendall(pack_request(REQUEST)[:5])
         assert raw.recv(1) == b""
         assert closing(open_twin(server.path)).read().seq == 1
 
     def test_a_client_that_does_not_read_its_frame_is_dropped(self, monkeypatch, raw, server, closing):
-        monkeypatch.setattr(frame_server, "STALL_S", 0.05)
+        monkeypatch.setattr(frame_socket, "STALL_S", 0.05)
         raw.sendall(b"".join(pack_request(Request(READ, n)) for n in range(100)))  # 1.8 MB of answers
         camera = None
         while camera is None:

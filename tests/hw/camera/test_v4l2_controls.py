@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from hw.camera import v4l2_calls as v4l2
+from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import CameraError
 
 

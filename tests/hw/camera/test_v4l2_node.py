@@ -5,10 +5,10 @@ import os
 import numpy as np
 import pytest
 
-from hw.camera import v4l2_calls as v4l2
 from hw.camera import v4l2_node
+from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import CameraError, CameraGone
-from hw.camera.v4l2_format import MJPG, YUYV
+from hw.camera.v4l2 import MJPG, YUYV
 from tests.hw.camera.fake_v4l2 import FakeCamera, scene, through_yuyv
 
 

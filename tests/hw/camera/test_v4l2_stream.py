@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from hw.camera import v4l2_calls as v4l2
+from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import CameraError, CameraGone
-from hw.camera.v4l2_format import MJPG, YUYV
-from hw.camera.v4l2_stream import exposed
+from hw.camera.v4l2 import MJPG, YUYV, exposed
 from tests.hw.camera.fake_v4l2 import FRAME_NS, STAMPS, scene, through_yuyv
 
 HALF_EXPOSURE_NS = 5_000_000  # of 100 x 100 us, where the automatic exposure comes to rest

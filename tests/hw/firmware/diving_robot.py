@@ -15,13 +15,10 @@ import numpy as np
 from agent.core.config import Fleet, Pose, Robot, Target, Twin
 from agent.core.step_io import SetPoint, Telemetry
 from hw.stm32.protocol import HostProtocol
-from hw.twin.devices.board import Board, interpreter
-from hw.twin.devices.cycle_times import CycleTimes
-from hw.twin.dive import Dive
-from hw.twin.faults import AnyEvent
-from hw.twin.pace import run_in_lock_step
-from hw.twin.physics.rotation import matrix
-from hw.twin.scene import Scene
+from hw.twin.board import Board, CycleTimes, interpreter
+from hw.twin.dive import Dive, run_in_lock_step
+from hw.twin.physics.body import matrix
+from hw.twin.scene import AnyEvent, Scene
 
 FLEET = Fleet(
     fleet="tank",

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hw.firmware import failsafe, wire
-from hw.twin.pace import LOCK_STEP_S
+from hw.twin.dive import LOCK_STEP_S
 from tests.hw.firmware.diving_robot import ASCENT_M_S, HOST, HOVER, REST_N, SURFACED_M, TILTED_DEG, diving_robot
 
 

@@ -9,8 +9,7 @@ import threading
 import time
 
 from hw.firmware import parameters, pwm, wire
-from hw.stm32.driver import Stm32
-from hw.stm32.parameter_texts import TEXTS
+from hw.stm32.driver import TEXTS, Stm32
 from tests.places import ROOT
 
 README = (ROOT / "hw" / "README.md").read_text(encoding="utf-8")

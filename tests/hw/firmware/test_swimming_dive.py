@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from hw.twin.physics.body import euler_rad, matrix
 from hw.twin.physics.forces import RING_M, RING_RAD
-from hw.twin.physics.rotation import euler_rad, matrix
 from tests.hw.firmware.diving_robot import HOVER, diving_robot
 
 

@@ -15,7 +15,7 @@ from agent.core.config import dump
 from agent.ground.board_reboot import reboot
 from agent.process.command import Failed
 from hw.firmware import failsafe, wire
-from hw.stm32.arming import Arming
+from hw.stm32.protocol import Arming
 from tests.hw.firmware.diving_robot import FLEET
 
 

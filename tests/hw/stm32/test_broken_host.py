@@ -15,7 +15,7 @@ import pytest
 from agent.clock.clock import SystemClock
 from hw.firmware import wire
 from hw.stm32.driver import Stm32
-from hw.twin.pace import LOCK_STEP_S
+from hw.twin.dive import LOCK_STEP_S
 from tests.hw.firmware.diving_robot import HOST, HOVER, SURFACED_M, diving_robot
 from tests.hw.stm32.driven_desk import Port, drive
 from tests.waiting import until

@@ -16,10 +16,8 @@ from agent.clock.keeper import start_clock
 from agent.core.config import ConfigError
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe, wire
-from hw.stm32.driver import Stm32
-from hw.stm32.fields import Level
-from hw.stm32.motors import AGAIN_NS, Motors
-from hw.stm32.port import open_port_path
+from hw.stm32.driver import AGAIN_NS, Motors, Stm32, open_port_path
+from hw.stm32.protocol import Level
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
 from tests.robot.ordering import Ordering
 from tests.waiting import until

@@ -4,7 +4,7 @@ import pytest
 
 from hw.firmware import wire
 from hw.firmware.failsafe import DISARM, HOLD, OK, SURFACE
-from hw.stm32.motors import AGAIN_NS, Motors, surfacing_for_silence
+from hw.stm32.driver import AGAIN_NS, Motors, surfacing_for_silence
 from tests.sample_messages import telemetry
 
 SILENT = {"armed": True, "ladder": SURFACE}

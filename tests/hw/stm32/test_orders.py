@@ -10,7 +10,7 @@ from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError
 from hw.firmware import parameters, wire
 from hw.stm32.driver import Stm32
-from hw.stm32.orders import NO_ANSWER, NO_BOARD
+from hw.stm32.protocol import NO_ANSWER, NO_BOARD
 from tests.hw.firmware.nominal_plant import AIR_PA
 from tests.hw.stm32.driven_desk import Port, drive
 from tests.waiting import until

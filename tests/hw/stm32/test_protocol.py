@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from agent.core.step_io import SetPoint
 from hw.firmware import parameters, wire
-from hw.stm32.arming import CURABLE
-from hw.stm32.fields import event_line
-from hw.stm32.orders import NO_ANSWER, NO_BOARD, OVERTAKEN
-from hw.stm32.protocol import HostProtocol
+from hw.stm32.protocol import CURABLE, NO_ANSWER, NO_BOARD, OVERTAKEN, HostProtocol, event_line
 from tests.hw.stm32.fake_board import FakeBoard, kinds
 
 MS = 1_000_000

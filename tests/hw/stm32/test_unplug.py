@@ -16,7 +16,7 @@ from agent.core.config import dump
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe
 from hw.stm32.driver import Stm32
-from hw.twin.faults import PowerCut, SerialUnplug
+from hw.twin.scene import PowerCut, SerialUnplug
 from tests.hw.firmware.diving_robot import ASCENT_M_S, FLEET, HOVER, diving_robot
 from tests.places import ROOT
 from tests.waiting import until

@@ -11,7 +11,7 @@ import pytest
 
 from hw.firmware import failsafe, parameters, wire
 from hw.firmware.parameters import TABLE
-from hw.stm32.parameter_check import IDS
+from hw.stm32.driver import IDS
 from tests.hw.firmware.nominal_plant import AIR_PA
 
 NEUTRAL = (1500,) * 8

@@ -9,7 +9,7 @@ import pytest
 
 from hw.firmware import wire
 from hw.firmware.parameters import TABLE
-from hw.stm32.parameter_check import IDS
+from hw.stm32.driver import IDS
 from tests.hw.firmware.bare_board import BareBoard
 
 ORDERS = [

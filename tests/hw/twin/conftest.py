@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from hw.twin.devices.board import Board
+from hw.twin.board import Board
 from hw.twin.dive import Dive
 from tests.hw.twin.stand_ins import FIRMWARE, fleet
 

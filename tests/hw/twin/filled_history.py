@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hw.twin.history import History
-from hw.twin.physics.rotation import quaternion
+from hw.twin.dive import History
+from hw.twin.physics.body import quaternion
 from hw.twin.physics.tank import STATE
 
 START_NS = 1_000_000_000

@@ -10,9 +10,8 @@ import time
 import numpy as np
 
 from agent.core.config import Fleet, Pose, Robot, Target, Twin
-from hw.twin.devices.board import Board
-from hw.twin.dive import Dive
-from hw.twin.pace import run_in_lock_step
+from hw.twin.board import Board
+from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.physics.sensors import PA_PER_M
 from tests.waiting import until
 

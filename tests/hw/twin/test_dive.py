@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from hw.twin.pace import run_in_lock_step
+from hw.twin.dive import run_in_lock_step
 from tests.hw.twin.stand_ins import pid
 
 
@@ -44,6 +44,6 @@ def test_lock_step_names_who_is_silent(plunge, monkeypatch):
     dive = plunge(("r1",))
     run_in_lock_step(dive, 3)
     os.kill(pid(dive.boards[0]), signal.SIGSTOP)
-    monkeypatch.setattr("hw.twin.pace.LOCK_STEP_S", 0.2)
+    monkeypatch.setattr("hw.twin.dive.LOCK_STEP_S", 0.2)
     with pytest.raises(TimeoutError, match="firmware of r1"):
         run_in_lock_step(dive, 3)

@@ -7,12 +7,36 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from hw.twin import faults
-from hw.twin.devices.board import ALL_SENSORS, BATTERY_MV, CURRENT_10MA
+from hw.twin.board import ALL_SENSORS, BATTERY_MV, CURRENT_10MA
 from hw.twin.dive import Dive, apply
-from hw.twin.physics.battery import NOMINAL_V, OHM
+from hw.twin.physics.body import NOMINAL_V, OHM
 from hw.twin.physics.sensors import NOISE_M
-from hw.twin.scene import Scene, load_scene
+from hw.twin.scene import (
+    KINDS,
+    Battery,
+    CastOff,
+    CurrentSet,
+    FirmwareHang,
+    GyroDead,
+    GyroStuck,
+    Leak,
+    Occlude,
+    PowerCut,
+    Push,
+    Scene,
+    SensorDead,
+    SensorOffset,
+    SensorStuck,
+    SensorWell,
+    SerialUnplug,
+    SlowBoard,
+    Startle,
+    TagLost,
+    TetherPull,
+    ThrusterDead,
+    ThrusterGain,
+    load_scene,
+)
 from tests.hw.twin.stand_ins import boardless_dive, readings_m, run
 
 
@@ -49,12 +73,12 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         "startle": 'creature = "fish"\nspeed_m_s = 0.4\nfor_s = 1.0',
     }
     everybodys = ("current", "occlude", "tag_lost", "startle")
-    kinds = faults.KINDS
+    kinds = KINDS
     whose = {kind: "" if kind in everybodys else 'robot = "r1"\n' for kind in kinds}
     tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\n{whose[k]}{more.get(k, "")}\n' for i, k in enumerate(kinds)]
     scene = scene_with(tmp_path, "".join(tables))
     assert len(scene.event) == len(kinds) == 21
-    assert scene.event[0] == faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
+    assert scene.event[0] == Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
 
 
 @pytest.mark.parametrize(
@@ -77,15 +101,15 @@ def test_an_event_that_cannot_be_is_one_line(tmp_path, table, says):
 
 def test_an_event_for_a_robot_that_stays_ashore_is_refused():
     with pytest.raises(ConfigError, match="no robot 'r9' dives"):
-        boardless_dive(scene=scene_of(faults.SensorDead(at_s=1.0, robot="r9", sensor=1)))
+        boardless_dive(scene=scene_of(SensorDead(at_s=1.0, robot="r9", sensor=1)))
 
 
 @pytest.mark.parametrize(
     ("event", "says"),
     [
-        (faults.TagLost(at_s=1.0, id=12), "the fleet file has no tag 12; take the event out"),
-        (faults.Occlude(at_s=1.0, solid=0, to_m=(0, 0, 0), over_s=1.0), "solid 0 .* no stone .*; name one of 1, 2"),
-        (faults.Occlude(at_s=1.0, solid=7, to_m=(0, 0, 0), over_s=1.0), "solid 7 .* no stone"),
+        (TagLost(at_s=1.0, id=12), "the fleet file has no tag 12; take the event out"),
+        (Occlude(at_s=1.0, solid=0, to_m=(0, 0, 0), over_s=1.0), "solid 0 .* no stone .*; name one of 1, 2"),
+        (Occlude(at_s=1.0, solid=7, to_m=(0, 0, 0), over_s=1.0), "solid 7 .* no stone"),
     ],
 )
 def test_an_event_that_nothing_can_meet_is_refused(event, says):
@@ -96,9 +120,7 @@ def test_an_event_that_nothing_can_meet_is_refused(event, says):
 
 def test_events_strike_in_the_order_of_their_times():
     made = boardless_dive(
-        scene=scene_of(
-            faults.SensorDead(at_s=0.20, robot="r1", sensor=2), faults.SensorDead(at_s=0.10, robot="r1", sensor=1)
-        )
+        scene=scene_of(SensorDead(at_s=0.20, robot="r1", sensor=2), SensorDead(at_s=0.10, robot="r1", sensor=1))
     )
     run(made, 30)
     masks = [tick[2] for tick in made.boards[0].ticks]
@@ -107,32 +129,32 @@ def test_events_strike_in_the_order_of_their_times():
 
 
 DONE = {
-    faults.Push(at_s=0, robot="r1", force_n=(0, 0, -8), for_s=0.3): call.push("r1", (0, 0, -8), (0.0, 0.0, 0.0), 0.3),
-    faults.SensorDead(at_s=0, robot="r1", sensor=1): call.kill_sensor("r1", 1),
-    faults.GyroDead(at_s=0, robot="r1"): call.gyros.fail("r1", stuck=False),
-    faults.GyroStuck(at_s=0, robot="r1"): call.gyros.fail("r1", stuck=True),
-    faults.SensorStuck(at_s=0, robot="r1", sensor=2): call.stick_sensor("r1", 2),
-    faults.SensorOffset(at_s=0, robot="r1", sensor=3, offset_m=0.05): call.shift_sensor("r1", 3, 0.05),
-    faults.SensorWell(at_s=0, robot="r1", sensor=4): call.mend_sensor("r1", 4),
-    faults.Leak(at_s=0, robot="r1"): call.leak("r1"),
-    faults.Battery(at_s=0, robot="r1", volts=11.5): call.set_battery("r1", 11.5),
-    faults.ThrusterDead(at_s=0, robot="r1", thruster=8): call.scale_thruster("r1", 8, 0.0),
-    faults.ThrusterGain(at_s=0, robot="r1", thruster=1, gain=0.5): call.scale_thruster("r1", 1, 0.5),
-    faults.SerialUnplug(at_s=0, robot="r1", for_s=5.0): call.unplug("r1", 5.0),
-    faults.PowerCut(at_s=0, robot="r1", for_s=2.0): call.cut_power("r1", 2.0),
-    faults.FirmwareHang(at_s=0, robot="r1"): call.hang_firmware("r1"),
-    faults.SlowBoard(at_s=0, robot="r1", by=2.5): call.slow_board("r1", 2.5),
-    faults.TetherPull(at_s=0, robot="r1", force_n=0.1, for_s=2.0): call.pull_tether("r1", 0.1, 4.0, 2.0),
-    faults.CastOff(at_s=0, robot="r1"): call.cast_off("r1"),
-    faults.CurrentSet(at_s=0, velocity_m_s=(0.1, 0.0, 0.0)): call.set_current((0.1, 0.0, 0.0)),
-    faults.Occlude(at_s=0, solid=1, to_m=(0.8, 0.7, 0.1), over_s=4.0): call.move_solid(1, (0.8, 0.7, 0.1), 4.0),
-    faults.TagLost(at_s=0, id=12): call.lose_tag(12),
-    faults.Startle(at_s=0, creature="fish", speed_m_s=0.4, for_s=1.0): call.school.startle("fish", 0.4, 1.0),
+    Push(at_s=0, robot="r1", force_n=(0, 0, -8), for_s=0.3): call.push("r1", (0, 0, -8), (0.0, 0.0, 0.0), 0.3),
+    SensorDead(at_s=0, robot="r1", sensor=1): call.kill_sensor("r1", 1),
+    GyroDead(at_s=0, robot="r1"): call.gyros.fail("r1", stuck=False),
+    GyroStuck(at_s=0, robot="r1"): call.gyros.fail("r1", stuck=True),
+    SensorStuck(at_s=0, robot="r1", sensor=2): call.stick_sensor("r1", 2),
+    SensorOffset(at_s=0, robot="r1", sensor=3, offset_m=0.05): call.shift_sensor("r1", 3, 0.05),
+    SensorWell(at_s=0, robot="r1", sensor=4): call.mend_sensor("r1", 4),
+    Leak(at_s=0, robot="r1"): call.leak("r1"),
+    Battery(at_s=0, robot="r1", volts=11.5): call.set_battery("r1", 11.5),
+    ThrusterDead(at_s=0, robot="r1", thruster=8): call.scale_thruster("r1", 8, 0.0),
+    ThrusterGain(at_s=0, robot="r1", thruster=1, gain=0.5): call.scale_thruster("r1", 1, 0.5),
+    SerialUnplug(at_s=0, robot="r1", for_s=5.0): call.unplug("r1", 5.0),
+    PowerCut(at_s=0, robot="r1", for_s=2.0): call.cut_power("r1", 2.0),
+    FirmwareHang(at_s=0, robot="r1"): call.hang_firmware("r1"),
+    SlowBoard(at_s=0, robot="r1", by=2.5): call.slow_board("r1", 2.5),
+    TetherPull(at_s=0, robot="r1", force_n=0.1, for_s=2.0): call.pull_tether("r1", 0.1, 4.0, 2.0),
+    CastOff(at_s=0, robot="r1"): call.cast_off("r1"),
+    CurrentSet(at_s=0, velocity_m_s=(0.1, 0.0, 0.0)): call.set_current((0.1, 0.0, 0.0)),
+    Occlude(at_s=0, solid=1, to_m=(0.8, 0.7, 0.1), over_s=4.0): call.move_solid(1, (0.8, 0.7, 0.1), 4.0),
+    TagLost(at_s=0, id=12): call.lose_tag(12),
+    Startle(at_s=0, creature="fish", speed_m_s=0.4, for_s=1.0): call.school.startle("fish", 0.4, 1.0),
 }
 
 
 def test_each_kind_of_fault_does_one_thing_to_the_dive():
-    assert {type(fault).__struct_config__.tag for fault in DONE} == set(faults.KINDS)
+    assert {type(fault).__struct_config__.tag for fault in DONE} == set(KINDS)
     for fault, done in DONE.items():
         dive = Mock(spec=[*dir(Dive), "gyros", "school"])
         apply(fault, dive)

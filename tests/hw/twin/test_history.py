@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hw.camera.camera import CameraGone
-from hw.twin.history import SPAN
-from hw.twin.physics.rotation import matrix, quaternion
+from hw.twin.dive import SPAN
+from hw.twin.physics.body import matrix, quaternion
 from hw.twin.physics.tank import TICK_NS
 from tests.hw.twin.filled_history import START_NS, filled
 

@@ -4,9 +4,8 @@ import re
 
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive
-from hw.twin.faults import KINDS
-from hw.twin.scene import SCENES, load_scene
-from hw.twin.targets import target_solids
+from hw.twin.scene import KINDS, SCENES, load_scene
+from hw.twin.truth import target_solids
 from tests.places import ROOT
 
 PAGE = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")

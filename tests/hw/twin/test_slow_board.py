@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from hw.twin.devices.cycle_times import NO_TIME
-from hw.twin.faults import SlowBoard
+from hw.twin.board import NO_TIME
+from hw.twin.scene import SlowBoard
 from tests.hw.firmware.diving_robot import diving_robot
 
 CYCLE_US, OVERRUN_US = 5000.0, 13_333.0  # every cycle, whatever there is to do

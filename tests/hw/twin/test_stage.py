@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from agent.robot.fleet_reader import load_fleet
-from hw.twin import faults
-from hw.twin.devices.camera_device import EXPOSURE_NS, DiveCamera, FrameClock
+from hw.twin.camera_device import EXPOSURE_NS, DiveCamera, FrameClock
 from hw.twin.dive import Dive
-from hw.twin.landmarks import true_tags
 from hw.twin.optics.lens import draw_lens
-from hw.twin.scene import Scene, Solid, load_scene
-from hw.twin.stage import Stage
-from hw.twin.targets import movable
+from hw.twin.scene import Occlude, Scene, Solid, TagLost, load_scene
+from hw.twin.truth import Stage, movable, true_tags
 from tests.hw.twin.devices.test_camera_device import Notebook
 
 FLEET = load_fleet(Path(__file__).parent / "swim.toml")
@@ -53,8 +50,8 @@ def test_targets_stay_where_the_truth_says():
 
 def test_cameras_see_the_stage_at_their_own_times():
     events = (
-        faults.TagLost(at_s=0.50, id=12),
-        faults.Occlude(at_s=0.50, solid=1, to_m=(1.0, 1.0, 0.1), over_s=1.0),
+        TagLost(at_s=0.50, id=12),
+        Occlude(at_s=0.50, solid=1, to_m=(1.0, 1.0, 0.1), over_s=1.0),
     )
     scene = Scene(name="swim", moored=False, solid=(BALL, STONE), event=events)
     dive = Dive(FLEET, list(FLEET.robot), 0, scene=scene)

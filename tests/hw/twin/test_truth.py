@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from hw.twin.physics.rotation import euler_rad, quaternion
+from hw.twin.physics.body import euler_rad, quaternion
 from hw.twin.physics.tank import STATE
 from hw.twin.scene import Scene
 from hw.twin.truth import HEAD, Watch

@@ -17,12 +17,11 @@ from agent.core.step_io import SetPoint
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import Roi
 from hw.camera.open import open_camera
-from hw.twin.bench_socket import BenchClient
-from hw.twin.devices.board import Board
-from hw.twin.devices.twin_folder import locked, twin_dir
-from hw.twin.dive import Dive
-from hw.twin.pace import run_in_lock_step
+from hw.twin.board import Board
+from hw.twin.calibration_bench import BenchClient
+from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.scene import SCENES
+from hw.twin.twin_folder import locked, twin_dir
 from tests.places import ROOT
 from tests.waiting import until
 

@@ -17,7 +17,7 @@ from agent.core.topics import STATE
 from agent.demo.demo import demo_fleet
 from agent.process.command import temporary_folder
 from agent.process.transport import Observer
-from hw.twin.devices.twin_folder import clock_path
+from hw.twin.twin_folder import clock_path
 from tests.killing import killed_after
 from tests.known_lens import TWIN, TWIN_CAMERA
 from tests.network.dives.shown_states import ShownStates

@@ -28,7 +28,7 @@ from agent.process.command import temporary_folder
 from agent.process.launch import crew, wait_for
 from agent.process.transport import Observer
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.devices.twin_folder import clock_path
+from hw.twin.twin_folder import clock_path
 from replay.files.channels import STEP_IN, VISION, network_topic
 from replay.files.frames import Frames, pixels
 from replay.files.log import info, read

@@ -9,14 +9,13 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.robot.fleet_reader import load_fleet
-from hw.twin import faults
-from hw.twin.creatures.lookout import Lookout
-from hw.twin.devices.camera_device import DiveCamera, FrameClock
+from hw.twin.camera_device import DiveCamera, FrameClock
+from hw.twin.creatures import Lookout
 from hw.twin.dive import Dive
 from hw.twin.optics.lens import draw_lens
-from hw.twin.optics.outline import Outline
+from hw.twin.optics.painter import Outline
 from hw.twin.physics.tank import TICK_NS
-from hw.twin.scene import Current, load_scene
+from hw.twin.scene import Current, Startle, load_scene
 from tests.hw.twin.devices.test_camera_device import Notebook
 
 FLEET = load_fleet(Path(__file__).parent.parent / "swim.toml")
@@ -66,7 +65,7 @@ def test_cameras_see_a_creature_where_it_was_then():
 
 
 def test_a_startle_is_of_a_creature_that_is_there():
-    startle = faults.Startle(at_s=0.1, creature="fish", speed_m_s=0.5, for_s=1.0)
+    startle = Startle(at_s=0.1, creature="fish", speed_m_s=0.5, for_s=1.0)
     dive = dived(msgspec.structs.replace(SCENE, event=(startle,)), 60)
     way_m = np.subtract(dive.school.attitudes[0][:3], dive.history.creatures_at(50 * TICK_NS)[0][:3])
     assert np.linalg.norm(way_m) / 0.1 == pytest.approx(0.5, rel=0.05)

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.creatures.shape import swimming
-from hw.twin.creatures.swimmer import Attitude
+from hw.twin.creatures import Attitude, swimming
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye, Moment
-from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal
+from hw.twin.optics.raycast import Eye, Moment
+from hw.twin.physics.body import GIMBAL_CAMERA, gimbal
 from hw.twin.scene import Creature, Scene, Solid
 
 FLEET = load_fleet(Path(__file__).parent.parent / "swim.toml")

@@ -6,8 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hw.twin.creatures.shape import PARTS, bend, swimming
-from hw.twin.creatures.swimmer import Attitude
+from hw.twin.creatures import PARTS, Attitude, bend, swimming
 from hw.twin.scene import Creature
 
 FISH = Creature(name="fish", length_m=0.2)

@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from hw.twin.creatures.school import ROBOT_M, TICK_S, School
-from hw.twin.creatures.shape import swimming
-from hw.twin.creatures.steering import SHY_M, Thing, Water, lee
-from hw.twin.creatures.swimmer import TURN_RAD_S, TURN_S, Doing, Swimmer
+from hw.twin.creatures import (
+    ROBOT_M,
+    SHY_M,
+    TICK_S,
+    TURN_RAD_S,
+    TURN_S,
+    Doing,
+    School,
+    Swimmer,
+    Thing,
+    Water,
+    lee,
+    swimming,
+)
 from hw.twin.scene import Creature, Solid, load_scene
 
 SIZE_M = (3.0, 2.0, 0.5)

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from hw.twin.devices.board import Board
-from hw.twin.pace import run_in_lock_step
+from hw.twin.board import Board
+from hw.twin.dive import run_in_lock_step
 from tests.hw.twin.stand_ins import answer, gone, pid
 
 

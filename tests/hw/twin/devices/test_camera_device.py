@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from hw.camera.camera import CameraGone, Roi
-from hw.twin.devices.camera_device import EXPOSURE_NS, FRAME_NS, DiveCamera, FrameClock, look
-from hw.twin.history import RobotPose
+from hw.twin.camera_device import EXPOSURE_NS, FRAME_NS, DiveCamera, FrameClock, look
+from hw.twin.dive import RobotPose
 from hw.twin.optics.lens import draw_lens
-from hw.twin.physics.rotation import matrix, quaternion
-from hw.twin.stage import Stage
+from hw.twin.physics.body import matrix, quaternion
+from hw.twin.truth import Stage
 from tests.hw.twin.filled_history import START_NS, filled, states
 from tests.waiting import until
 

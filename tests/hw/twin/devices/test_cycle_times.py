@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from hw.firmware import bus, wire
-from hw.twin.devices.boot import Boot
-from hw.twin.devices.cycle_times import NO_TIME, CycleTimes, read_table
-from hw.twin.pace import run_in_lock_step
+from hw.twin.board import NO_TIME, Boot, CycleTimes, read_table
+from hw.twin.dive import run_in_lock_step
 from hw.twin.physics.tank import STEP_S
 from tests.bench.board import imposed
 from tests.hw.twin.stand_ins import tell

@@ -5,11 +5,10 @@ import pytest
 
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import Roi
-from hw.twin.devices.boot import Act
-from hw.twin.devices.camera_device import DiveCamera, FrameClock, burning
-from hw.twin.dive import Dive
-from hw.twin.history import RobotPose
-from hw.twin.optics.lamps.metering import FRAME_NS
+from hw.twin.board import Act
+from hw.twin.camera_device import DiveCamera, FrameClock, burning
+from hw.twin.dive import Dive, RobotPose
+from hw.twin.optics.image_formation import FRAME_NS
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.scene import generator, in_daylight, lamp_place, load_scene

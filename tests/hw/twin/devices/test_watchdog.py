@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hw.twin.devices.board import Board
-from hw.twin.devices.boot import RESET_CAUSE
-from hw.twin.pace import run_in_lock_step
+from hw.twin.board import RESET_CAUSE, Board
+from hw.twin.dive import run_in_lock_step
 from tests.hw.twin.stand_ins import answer, catch_up, gone, pid, tell
 
 

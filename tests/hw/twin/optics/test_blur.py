@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hw.twin.optics.defocus import apparent_m, blur, circle_gain, circles, margin, vergence
+from hw.twin.optics.image_formation import apparent_m, blur, circle_gain, circles, margin, vergence
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hw.twin.optics.lens import draw_lens
-from hw.twin.optics.raycast import SOLID_ID, ray, trace
-from hw.twin.optics.view import Eye, Moment, make_view, turned
+from hw.twin.optics.raycast import SOLID_ID, Eye, Moment, make_view, ray, trace, turned
 from hw.twin.scene import Solid
 
 BOX_M = (1.5, 1.2, 0.5)

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from agent.core.config import Tank
-from hw.twin.optics.defocus import apparent_m
+from hw.twin.optics.image_formation import apparent_m
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import HULL_RADII_M, Chessboard, Eye, Hull
-from hw.twin.optics.water import draw_water, transmission_and_veil
+from hw.twin.optics.raycast import HULL_RADII_M, Chessboard, Eye, Hull
+from hw.twin.optics.shade import draw_water, transmission_and_veil
 from hw.twin.scene import Scene, SceneWater, Solid, generator, load_scene
 
 N = 1.333

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from agent.core.config import Tag
-from hw.twin.landmarks import surveyed_tag
-from hw.twin.optics.motion import MOST, PART_PX, parts_of
+from hw.twin.optics.image_formation import MOST, PART_PX, parts_of
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye, Hull, Moment
+from hw.twin.optics.raycast import Eye, Hull, Moment
 from hw.twin.scene import Scene
+from hw.twin.truth import surveyed_tag
 from tests.hw.twin.optics.test_tags import FLEET, LENS, N, look, pixels, sharp_at
 
 TAG = surveyed_tag(Tag(id=3, face="x1", position_m=(3.0, 1.0, 0.25)), 0.08)

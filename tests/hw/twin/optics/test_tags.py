@@ -9,14 +9,14 @@ import pytest
 
 from agent.core.config import Landmarks, Tag, Tank
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.landmarks import surveyed_tag, true_tags
-from hw.twin.optics.defocus import apparent_m
+from hw.twin.optics.image_formation import apparent_m
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
+from hw.twin.optics.raycast import Eye, Hull, Moment
+from hw.twin.optics.shade import draw_water, transmission_and_veil
 from hw.twin.optics.tags import family
-from hw.twin.optics.view import Eye, Hull, Moment
-from hw.twin.optics.water import draw_water, transmission_and_veil
 from hw.twin.scene import Scene, SceneWater, generator
+from hw.twin.truth import surveyed_tag, true_tags
 
 N = 1.333
 LENS = draw_lens("imx519_640", generator(0, "r1", "lens"))._replace(port_gap_m=0.0, k1=0.0, k2=0.0)

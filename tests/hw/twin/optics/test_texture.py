@@ -5,11 +5,11 @@ import numpy as np
 from agent.perception.clarity import tenengrad_blocks
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.optics import texture
+from hw.twin.optics import raycast
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
+from hw.twin.optics.raycast import Eye
 from hw.twin.optics.shade import LOD_UP
-from hw.twin.optics.view import Eye
 from hw.twin.scene import generator, load_scene
 
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera axes as columns: looks along world x
@@ -22,7 +22,7 @@ def test_a_focus_sweep_does_not_switch_the_mip_level():
     painter.prepare()
     nearest_m = lens.at_position_m(lens.highest)
     middle_m = 0.5 * (lens.at_rest_m + nearest_m)
-    switch_m = float(LOD_UP) * texture.WALL.texel_m * fleet.water.refractive_index * middle_m / lens.pixel_m
+    switch_m = float(LOD_UP) * raycast.WALL.texel_m * fleet.water.refractive_index * middle_m / lens.pixel_m
     eye = Eye((fleet.tank.size_m[0] - switch_m, 0.6, 0.25), AHEAD)
     centre = (240, 160, 160, 160)
     clarity = [

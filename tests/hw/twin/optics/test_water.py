@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hw.twin.optics.water import draw_water, transmission_and_veil
+from hw.twin.optics.shade import draw_water, transmission_and_veil
 from hw.twin.scene import SceneWater, generator
 
 

@@ -5,12 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from hw.twin import faults
-from hw.twin.physics.body import FREE_SLACK, TETHER_DRAG, cast_off
-from hw.twin.physics.flow import Flow
-from hw.twin.physics.rotation import euler_rad, quaternion, to_body
+from hw.twin import scene
+from hw.twin.physics.body import FREE_SLACK, TETHER_DRAG, cast_off, euler_rad, quaternion, to_body
 from hw.twin.physics.sensors import water_pressure_pa
-from hw.twin.physics.tank import STEP_S, push
+from hw.twin.physics.tank import STEP_S, Flow, push
 from hw.twin.scene import Current, Pull, Scene, StartSigma, put_off
 from tests.hw.twin.physics.test_tank import SIZE_M, SURFACE_M, hull, run
 from tests.hw.twin.stand_ins import boardless_dive
@@ -110,7 +108,7 @@ def walked(flow, ticks):
 
 
 def test_gusts_and_pulls_are_as_strong_as_they_say_and_forget_themselves(monkeypatch):
-    monkeypatch.setattr("hw.twin.physics.flow.TICK_S", 0.1)
+    monkeypatch.setattr("hw.twin.physics.tank.TICK_S", 0.1)
     flow = Flow(1, ["r1"], Current(velocity_m_s=CURRENT, gust_m_s=0.01), Pull(force_n=0.05, correlation_s=0.5))
     water, pull = walked(flow, 3000)
     np.testing.assert_allclose(water.mean(0)[:2], CURRENT[:2], atol=5e-3)
@@ -174,9 +172,9 @@ def test_the_crew_puts_robots_about_where_the_file_says():
 
 def test_a_current_a_pull_and_a_casting_off_come_when_the_scene_says():
     events = (
-        faults.CurrentSet(at_s=0.2, velocity_m_s=(0.1, 0.0, 0.0)),
-        faults.TetherPull(at_s=0.3, robot="r2", force_n=0.2, correlation_s=0.1, for_s=1.0),
-        faults.CastOff(at_s=0.4, robot="r1"),
+        scene.CurrentSet(at_s=0.2, velocity_m_s=(0.1, 0.0, 0.0)),
+        scene.TetherPull(at_s=0.3, robot="r2", force_n=0.2, correlation_s=0.1, for_s=1.0),
+        scene.CastOff(at_s=0.4, robot="r1"),
     )
     made = boardless_dive(scene=Scene(name="swim", event=events))
     run_dive(made, 20)

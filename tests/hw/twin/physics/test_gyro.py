@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from agent.core.config import Navigation
 from hw.firmware.wire import NO_RATE
 from hw.twin.dive import Dive
-from hw.twin.physics.gyro import FULL_SCALE_CDEG_S, NOISE_DEG_S, WALK_DEG_S, ZERO_DEG_S, Gyros
+from hw.twin.physics.tank import FULL_SCALE_CDEG_S, NOISE_DEG_S, WALK_DEG_S, ZERO_DEG_S, Gyros
 from tests.hw.twin.stand_ins import RecordingBoard, fleet
 
 ROBOTS = [f"r{i}" for i in range(400)]

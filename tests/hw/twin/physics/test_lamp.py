@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hw.twin.physics.battery import OPEN_V
-from hw.twin.physics.lamp import FULL_W, LIGHT_SPREAD, Lamps
+from hw.twin.physics.body import FULL_W, LIGHT_SPREAD, OPEN_V, Lamps
 
 PACK = np.array([OPEN_V, OPEN_V])
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from hw.twin.physics.plant import Plant
+from hw.twin.physics.body import F_MAX_N
 from hw.twin.physics.sensors import NOISE_M
-from hw.twin.physics.thruster import F_MAX_N
+from hw.twin.physics.tank import Plant
 from tests.hw.twin.stand_ins import boardless_dive, readings_m, run
 
 

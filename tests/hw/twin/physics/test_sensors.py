@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from agent.core.config import Body, Tank
-from hw.twin.physics.body import BODY, draw_body
-from hw.twin.physics.rotation import quaternion
+from hw.twin.physics.body import BODY, PLAY_DEG, SLEW_DEG_S, draw_body, motor_deg_after, quaternion, shaft_deg_after
 from hw.twin.physics.sensors import ATMOSPHERE_PA, NOISE_M, PA_PER_M, STEP_PA, PressureSensors, water_pressure_pa
-from hw.twin.physics.servo import PLAY_DEG, SLEW_DEG_S, motor_deg_after, shaft_deg_after
 from hw.twin.physics.tank import STATE, STEP_S
 
 SURFACE_M = 0.5

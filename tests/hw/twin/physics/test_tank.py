@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 
 from agent.core.config import Body, Tank
-from hw.twin.physics.body import BODY, HULL_M, MOORING, draw_body, draw_servos
+from hw.twin.physics.body import (
+    BODY,
+    HULL_M,
+    MOORING,
+    draw_body,
+    draw_servos,
+    euler_rad,
+    matrix,
+    quaternion,
+    static_thrust_n,
+    to_body,
+    to_world,
+)
 from hw.twin.physics.forces import GRAVITY_M_S2, TETHER_WEIGHT_N, add_water
-from hw.twin.physics.rotation import euler_rad, matrix, quaternion, to_body, to_world
 from hw.twin.physics.tank import STATE, STEP_S, advance, push
-from hw.twin.physics.thruster import static_thrust_n
 
 SIZE_M = np.array([4.0, 4.0, 4.0])
 SURFACE_M = 3.5

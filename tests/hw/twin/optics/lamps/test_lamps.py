@@ -6,11 +6,11 @@ import pytest
 from agent.core.config import ConfigError, Tank
 from agent.experiments.dark_water import BALL_M, RADIUS_M, WATERS, DarkWater, axis_veil, stand
 from agent.experiments.veil_monte_carlo import Medium, beside, scattered
-from hw.twin.optics.lamps.metering import FRAME_NS, MAX_GAIN, meter
-from hw.twin.optics.lamps.scattered import scattering
+from hw.twin.optics.image_formation import FRAME_NS, MAX_GAIN, meter
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.view import Eye, Hull, LampBeam, Moment
+from hw.twin.optics.raycast import Eye, Hull, LampBeam, Moment
+from hw.twin.optics.veil import scattering
 from hw.twin.scene import Scene, SceneWater, generator, load_scene
 
 PLACES = ((0.9, 0.0, 0.12), (1.4, 0.0, 0.31), (1.25, 0.73, 0.3), (1.7, 1.3, 0.45))

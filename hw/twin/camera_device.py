@@ -11,18 +11,17 @@ import numpy as np
 
 from agent.core.messages import Vector
 from hw.camera.camera import FocusRange, Frame, Roi
-from hw.twin.creatures.shape import swimming
-from hw.twin.history import History, RobotPose
-from hw.twin.optics.view import Eye, Hull, LampBeam, Moment
-from hw.twin.physics.rotation import GIMBAL_CAMERA, gimbal
+from hw.twin.creatures import swimming
+from hw.twin.dive import History, RobotPose
+from hw.twin.optics.raycast import Eye, Hull, LampBeam, Moment
+from hw.twin.physics.body import GIMBAL_CAMERA, gimbal
 from hw.twin.scene import Creature
-from hw.twin.stage import Stage
+from hw.twin.truth import Stage
 
 if TYPE_CHECKING:
-    from hw.twin.optics.exposure import Exposure
+    from hw.twin.optics.image_formation import Exposure
     from hw.twin.optics.lens import Lens, Vcm
-    from hw.twin.optics.outline import Outline
-    from hw.twin.optics.painter import Painter
+    from hw.twin.optics.painter import Outline, Painter
 
 Witness = Callable[[int, int, "list[Outline]"], None]  # middle of the exposure, number of the frame, what it shows
 

@@ -1,1 +1,0 @@
-"""Serial ports and cameras that agents open, with the twin behind them."""

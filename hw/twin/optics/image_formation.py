@@ -1,0 +1,374 @@
+"""Radiance to bytes: photon and read noise, a 12-bit converter, gamma, 8 bits.
+
+The noise of a pixel is a function of (seed, robot, tick, pixel) alone: what else was read does not change it.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from functools import lru_cache
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw.twin.optics.lens import Lens
+from hw.twin.optics.raycast import ONE, ZERO, F, Floats, Moment, inlined, kernel
+
+FULL_WELL = 4000.0  # electrons; the shot noise of a pixel at full scale is its root
+READ_NOISE = 0.004  # of full scale
+ADC = 4095  # largest code
+GAMMA = 2.2
+
+INVERSE_WELL, READ_VARIANCE = np.float32(1 / FULL_WELL), np.float32(READ_NOISE**2)
+FULL_SCALE, HALF = np.float32(ADC), np.float32(0.5)
+# Steele, Lea and Flood 2014 (SplitMix64): one 64-bit hash a pixel, 12 bits a colour.
+GOLDEN, MIX1, MIX2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+S24, S27, S30, S31, S40 = (np.uint64(bits) for bits in (24, 27, 30, 31, 40))
+MASK12 = np.uint64(0xFFF)
+
+
+@lru_cache(maxsize=1)
+def normal_quantiles() -> Floats:
+    """(4096,) the normal distribution in equal shares, unit deviation: a 12-bit number looks up its noise."""
+    quantiles = np.array([NormalDist().inv_cdf((i + 0.5) / 4096) for i in range(4096)])
+    return np.asarray(quantiles / quantiles.std(), np.float32)
+
+
+@lru_cache(maxsize=1)
+def gamma_curve() -> NDArray[np.uint8]:
+    """(4096,) converter code to byte."""
+    return np.round(255 * (np.arange(ADC + 1) / ADC) ** (1 / GAMMA)).astype(np.uint8)
+
+
+def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
+    state = np.random.SeedSequence([seed, zlib.crc32(robot.encode()), tick]).generate_state(1, np.uint64)
+    return np.uint64(state[0])
+
+
+class Exposure(NamedTuple):
+    """How one frame is taken."""
+
+    scale: F  # share of full scale for a radiance of 1
+    gain: F = ONE  # of the amplifier: the variance of all noise grows with it, in shares of full scale
+    open_ns: int | None = None  # how long the shutter is open; None: as the camera does by itself
+
+
+@kernel
+def expose(
+    picture: Floats,
+    scale: F,
+    gain: F,
+    key: np.uint64,
+    x0: int,
+    y0: int,
+    full_width: int,
+    normal: Floats,
+    curve: NDArray[np.uint8],
+    image: NDArray[np.uint8],
+) -> None:
+    """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame.
+
+    At gain g a converter is full at 1/g of the well, and read noise is READ_NOISE / sqrt(g) in electrons.
+    """
+    for row in range(image.shape[0]):
+        for col in range(image.shape[1]):
+            z = key + np.uint64((y0 + row) * full_width + x0 + col) * GOLDEN
+            z = (z ^ (z >> S30)) * MIX1
+            z = (z ^ (z >> S27)) * MIX2
+            z ^= z >> S31
+            for c in range(3):
+                bits = (z if c == 0 else (z >> S24 if c == 1 else z >> S40)) & MASK12
+                light = max(picture[row, col, c], ZERO) * scale
+                light += math.sqrt((light * INVERSE_WELL + READ_VARIANCE) * gain) * normal[bits]
+                image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]
+
+
+# @@ motion
+# Motion blur: how far the picture moves while the shutter is open, and in how many parts the exposure is drawn.
+
+During = Callable[[float], Moment]  # the world at a share of the exposure, from -0.5, its start, to 0.5, its end
+
+PART_PX = 1.5  # motion within a part, which is not drawn: below what a lens at its sharpest blurs
+MOST = 8  # parts; what moves by more than 12 px is drawn a little coarser
+CLOSEST_M, LARGEST_M = 0.05, 0.14  # nothing comes closer to a port; the radius of a hull, and more than most solids'
+
+
+def parts_of(during: During, focal_px: float, nearest_m: float) -> int:
+    """Number of parts: one for each 1.5 px by which anything moves in the picture, at most.
+
+    focal_px: pixels in a radian of water. nearest_m: z-depth of what is closest.
+    """
+    before, after = during(-0.5), during(0.5)
+    shift_m = np.asarray(after.eye.position_m) - np.asarray(before.eye.position_m)
+    turn = np.asarray(before.eye.rotation).T @ np.asarray(after.eye.rotation)
+    angle_rad = math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0))
+    moved_rad = angle_rad + float(np.linalg.norm(shift_m)) / max(nearest_m, CLOSEST_M)
+    of_others = 0.0
+    for start_m, end_m in zip(_places_m(before), _places_m(after), strict=True):
+        range_m = float(np.linalg.norm(start_m - np.asarray(before.eye.position_m))) - LARGEST_M
+        of_others = max(of_others, float(np.linalg.norm(end_m - start_m)) / max(range_m, CLOSEST_M))
+    return min(max(math.ceil((moved_rad + of_others) * focal_px / PART_PX), 1), MOST)
+
+
+def _places_m(moment: Moment) -> list[NDArray[np.float64]]:
+    solids = [np.asarray(solid.position_m, float) for solid in moment.solids]
+    hulls = [np.asarray(hull.position_m, float) for hull in moment.hulls]
+    parts = [np.asarray(part.position_m, float) for creature in moment.creatures for part in creature.parts]
+    return solids + hulls + parts
+
+
+# @@ metering
+# Exposure as a camera module sets it in the dark: longer, until it lasts a whole frame, then more gain.
+#
+# It follows the scene at once, as a module that has settled; one that still settles would change its picture in the
+# middle of a sweep, and is locked by whoever sweeps.
+
+FRAME_NS = 1_000_000_000 // 30
+ELECTRONS = 3.4e5  # of a pixel for each W/m2/sr in a colour, exposed for FRAME_NS
+MAX_GAIN = 8.0  # analogue; in front of the converter, so that the converter's share of the read noise falls
+LEVEL, BRIGHTEST = 0.8, 0.99  # of full scale, for the brightest 1 % of the picture's pixels in any colour
+SHORTEST_NS = 20_000
+METERING_STEP_PX = 16  # pixels of a frame, each way, in one of the picture that is metered
+
+
+def meter(radiance: Floats) -> Exposure:
+    """For a picture (h, w, 3) in W/m2/sr, however coarse."""
+    top = float(np.quantile(radiance.max(axis=2), BRIGHTEST)) * ELECTRONS
+    wanted = LEVEL * FULL_WELL / max(top, 1e-9)
+    open_ns = min(max(round(min(wanted, 1.0) * FRAME_NS), SHORTEST_NS), FRAME_NS)
+    share = open_ns / FRAME_NS
+    gain = min(max(wanted / share, 1.0), MAX_GAIN)
+    return Exposure(np.float32(ELECTRONS * share * gain / FULL_WELL), np.float32(gain), open_ns)
+
+
+def coarse(lens: Lens) -> Lens:
+    """The same camera with pixels so large."""
+    x, y = ((c + 0.5) / METERING_STEP_PX - 0.5 for c in lens.centre_px)
+    return lens._replace(
+        pixel_m=lens.pixel_m * METERING_STEP_PX,
+        width=lens.width // METERING_STEP_PX,
+        height=lens.height // METERING_STEP_PX,
+        centre_px=(x, y),
+    )
+
+
+# @@ disks
+# The disks that a blur is summed over: where their taps are, and what they weigh.
+
+Ints = NDArray[np.int64]
+
+RADII = (0.0, 0.5, 0.8, 1.15, 1.55, 2.05, 2.7, 3.5)  # px; a mix of two neighbours has any r^2 in between
+SQUARES = np.array(RADII, np.float32) ** 2
+REACH = math.ceil(RADII[-1]) + 2  # pixels that the largest full sum looks to each side
+NEGLIGIBLE = 3e-4  # weight below which a tap is left out
+GROUP = 4  # taps summed at a time: a running sum that is stored after each of them takes twice as long
+
+
+class Taps(NamedTuple):
+    """The disks of RADII: disk k has taps start[k] to start[k + 1], filled up to whole groups with weights of 0."""
+
+    start: Ints
+    dy: Ints
+    dx: Ints
+    weight: Floats
+
+
+@lru_cache(maxsize=1)
+def taps() -> Taps:
+    """Mean of a cubic (Keys) interpolation of the picture over each disk, which has the disk's second moment."""
+    start: list[int] = [0]
+    dy: list[int] = []
+    dx: list[int] = []
+    weight: list[float] = []
+    k = np.arange(-REACH, REACH + 1)
+    ring = np.sqrt((np.arange(24) + 0.5) / 24)  # equal areas
+    angle = 2 * np.pi * (np.arange(64) + 0.5) / 64
+    y, x = (np.outer(ring, trig(angle)).ravel() for trig in (np.sin, np.cos))
+    for r in RADII:
+        w = _cubic(k[:, None] - r * y) @ _cubic(k[:, None] - r * x).T / len(x)
+        rows, cols = np.nonzero(np.abs(w) > NEGLIGIBLE)
+        idle = [0] * (-len(rows) % GROUP)
+        start.append(start[-1] + len(rows) + len(idle))
+        dy.extend([*k[rows], *idle])
+        dx.extend([*k[cols], *idle])
+        weight.extend([*(w[rows, cols] / w[rows, cols].sum()), *idle])
+    return Taps(np.array(start), np.array(dy), np.array(dx), np.array(weight, np.float32))
+
+
+def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Keys' kernel, a = -1/2: interpolates quadratics exactly."""
+    t = np.abs(t)
+    return np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0))
+
+
+# @@ defocus
+# Blur by the lens: every pixel is the mean of the sharp picture over its own circle of confusion.
+#
+# CoC_px = (A v / p) |X - 1/s|,  X = 1/f - 1/v,  A = f/N,  s the apparent distance (thin lens, written in vergence). A
+# pixel takes its circle from its own depth (gather), so next to a depth edge the halo of a blurred near object on a
+# sharp background is missing. It acts on linear radiance, before noise and gamma.
+#
+# Small circles are summed in full, as a mix of two disks of a fixed set; large ones at half the resolution, again and
+# again. All steps keep the second moment r^2/4 of a disk, which is what clarity near its peak depends on.
+
+Corners = tuple[int, int, int, int]  # of a part: its first column and row, and those behind its last ones
+
+FINE, COARSE = 2.5, RADII[-1]  # radii px between which the sum goes over from full to half resolution
+LEVELS = 2  # of halving: circles up to 4 * COARSE in radius
+SEGMENT = 32  # pixels of a row that share their sums
+
+FINE_PX, COARSE_PX = np.float32(FINE), np.float32(COARSE)
+QUARTER, NEAR = np.float32(0.25), np.float32(0.75)
+
+
+def circle_gain(lens: Lens, image_distance_m: float) -> float:
+    """Radius of the circle of confusion, px per dioptre of error."""
+    return lens.aperture_m * image_distance_m / (2 * lens.pixel_m)
+
+
+def vergence(lens: Lens, image_distance_m: float) -> float:
+    """X: an object at the apparent distance 1/X is sharp."""
+    return 1 / lens.focal_m - 1 / image_distance_m
+
+
+def apparent_m(depth_m: Any, index: float, gap_m: float) -> Any:
+    """Where an object at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead (paraxial)."""
+    return gap_m + (depth_m - gap_m) / index
+
+
+def circles(depth_m: Floats, lens: Lens, image_distance_m: float, index: float, largest_px: float) -> Floats:
+    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`."""
+    gain = np.float32(circle_gain(lens, image_distance_m))
+    sharp = np.float32(vergence(lens, image_distance_m))
+    error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m)
+    return np.asarray(np.minimum(gain * np.abs(error), np.float32(largest_px)), np.float32)
+
+
+def margin(largest_px: float) -> int:
+    """Pixels around a region that its blurred picture needs: the rim of the coarsest level, and its doubling."""
+    halvings = 0 if largest_px <= FINE else 1 if largest_px <= 2 * FINE else LEVELS
+    return (REACH + 2) << halvings
+
+
+def blur(picture: Floats, radius: Floats, part: Corners | None = None, halvings: int = LEVELS) -> Floats:
+    """Blur picture (h, w, 3) by radius (h, w) px; h and w divisible by 4, a rim of `margin` is not valid.
+
+    Outside `part`, if it is given, nothing is blurred, and what is returned there means nothing.
+    """
+    height, width = radius.shape
+    left, top, right, bottom = part or (0, 0, width, height)
+    coarse = picture
+    if halvings and radius[top:bottom, left:right].max() > FINE:
+        half = np.empty((height // 2, width // 2, 3), np.float32)
+        half_radius = np.empty(half.shape[:2], np.float32)
+        halve(picture, radius, half, half_radius)
+        # A pixel is doubled from the coarse one that it lies in and from that one's neighbours.
+        around = (
+            *(max(low // 2 - 1, 0) for low in (left, top)),
+            *(min((high + 1) // 2 + 1, size // 2) for high, size in ((right, width), (bottom, height))),
+        )
+        coarse = blur(half, half_radius, around, halvings - 1)
+    disk = taps()
+    offset = (disk.dy * width + disk.dx) * 3
+    blurred = np.empty_like(picture)
+    has_coarse = coarse is not picture
+    gather(picture, radius, coarse, has_coarse, disk.start, offset, disk.weight, left, top, right, bottom, blurred)
+    return blurred
+
+
+@kernel
+def halve(picture: Floats, radius: Floats, half: Floats, half_radius: Floats) -> None:
+    """2x2 means. Halving and doubling themselves blur by a variance of 1 px^2, which the circle gives up."""
+    for j in range(half.shape[0]):
+        for i in range(half.shape[1]):
+            y, x = 2 * j, 2 * i
+            for c in range(3):
+                above = picture[y, x, c] + picture[y, x + 1, c]
+                half[j, i, c] = QUARTER * (above + picture[y + 1, x, c] + picture[y + 1, x + 1, c])
+            r = QUARTER * (radius[y, x] + radius[y, x + 1] + radius[y + 1, x] + radius[y + 1, x + 1])
+            half_radius[j, i] = math.sqrt(max(r * r * QUARTER - ONE, ZERO))
+
+
+@kernel
+def gather(
+    picture: Floats,
+    radius: Floats,
+    coarse: Floats,
+    has_coarse: bool,
+    start: Ints,
+    offset: Ints,
+    weight: Floats,
+    left: int,
+    top: int,
+    right: int,
+    bottom: int,
+    blurred: Floats,
+) -> None:
+    """One level: full sums for small circles, the doubled coarser level for large ones, a blend in between."""
+    height, width = radius.shape
+    flat = picture.reshape(height * width * 3)
+    sums = np.empty((len(RADII), 3 * SEGMENT), np.float32)
+    for j in range(top, bottom):
+        for i in range(left, right):  # what stays in the rim, where sums would reach beyond the picture
+            if min(i, j) < REACH or i >= width - REACH or j >= height - REACH:
+                for c in range(3):  # the whole array at once is checked, by code that takes seconds to compile
+                    blurred[j, i, c] = picture[j, i, c]
+    for j in range(max(top, REACH), min(bottom, height - REACH)):
+        for i0 in range(max(left, REACH), min(right, width - REACH), SEGMENT):
+            n = min(SEGMENT, right - i0, width - REACH - i0)
+            smallest, largest = COARSE_PX, ZERO
+            for i in range(i0, i0 + n):
+                smallest, largest = min(smallest, radius[j, i]), max(largest, radius[j, i])
+            lowest = _disk(smallest, 0)
+            if smallest < COARSE_PX or not has_coarse:
+                for k in range(lowest, _disk(largest, lowest) + 2):
+                    total = sums[k, : 3 * n]
+                    for lane in range(3 * n):
+                        total[lane] = ZERO
+                    here = (j * width + i0) * 3
+                    for tap in range(start[k], start[k + 1], GROUP):
+                        # Slices: with an offset index it would not vectorise.
+                        first = flat[here + offset[tap] : here + offset[tap] + 3 * n]
+                        second = flat[here + offset[tap + 1] : here + offset[tap + 1] + 3 * n]
+                        third = flat[here + offset[tap + 2] : here + offset[tap + 2] + 3 * n]
+                        fourth = flat[here + offset[tap + 3] : here + offset[tap + 3] + 3 * n]
+                        w1, w2, w3, w4 = weight[tap], weight[tap + 1], weight[tap + 2], weight[tap + 3]
+                        for lane in range(3 * n):
+                            value = total[lane] + w1 * first[lane]
+                            value += w2 * second[lane]
+                            value += w3 * third[lane]
+                            total[lane] = value + w4 * fourth[lane]
+            for i in range(n):
+                r = radius[j, i0 + i]
+                share = min(max((r - FINE_PX) / (COARSE_PX - FINE_PX), ZERO), ONE) if has_coarse else ZERO
+                k = _disk(r, lowest)
+                upper = (ONE - share) * min((r * r - SQUARES[k]) / (SQUARES[k + 1] - SQUARES[k]), ONE)
+                lower = ONE - share - upper
+                for c in range(3):
+                    value = ZERO
+                    if share < ONE:
+                        value = lower * sums[k, 3 * i + c] + upper * sums[k + 1, 3 * i + c]
+                    if share > ZERO:
+                        value += share * _doubled(coarse, j, i0 + i, c)
+                    blurred[j, i0 + i, c] = value
+
+
+@inlined
+def _disk(r: F, k: int) -> int:
+    """The largest k with RADII[k] <= r that has a larger neighbour; it is not below the k given."""
+    while k < len(RADII) - 2 and r * r > SQUARES[k + 1]:
+        k += 1
+    return k
+
+
+@inlined
+def _doubled(coarse: Floats, j: int, i: int, c: int) -> F:
+    """The coarser level at a pixel of the finer one, bilinear."""
+    y, x = j >> 1, i >> 1
+    y2, x2 = y + 2 * (j & 1) - 1, x + 2 * (i & 1) - 1
+    here = NEAR * coarse[y, x, c] + QUARTER * coarse[y, x2, c]
+    return NEAR * here + QUARTER * (NEAR * coarse[y2, x, c] + QUARTER * coarse[y2, x2, c])
